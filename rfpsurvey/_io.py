@@ -1,0 +1,102 @@
+"""Tables on disk: formats by file name, nothing half written, nothing overwritten unasked.
+
+FITS headers hold no nested values, so that there the table's ``meta`` travels as one JSON string under
+``RFPSURVY``, beside the plain cards that a person may want to read.
+"""
+
+import json
+import os
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from astropy.table import QTable, Table
+
+from rfpsurvey.errors import InputError
+
+__all__ = ["check_output", "output_path", "read_table", "suffix_of", "write_table"]
+
+FORMATS = {
+    ".fits": "fits",
+    ".fit": "fits",
+    ".ecsv": "ascii.ecsv",
+    ".csv": "ascii.csv",
+    ".vot": "votable",
+    ".xml": "votable",
+    ".votable": "votable",
+    ".parquet": "parquet",
+}
+WRITABLE = (".fits", ".ecsv")
+META_KEY = "RFPSURVY"
+
+
+def suffix_of(path: Path) -> str:
+    """Return the ending that tells the format; ``.gz`` is looked through."""
+    suffixes = [s.lower() for s in path.suffixes]
+    if suffixes and suffixes[-1] in (".gz", ".fz", ".bz2", ".xz"):
+        suffixes.pop()
+    return suffixes[-1] if suffixes else ""
+
+
+def read_table(path: str | os.PathLike) -> QTable:
+    """Read a table in any of `FORMATS`."""
+    path = Path(path)
+    suffix = suffix_of(path)
+    if suffix not in FORMATS:
+        raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (or with .gz)")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    options = {"mask_invalid": False} if FORMATS[suffix] == "fits" else {}
+    try:
+        # CSV carries no units: a plain Table, whose text columns stay text
+        cls = Table if FORMATS[suffix] == "ascii.csv" else QTable
+        table = QTable(cls.read(path, format=FORMATS[suffix], **options))
+    except ImportError as error:
+        raise InputError(f"{path}: reading this format needs another package: {error}") from error
+    except Exception as error:  # readers of seven formats raise what they like
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {reason}") from error
+    if META_KEY in table.meta:
+        table.meta = json.loads(table.meta[META_KEY])
+    return table
+
+
+def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = False, cards: dict | None = None) -> None:
+    """Write FITS or ECSV; ``cards`` are further FITS header cards."""
+    path = Path(path)
+    with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
+        if suffix_of(path) == ".fits":
+            table = table.copy()
+            table.meta = {**(cards or {}), META_KEY: json.dumps(table.meta, separators=(",", ":"))}
+            try:
+                table.write(temporary, format="fits")
+            except UnicodeEncodeError as error:
+                raise InputError(f"{path}: FITS holds ASCII text only ({error}); write .ecsv instead") from error
+        else:
+            table.write(temporary, format="ascii.ecsv")
+
+
+def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
+    """Return the path if an output may go there, with one of these endings (before any .gz)."""
+    path = Path(path)
+    if suffix_of(path) not in endings:
+        raise InputError(f"{path}: the name of this output must end in {' or '.join(endings)}")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; an output must be a file")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)")
+    return path
+
+
+@contextmanager
+def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
+    """Give a temporary name beside ``path``, renamed to it when all went well."""
+    path = check_output(path, endings, overwrite=overwrite)
+    temporary = path.with_name(f".{os.getpid()}-{path.name}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()

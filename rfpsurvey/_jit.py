@@ -1,0 +1,44 @@
+"""The one numba decorator of the package, and the switches of its on-disk cache.
+
+Numba keys its cache by the time and size of the file in which a kernel is defined, so that an edit in a file
+that the kernel calls, or an upgrade that leaves time and size alone, would run old code. Here the key is a
+digest of the source of all kernels.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numba
+
+__all__ = ["kernel"]
+
+
+@cache
+def _source_digest() -> str:
+    here = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted([Path(__file__), *(here / "_kernels").glob("*.py")]):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def kernel(function: Callable) -> Callable:
+    """Compile ``function`` on its first call, without the GIL, and keep the machine code on disk.
+
+    Nothing is kept where the environment variable ``RFPSURVEY_CACHE`` is ``0`` or where no folder can be
+    written to. Division by zero gives infinity or NaN, as in numpy.
+    """
+    if os.environ.get("RFPSURVEY_CACHE") != "0":
+        try:
+            dispatcher = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
+            if hasattr(dispatcher, "_cache"):  # absent under NUMBA_DISABLE_JIT
+                file = dispatcher._cache._cache_file
+                file._source_stamp = (file._source_stamp, _source_digest())
+            return dispatcher
+        except (RuntimeError, AttributeError):  # no folder to write to, or a numba with other internals
+            pass
+    return numba.njit(nogil=True, error_model="numpy")(function)

@@ -1,0 +1,24 @@
+"""Exceptions and warnings of rfpsurvey."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = ["InputError", "RfpsurveyWarning"]
+
+
+class InputError(ValueError):
+    """What was given cannot be used; the message says what must be what, and what was given."""
+
+
+class RfpsurveyWarning(UserWarning):
+    """Something was left out or assumed; the message says what, and how much of it."""
+
+
+def check_choice(name: object, choices: Iterable[str], what: str) -> str:
+    """Return ``name`` if it is one of ``choices``, otherwise raise an error that lists them."""
+    choices = sorted(choices)
+    if isinstance(name, str) and name in choices:
+        return name
+    close = get_close_matches(str(name), choices, n=1)
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}.{hint}")
