@@ -1,0 +1,146 @@
+"""Unit vectors on the sky to points on the focal plane, and back."""
+
+import math
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+# Forms of a radial map r(theta); p is the odd polynomial sum c_k t^(2k+1).
+THETA, TAN_THETA, SINE = 0, 1, 2
+# Directions closer than this to 90 degrees from the center (or beyond) have no image.
+HORIZON = 1e-15
+
+
+@kernel
+def project(vectors, basis, focal_length, out):
+    """Gnomonic projection; ``basis`` has the rows +x, +y and center. No image: NaN."""
+    for i in range(vectors.shape[0]):
+        a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
+        if along > HORIZON:
+            scale = focal_length / along
+            out[i, 0] = scale * (a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2])
+            out[i, 1] = scale * (a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2])
+        else:
+            out[i, 0] = np.nan
+            out[i, 1] = np.nan
+
+
+@kernel
+def unproject(xy, basis, focal_length, out):
+    """Inverse of `project`."""
+    for i in range(xy.shape[0]):
+        x, y = xy[i, 0] / focal_length, xy[i, 1] / focal_length
+        norm = 1.0 / math.sqrt(1.0 + x * x + y * y)
+        for k in range(3):
+            out[i, k] = norm * (basis[2, k] + x * basis[0, k] + y * basis[1, k])
+
+
+@kernel
+def radius_and_slope(theta, form, coefficients, argument, inner, output):
+    """Radius r(theta) of a radial map and its derivative.
+
+    ``t = argument * theta`` (or ``argument * tan(theta)``); ``r = output * p(t)`` or
+    ``output * sin(inner * p(t))``.
+    """
+    if form == TAN_THETA:
+        tangent = math.tan(theta)
+        t = argument * tangent
+        t_slope = argument * (1.0 + tangent * tangent)
+    else:
+        t = argument * theta
+        t_slope = argument
+    t2 = t * t
+    value = 0.0
+    slope = 0.0
+    for k in range(coefficients.size - 1, -1, -1):
+        value = value * t2 + coefficients[k]
+        slope = slope * t2 + (2 * k + 1) * coefficients[k]
+    value *= t
+    slope *= t_slope
+    if form == SINE:
+        return output * math.sin(inner * value), output * inner * slope * math.cos(inner * value)
+    return output * value, output * slope
+
+
+@kernel
+def radii(theta, form, coefficients, argument, inner, output, limit, out):
+    """Radius of each field angle; NaN beyond ``limit``."""
+    for i in range(theta.size):
+        if 0.0 <= theta[i] <= limit:
+            out[i] = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
+        else:
+            out[i] = np.nan
+
+
+@kernel
+def invert_radius(r, form, coefficients, argument, inner, output, limit):
+    """Field angle at radius ``r`` by Newton steps kept inside a shrinking bracket; NaN outside the map."""
+    low, high = 0.0, limit
+    edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
+    if not 0.0 <= r <= edge:
+        return np.nan
+    theta = r / radius_and_slope(0.0, form, coefficients, argument, inner, output)[1]
+    for _ in range(100):
+        if not low <= theta <= high:
+            theta = 0.5 * (low + high)
+        value, slope = radius_and_slope(theta, form, coefficients, argument, inner, output)
+        if value > r:
+            high = theta
+        else:
+            low = theta
+        step = (r - value) / slope
+        theta += step
+        if abs(step) <= 1e-16 * (1.0 + 4.0 * theta):
+            break
+    return min(max(theta, 0.0), limit)
+
+
+@kernel
+def angles(r, form, coefficients, argument, inner, output, limit, out):
+    """Field angle of each radius; NaN outside the map."""
+    for i in range(r.size):
+        out[i] = invert_radius(r[i], form, coefficients, argument, inner, output, limit)
+
+
+@kernel
+def project_radial(vectors, basis, form, coefficients, argument, inner, output, limit, out):
+    """Projection through a radial map. No image (beyond ``limit``): NaN."""
+    cosine_limit = math.cos(limit) - 1e-12
+    for i in range(vectors.shape[0]):
+        a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
+        out[i, 0] = np.nan
+        out[i, 1] = np.nan
+        if along >= cosine_limit:
+            x = a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2]
+            y = a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2]
+            sine = math.hypot(x, y)
+            theta = math.atan2(sine, along)
+            if theta <= limit:
+                r = radius_and_slope(theta, form, coefficients, argument, inner, output)[0]
+                ratio = r / sine if sine > 0.0 else 0.0
+                out[i, 0] = ratio * x
+                out[i, 1] = ratio * y
+
+
+@kernel
+def unproject_radial(xy, basis, form, coefficients, argument, inner, output, limit, out):
+    """Inverse of `project_radial`."""
+    for i in range(xy.shape[0]):
+        r = math.hypot(xy[i, 0], xy[i, 1])
+        theta = invert_radius(r, form, coefficients, argument, inner, output, limit)
+        ratio = math.sin(theta) / r if r > 0.0 else 0.0
+        for k in range(3):
+            out[i, k] = math.cos(theta) * basis[2, k] + ratio * (xy[i, 0] * basis[0, k] + xy[i, 1] * basis[1, k])
+
+
+@kernel
+def within(vectors, center, half_chord_squared, out):
+    """Mark the directions whose squared half chord to ``center`` is at most the given one."""
+    for i in range(vectors.shape[0]):
+        a = vectors[i, 0] - center[0]
+        b = vectors[i, 1] - center[1]
+        c = vectors[i, 2] - center[2]
+        out[i] = 0.25 * (a * a + b * b + c * c) <= half_chord_squared
