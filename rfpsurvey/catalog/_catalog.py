@@ -1,0 +1,334 @@
+"""The catalog of targets."""
+
+import os
+import warnings
+from dataclasses import dataclass, field
+from dataclasses import fields as dataclass_fields
+from functools import cached_property
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import BaseCoordinateFrame, SkyCoord
+from astropy.table import QTable, Table
+from astropy.time import Time
+from erfa import ErfaWarning
+
+from rfpsurvey import _io
+from rfpsurvey._kernels import sky
+from rfpsurvey._units import to_radian, to_vectors
+from rfpsurvey.catalog import _tables
+from rfpsurvey.catalog._time import to_time
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+
+__all__ = ["Catalog"]
+
+KINDS = ("science", "standard", "sky")
+_PER_TARGET = ("id", "priority", "kind", "category", "fiber_type")
+
+
+@dataclass(frozen=True, eq=False)
+class Catalog:
+    """Targets on the sky, a row each, with what an allocator may want to know about them.
+
+    Rows whose coordinates are not finite are dropped, with a warning and a count in ``n_dropped``. What a
+    catalog does not carry stays None and costs nothing.
+
+    Parameters
+    ----------
+    coord : SkyCoord, shape (n,)
+        Positions in any frame; proper motions, where known, as differentials of the coordinates.
+    id : array_like, shape (n,), optional
+        Integers or text; the row number by default.
+    priority : array_like of float, shape (n,), optional
+        Larger is more important. None: all alike.
+    kind : array_like of str, shape (n,), optional
+        ``science``, ``standard`` or ``sky``. None: all science.
+    category : array_like of str, shape (n,), optional
+        Free text, such as ``sky_boss``.
+    fiber_type : array_like of str, shape (n,), optional
+        Which fibers may observe the target; ``""`` means any.
+    epoch : Time, optional
+        Epoch of the positions, scalar or shape (n,); taken from ``coord.obstime`` where that is set.
+    meta : dict, optional
+        Where the catalog comes from.
+    n_dropped : int, optional
+        Rows left out so far because their coordinates are not finite.
+
+    Raises
+    ------
+    InputError
+        If a column has another length than ``coord``, or if ``kind`` holds other words.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> catalog = rs.Catalog(SkyCoord([95.0, 95.1] * u.deg, [23.0, 23.1] * u.deg), priority=[1, 2])
+    >>> len(catalog)
+    2
+    """
+
+    coord: SkyCoord
+    id: np.ndarray | None = None
+    priority: np.ndarray | None = None
+    kind: np.ndarray | None = None
+    category: np.ndarray | None = None
+    fiber_type: np.ndarray | None = None
+    epoch: Time | None = None
+    meta: dict = field(default_factory=dict)
+    n_dropped: int = 0
+
+    def __post_init__(self):
+        coord = self.coord
+        if isinstance(coord, BaseCoordinateFrame):
+            coord = SkyCoord(coord)
+        if not isinstance(coord, SkyCoord):
+            raise InputError(f"coord must be a SkyCoord, got {type(coord).__name__}")
+        coord = coord.reshape(1) if coord.isscalar else coord
+        if coord.ndim != 1:
+            raise InputError(f"coord must have the shape (n,), got {coord.shape}")
+        n = len(coord)
+        columns = {"id": np.arange(n) if self.id is None else np.asarray(self.id)}
+        for name in _PER_TARGET[1:]:
+            value = getattr(self, name)
+            if value is not None:
+                columns[name] = np.asarray(value, dtype=float if name == "priority" else str)
+        for name, value in columns.items():
+            if value.shape != (n,):
+                raise InputError(f"{name} must have one value a target, shape ({n},), got {value.shape}")
+        if "kind" in columns:
+            for kind in np.unique(columns["kind"]):
+                check_choice(str(kind), KINDS, "kind of target")
+        if "priority" in columns and np.isnan(columns["priority"]).any():
+            raise InputError(
+                f"priority must be a number for every target, "
+                f"but {int(np.isnan(columns['priority']).sum())} of {n} have none"
+            )
+        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch")
+        if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
+            raise InputError(f"epoch must be one time or shape ({n},), got {epoch.shape}")
+        keep = np.isfinite(coord.spherical.lon.rad) & np.isfinite(coord.spherical.lat.rad)
+        n_bad = int(n - keep.sum())
+        if n_bad:
+            coord = coord[keep]
+            columns = {name: value[keep] for name, value in columns.items()}
+            if epoch is not None and not epoch.isscalar:
+                epoch = epoch[keep]
+            warnings.warn(
+                f"{n_bad} of {n} targets have no finite coordinates and were dropped",
+                RfpsurveyWarning,
+                stacklevel=3,
+            )
+        for name, value in {**columns, "coord": coord, "epoch": epoch}.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
+
+    def __len__(self):
+        return len(self.coord)
+
+    def __getitem__(self, index):
+        return self._take(index)
+
+    def __repr__(self):
+        carried = [name for name in (*_PER_TARGET[1:], "epoch") if getattr(self, name) is not None]
+        return f"<Catalog of {len(self)} targets{' with ' if carried else ''}{', '.join(carried)}>"
+
+    def _take(self, index, **changes):
+        """Return the rows picked by ``index``, with some fields replaced."""
+        index = np.arange(len(self))[index]
+        values = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
+        for name in _PER_TARGET:
+            if values[name] is not None:
+                values[name] = values[name][index]
+        values["coord"] = self.coord[index]
+        if self.epoch is not None and not self.epoch.isscalar:
+            values["epoch"] = self.epoch[index]
+        return Catalog(**{**values, **changes})
+
+    @cached_property
+    def _vectors(self) -> np.ndarray:
+        """Unit vectors, ICRS, shape (n, 3): made once, used by every tile."""
+        return to_vectors(self.coord)
+
+    @classmethod
+    def from_table(
+        cls, table: Table, *, columns: dict | None = None, units: dict | None = None, frame: str = "icrs"
+    ) -> "Catalog":
+        """Make a catalog from a table, its columns found by their usual names and UCDs.
+
+        Parameters
+        ----------
+        table : Table or QTable
+            With a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
+            ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b``
+            (with ``frame="galactic"``). Found too: ``pmra`` (with cos dec) and ``pmdec``, ``ref_epoch``,
+            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``.
+        columns : dict, optional
+            Role to column name where the usual names do not serve, for example ``{"id": "star"}``.
+            ``{"priority": "-rank"}`` flips the sign, for lists in which smaller is more important.
+        units : dict, optional
+            Role to unit for columns that carry none, for example ``{"ra": "deg", "dec": "deg"}``.
+        frame : str, optional
+            Frame of the coordinate columns.
+
+        Returns
+        -------
+        Catalog
+            The targets.
+
+        Raises
+        ------
+        InputError
+            If coordinates are missing, or have no unit or a wrong one.
+        """
+        return cls._from_table(table, columns, units, frame, assume_units=False)
+
+    @classmethod
+    def _from_table(cls, table, columns, units, frame, *, assume_units):
+        return cls(**_tables.read_columns(table, columns, units, frame, assume_units=assume_units))
+
+    @classmethod
+    def read(
+        cls,
+        path: str | os.PathLike,
+        *,
+        columns: dict | None = None,
+        units: dict | None = None,
+        frame: str = "icrs",
+    ) -> "Catalog":
+        """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
+
+        CSV carries no units: there positions are taken in degrees and proper motions in mas / yr, unless
+        ``units`` says otherwise.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The ending tells the format; it may be followed by ``.gz``.
+        columns, units, frame
+            As in `from_table`.
+
+        Returns
+        -------
+        Catalog
+            The targets; ``meta["file"]`` is the file's name.
+
+        Raises
+        ------
+        InputError
+            If the file is not there, cannot be read, or lacks a column.
+        """
+        path = Path(path)
+        table = _io.read_table(path)
+        try:
+            catalog = cls._from_table(table, columns, units, frame, assume_units=_io.suffix_of(path) == ".csv")
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        catalog.meta["file"] = path.name
+        return catalog
+
+    def to_table(self) -> QTable:
+        """Return the catalog as a table that `from_table` reads back.
+
+        Returns
+        -------
+        QTable
+            Columns ``id``, ``ra``, ``dec`` (ICRS) and whatever the catalog carries besides.
+        """
+        icrs = self.coord.icrs
+        table = QTable({"id": self.id, "ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}, meta=dict(self.meta))
+        if self.has_proper_motion:
+            table["pmra"] = icrs.pm_ra_cosdec.to(u.mas / u.yr)
+            table["pmdec"] = icrs.pm_dec.to(u.mas / u.yr)
+        if self.epoch is not None:
+            table["ref_epoch"] = np.broadcast_to(self.epoch.jyear, len(self)) * u.yr
+        for name in _PER_TARGET[1:]:
+            if getattr(self, name) is not None:
+                table[name] = getattr(self, name)
+        return table
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+        """Write the catalog as FITS or ECSV; the file appears whole or not at all.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Ends in ``.fits`` or ``.ecsv``, with or without ``.gz``.
+        overwrite : bool, optional
+            Replace a file that exists.
+
+        Raises
+        ------
+        InputError
+            If the folder is missing or the file exists.
+        """
+        _io.write_table(self.to_table(), path, overwrite=overwrite)
+
+    @property
+    def has_proper_motion(self) -> bool:
+        """Whether the catalog carries proper motions."""
+        return "s" in self.coord.data.differentials
+
+    def at_epoch(self, time: Time | str | float) -> "Catalog":
+        """Move the targets to where they are at another epoch.
+
+        Motion is uniform in space, without parallax; targets without a proper motion stay where they are.
+
+        Parameters
+        ----------
+        time : Time, str or float
+            The new epoch; a number is a Julian year, text is anything that Time reads.
+
+        Returns
+        -------
+        Catalog
+            The same targets at the new epoch; the same object if none of them moves.
+
+        Raises
+        ------
+        InputError
+            If there are proper motions but no epoch that they count from.
+        """
+        time = to_time(time, "time")
+        if not self.has_proper_motion or len(self) == 0:
+            return self
+        if self.epoch is None:
+            raise InputError(
+                "the catalog has proper motions but no epoch to count them from; give Catalog(..., epoch=) or an "
+                "epoch column"
+            )
+        icrs = self.coord.icrs
+        motion = [np.nan_to_num(pm.to_value(u.mas / u.yr)) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)]
+        still = SkyCoord(icrs.ra, icrs.dec, pm_ra_cosdec=motion[0] * u.mas / u.yr, pm_dec=motion[1] * u.mas / u.yr)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ErfaWarning)  # "distance overridden": none is known
+            moved = still.apply_space_motion(dt=(time.tdb - self.epoch.tdb).to(u.yr))
+        # the catalog keeps its own proper motions: those of the new epoch differ by less than they are known
+        coord = SkyCoord(moved.ra, moved.dec, pm_ra_cosdec=icrs.pm_ra_cosdec, pm_dec=icrs.pm_dec)
+        return self._take(slice(None), coord=coord, epoch=time)
+
+    def within(self, center: SkyCoord, radius: u.Quantity) -> "Catalog":
+        """Return the targets inside a circle on the sky.
+
+        Parameters
+        ----------
+        center : SkyCoord
+            Center of the circle.
+        radius : Quantity
+            Angular radius.
+
+        Returns
+        -------
+        Catalog
+            The targets at most ``radius`` from ``center``, in the same order.
+        """
+        return self._take(self._within(center, float(to_radian(radius, "radius"))))
+
+    def _within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
+        """Row numbers of the targets inside a circle."""
+        mask = np.empty(len(self), dtype=bool)
+        half_chord = np.sin(0.5 * min(radius_rad, np.pi))
+        sky.within(self._vectors, to_vectors(center)[0], half_chord**2 * (1 + 1e-15), mask)
+        return np.flatnonzero(mask)

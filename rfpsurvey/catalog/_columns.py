@@ -1,0 +1,160 @@
+"""Find the columns of a target table by their usual names and UCDs."""
+
+from dataclasses import dataclass, field
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["ROLES", "Finder"]
+
+# For each role: names (compared without case, in order of preference), then the start of its UCD.
+ROLES = {
+    "ra": (
+        "ra ra_icrs raj2000 ra_j2000 _raj2000 radeg ra_deg target_ra _ra alpha alpha_j2000 right_ascension",
+        "pos.eq.ra",
+    ),
+    "dec": (
+        "dec de_icrs dej2000 decj2000 dec_j2000 _dej2000 dedeg decdeg dec_deg target_dec _de delta delta_j2000 "
+        "declination",
+        "pos.eq.dec",
+    ),
+    "lon": ("l glon gal_lon elon lon", "pos.galactic.lon"),
+    "lat": ("b glat gal_lat elat lat", "pos.galactic.lat"),
+    "pmra": ("pmra pm_ra pmra_cosdec pm_ra_cosdec pmra_icrs mu_ra", "pos.pm;pos.eq.ra"),
+    "pmdec": ("pmdec pm_dec pmde pmdec_icrs mu_dec", "pos.pm;pos.eq.dec"),
+    "epoch": ("ref_epoch epoch refepoch epoch_ref gaia_epoch", "meta.ref;time.epoch"),
+    "id": (
+        "id source_id target_id targetid tyc catalogid objid obj_id object_id designation rsid name identifier",
+        "meta.id;meta.main",
+    ),
+    "priority": ("priority target_priority", ""),
+    "kind": ("kind target_kind", ""),
+    "category": ("category target_category", ""),
+    "fiber_type": ("fiber_type fibertype instrument", ""),
+    "positioner": (
+        "positioner positioner_id hole_id holeid hole robot_id robotid fiber_id fiberid location id",
+        "",
+    ),
+    "x": ("tip_x x_mm x_focal xfocal x_wok xwok fiberassign_x x", ""),
+    "y": ("tip_y y_mm y_focal yfocal y_wok ywok fiberassign_y y", ""),
+}
+UNITS = {"ra": u.deg, "dec": u.deg, "lon": u.deg, "lat": u.deg, "pmra": u.mas / u.yr, "pmdec": u.mas / u.yr,
+         "x": u.mm, "y": u.mm}  # fmt: skip
+
+
+@dataclass
+class Finder:
+    """Looks columns up in a table, by role."""
+
+    table: Table
+    columns: dict = field(default_factory=dict)
+    """Role to column name, overriding the usual names; a leading minus flips the sign of a number."""
+    units: dict = field(default_factory=dict)
+    """Role to unit, for columns that carry none."""
+    assume_units: bool = False
+    """May a missing unit be taken as the usual one (formats that cannot carry units)?"""
+
+    def __post_init__(self):
+        for role in self.columns:
+            check_choice(role, ROLES, "column role")
+        for role in self.units:
+            check_choice(role, UNITS, "column role with a unit")
+
+    def name_of(self, role: str) -> str | None:
+        """Return the name of the column with this role, or None."""
+        if role in self.columns:
+            name = self.columns[role].removeprefix("-")
+            if name not in self.table.colnames:
+                raise InputError(f"there is no column {name!r} (wanted as {role}); {self.listing()}")
+            return name
+        lower = {c.lower(): c for c in reversed(self.table.colnames)}
+        names, ucd = ROLES[role]
+        for name in names.split():
+            if name in lower:
+                return lower[name]
+        if ucd:
+            for main in (True, False):
+                for column in self.table.colnames:
+                    own = _ucd(self.table[column])
+                    if own.startswith(ucd) and (not main or "meta.main" in own):
+                        return column
+        return None
+
+    def quantity(self, role: str) -> u.Quantity | None:
+        """Return the column as a Quantity in the usual unit of its role, masked values as NaN."""
+        name = self.name_of(role)
+        if name is None:
+            return None
+        column = self.table[name]
+        values = _plain(column)
+        if values.dtype.kind not in "fiub":
+            raise InputError(
+                f"column {name!r} ({role}) must hold numbers in {UNITS[role]}, "
+                f"but holds text such as {str(values[0]) if len(values) else ''!r}"
+            )
+        unit = self.units.get(role) or getattr(column, "unit", None)
+        if unit is None or u.Unit(unit) == u.dimensionless_unscaled:
+            if not self.assume_units:
+                raise InputError(
+                    f"column {name!r} has no unit; say which, for example units={{{role!r}: '{UNITS[role]}'}} "
+                    f"or --unit {role}={str(UNITS[role]).replace(' ', '')}"
+                )
+            unit = UNITS[role]
+        try:
+            return u.Quantity(values.astype(float), unit).to(UNITS[role])
+        except u.UnitConversionError:
+            raise InputError(
+                f"column {name!r} ({role}) must have a unit convertible to {UNITS[role]}, got {unit}"
+            ) from None
+
+    def numbers(self, role: str) -> np.ndarray | None:
+        """Return the column as float64, masked values as NaN."""
+        name = self.name_of(role)
+        if name is None:
+            return None
+        values = _plain(self.table[name])
+        if values.dtype.kind not in "fiub":
+            raise InputError(f"column {name!r} ({role}) must hold numbers, got {values.dtype}")
+        sign = -1.0 if self.columns.get(role, "").startswith("-") else 1.0
+        return sign * values.astype(float)
+
+    def labels(self, role: str) -> np.ndarray | None:
+        """Return the column as it is (text or integers), masked text as ''."""
+        name = self.name_of(role)
+        if name is None:
+            return None
+        column = self.table[name]
+        if getattr(column, "mask", None) is not None and np.any(column.mask):
+            if column.dtype.kind in "iu":
+                raise InputError(f"column {name!r} ({role}) has {int(np.sum(column.mask))} rows without a value")
+            column = column.filled("")
+        values = np.asarray(column)
+        if values.dtype.kind == "S":
+            values = np.char.decode(values, "utf-8")
+        return values.astype(str) if values.dtype.kind in "OTU" else values
+
+    def missing(self, what: str) -> InputError:
+        """Return the error for a column that is needed and not there."""
+        return InputError(f"there is no column for {what}; {self.listing()}")
+
+    def listing(self) -> str:
+        """Return a phrase that names the columns."""
+        return f"the columns are: {', '.join(self.table.colnames) or 'none'}"
+
+
+def _ucd(column) -> str:
+    meta = getattr(getattr(column, "info", column), "meta", None) or {}
+    return str(meta.get("ucd", "")).lower()
+
+
+def _plain(column) -> np.ndarray:
+    """Values without unit; masked numbers as NaN."""
+    values = getattr(column, "value", column)
+    if getattr(column, "mask", None) is not None and np.any(column.mask):
+        mask = np.asarray(column.mask)
+        values = np.array(getattr(values, "unmasked", values), dtype=float)
+        values[mask] = np.nan
+    return np.asarray(getattr(values, "unmasked", values))

@@ -1,0 +1,213 @@
+"""Synthetic catalogs: random points in a circle on the sphere, true to area."""
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from scipy.spatial import cKDTree
+
+from rfpsurvey._units import to_radian, to_unit, to_vectors
+from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["synthetic_catalog"]
+
+
+def synthetic_catalog(
+    kind: str,
+    center: SkyCoord,
+    radius: u.Quantity,
+    *,
+    n_targets: int | None = None,
+    density: u.Quantity | None = None,
+    min_separation: u.Quantity | None = None,
+    cluster_size: float = 10.0,
+    cluster_scale: u.Quantity | None = None,
+    rng: int | np.random.Generator | None = None,
+) -> Catalog:
+    """Make a catalog of random targets in a circle on the sky.
+
+    Parameters
+    ----------
+    kind : {"uniform", "poisson", "poisson_disc", "clustered"}
+        ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, whose number
+        of points is random too. ``poisson_disc``: points no closer than ``min_separation`` (random
+        sequential addition), as many as asked or, without ``n_targets`` and ``density``, until fewer than
+        one dart in a thousand finds room. ``clustered``: a Thomas process, clusters with a Gaussian profile,
+        whose centers and members are Poisson distributed.
+    center : SkyCoord
+        Center of the circle.
+    radius : Quantity
+        Angular radius of the circle, at most 180 deg.
+    n_targets : int, optional
+        Number of targets (the expected number for ``poisson`` and ``clustered``).
+    density : Quantity, optional
+        Targets per solid angle, instead of ``n_targets``.
+    min_separation : Quantity, optional
+        Smallest angular distance of two targets (``poisson_disc``).
+    cluster_size : float, optional
+        Expected members of a cluster (``clustered``).
+    cluster_scale : Quantity, optional
+        Angular standard deviation of a cluster along each axis (``clustered``).
+    rng : int, Generator or None, optional
+        Seed or source of random numbers; None draws a new sky each time.
+
+    Returns
+    -------
+    Catalog
+        The targets, numbered from 0.
+
+    Raises
+    ------
+    InputError
+        If a parameter is missing or impossible, or if the targets do not fit.
+
+    References
+    ----------
+    Thomas, M. 1949, Biometrika, 36, 18 (clusters).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> pole = SkyCoord(0 * u.deg, 90 * u.deg)
+    >>> len(rs.synthetic_catalog("uniform", pole, 2 * u.deg, n_targets=500, rng=1))
+    500
+    """
+    check_choice(kind, _MAKERS, "kind of synthetic catalog")
+    cap = float(to_radian(radius, "radius"))
+    if not 0 < cap <= np.pi:
+        raise InputError(f"radius must be between 0 and 180 deg, got {radius}")
+    if not isinstance(center, SkyCoord) or not center.isscalar:
+        raise InputError(f"center must be one SkyCoord, got {center!r}")
+    expected = _expected_number(kind, cap, n_targets, density)
+    rng = np.random.default_rng(rng)
+    options = {"min_separation": min_separation, "cluster_size": cluster_size, "cluster_scale": cluster_scale}
+    local = _MAKERS[kind](rng, cap, expected, **options)
+    xyz = local @ _basis(center)
+    lon = np.arctan2(xyz[:, 1], xyz[:, 0])
+    lat = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
+    meta = {"synthetic": kind, "radius_deg": float(np.rad2deg(cap))}
+    return Catalog(SkyCoord(lon * u.rad, lat * u.rad, frame="icrs"), meta=meta)
+
+
+def _expected_number(kind, cap, n_targets, density):
+    """Return the number of targets asked for, None for as many as fit."""
+    if n_targets is not None and density is not None:
+        raise InputError("give n_targets or density, not both")
+    if density is not None:
+        number = to_unit(density, u.sr**-1, "density") * _area(cap)
+    elif n_targets is not None:
+        number = n_targets
+    elif kind == "poisson_disc":
+        return None
+    else:
+        raise InputError(f"a {kind} catalog needs n_targets or density")
+    if not np.isfinite(number) or number < 0:
+        raise InputError(f"the number of targets must be finite and not negative, got {number}")
+    return float(number)
+
+
+def _area(cap):
+    """Solid angle of a circle, in steradian."""
+    return 4 * np.pi * np.sin(cap / 2) ** 2
+
+
+def _points(rng, cap, n):
+    """Independent uniform points around +z."""
+    # sin^2(theta / 2) is uniform over a cap
+    half = np.sin(cap / 2) * np.sqrt(rng.random(n))
+    azimuth = 2 * np.pi * rng.random(n)
+    sine = 2 * half * np.sqrt(1 - half**2)
+    return np.column_stack([sine * np.cos(azimuth), sine * np.sin(azimuth), 1 - 2 * half**2])
+
+
+def _uniform(rng, cap, expected, **_):
+    return _points(rng, cap, round(expected))
+
+
+def _poisson(rng, cap, expected, **_):
+    return _points(rng, cap, rng.poisson(expected))
+
+
+def _poisson_disc(rng, cap, expected, *, min_separation, **_):
+    if min_separation is None:
+        raise InputError("a poisson_disc catalog needs min_separation")
+    separation = float(to_radian(min_separation, "min_separation"))
+    if not 0 < separation < np.pi:
+        raise InputError(f"min_separation must be between 0 and 180 deg, got {min_separation}")
+    chord = 2 * np.sin(separation / 2)
+    wanted = np.inf if expected is None else round(expected)
+    points = np.empty((0, 3))
+    # as many darts a round as discs would cover the cap; random addition jams at 0.547 of the area
+    batch = int(min(max(_area(cap) / (np.pi * (separation / 2) ** 2), 4096), 200_000))
+    enough = batch / 1000 if expected is None else 0
+    idle = 0
+    while len(points) < wanted and idle < 20:
+        darts = _points(rng, cap, batch)
+        if len(points):
+            darts = darts[cKDTree(points).query(darts)[0] >= chord]
+        darts = _thin(darts, chord)
+        points = np.vstack([points, darts])
+        idle = idle + 1 if len(darts) == 0 else 0
+        if len(darts) < enough:
+            break
+    if expected is None:
+        return points
+    if len(points) < wanted:
+        raise InputError(f"{wanted} targets at least {min_separation} apart do not fit; about {len(points)} do")
+    return points[: int(wanted)]
+
+
+def _thin(points, chord):
+    """Drop every point nearer than ``chord`` to an earlier one that stays."""
+    alive = np.ones(len(points), dtype=bool)
+    if len(points):
+        pairs = cKDTree(points).query_pairs(chord, output_type="ndarray")
+        pairs = pairs[np.sum((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2, axis=1) < chord**2]
+        for i, j in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+            alive[j] &= not alive[i]
+    return points[alive]
+
+
+def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
+    if cluster_scale is None:
+        raise InputError("a clustered catalog needs cluster_scale")
+    sigma = float(to_radian(cluster_scale, "cluster_scale"))
+    if not (0 < sigma < 0.5 and cluster_size > 0):
+        raise InputError(
+            f"cluster_scale must be between 0 and 28 deg and cluster_size positive, "
+            f"got {cluster_scale} and {cluster_size}"
+        )
+    # clusters centered outside reach in: 6 sigma leaves out 1e-8 of them
+    wide = min(cap + 6 * sigma, np.pi)
+    parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))
+    parents = np.repeat(parents, rng.poisson(cluster_size, len(parents)), axis=0)
+    distance = sigma * np.sqrt(-2 * np.log1p(-rng.random(len(parents))))
+    azimuth = 2 * np.pi * rng.random(len(parents))
+    # any direction across the parent will do as the origin of a uniform azimuth
+    helper = np.where(np.abs(parents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    across = np.cross(parents, helper)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    other = np.cross(parents, across)
+    direction = np.cos(azimuth)[:, None] * across + np.sin(azimuth)[:, None] * other
+    points = np.cos(distance)[:, None] * parents + np.sin(distance)[:, None] * direction
+    inside = np.sum((points - [0, 0, 1]) ** 2, axis=1) <= (2 * np.sin(cap / 2)) ** 2
+    return points[inside]
+
+
+def _basis(center):
+    """Rows: two directions across and the center itself, ICRS."""
+    z = to_vectors(center)[0]
+    helper = np.eye(3)[np.argmin(np.abs(z))]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(z, x), z])
+
+
+_MAKERS = {
+    "uniform": _uniform,
+    "poisson": _poisson,
+    "poisson_disc": _poisson_disc,
+    "clustered": _clustered,
+}
