@@ -1,0 +1,7 @@
+"""All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
+
+from rfpsurvey.focal_plane._focal_plane import FocalPlane
+from rfpsurvey.focal_plane._lattice import hexagonal_cells
+from rfpsurvey.focal_plane._reach import Reach
+
+__all__ = ["FocalPlane", "Reach", "hexagonal_cells"]

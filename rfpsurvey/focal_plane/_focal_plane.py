@@ -1,0 +1,416 @@
+"""All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable, Table
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from rfpsurvey._kernels import arms, reach
+from rfpsurvey._units import to_mm, to_points_mm, to_radian
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import _tables
+from rfpsurvey.focal_plane._lattice import hexagonal_cells
+from rfpsurvey.focal_plane._reach import Reach
+from rfpsurvey.positioner import Positioner
+
+__all__ = ["FocalPlane"]
+
+
+@dataclass(frozen=True, eq=False)
+class FocalPlane:
+    """The positioners of an instrument, a row each, and the fixed obstacles between them.
+
+    Parameters
+    ----------
+    xy : Quantity, shape (n, 2)
+        Centers of the positioners.
+    positioner : Positioner
+        Geometry common to all.
+    id : array_like of int or str, shape (n,), optional
+        Names; the row number by default.
+    spectrograph : array_like of int, shape (n,) or (n, n_types), optional
+        Spectrograph of each fiber, one column for each fiber type where they differ; 0 by default.
+    fiber_type : array_like of str, shape (n,), optional
+        Types of fiber that a positioner carries, joined by ``+``, such as ``"BOSS+APOGEE"``.
+    central_arm, eccentric_arm : Quantity, shape (n,), optional
+        Arm lengths of each unit, where they differ from the common ones.
+    disabled : array_like of bool, shape (n,), optional
+        Units that take no target and stand at home.
+    stuck : Quantity, shape (n, 2), optional
+        theta and phi of units that cannot move; NaN for those that can.
+    obstacles : Quantity, shape (m, 3), optional
+        Circles (x, y, radius) that no arm may touch, such as fiducials.
+
+    Raises
+    ------
+    InputError
+        If a column has another length than ``xy``, or two positioners share a center.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=25.6 * u.mm)
+    >>> len(plane), len(plane.neighbor_pairs()), plane.collision_type
+    (19, 42, 2)
+    """
+
+    xy: u.Quantity
+    positioner: Positioner
+    id: np.ndarray | None = None
+    spectrograph: np.ndarray | None = None
+    fiber_type: np.ndarray | None = None
+    central_arm: u.Quantity | None = None
+    eccentric_arm: u.Quantity | None = None
+    disabled: np.ndarray | None = None
+    stuck: u.Quantity | None = None
+    obstacles: u.Quantity | None = None
+
+    def __post_init__(self):
+        if not isinstance(self.positioner, Positioner):
+            raise InputError(f"positioner must be a Positioner, got {type(self.positioner).__name__}")
+        xy = to_points_mm(self.xy, "xy")
+        n = len(xy)
+        if n == 0:
+            raise InputError("a focal plane needs at least one positioner, got none")
+        if not np.isfinite(xy).all():
+            raise InputError(f"xy must be finite, but {int((~np.isfinite(xy)).any(axis=1).sum())} rows are not")
+        if len(np.unique(xy, axis=0)) < n:
+            raise InputError("two positioners have the same center")
+        columns = {
+            "id": np.arange(n) if self.id is None else np.asarray(self.id),
+            "spectrograph": np.zeros(n, int) if self.spectrograph is None else np.asarray(self.spectrograph),
+            "fiber_type": np.full(n, "") if self.fiber_type is None else np.asarray(self.fiber_type, dtype=str),
+            "disabled": np.zeros(n, bool) if self.disabled is None else np.asarray(self.disabled, dtype=bool),
+        }
+        for name, value in columns.items():
+            if len(value) != n or (value.ndim != 1 and name != "spectrograph"):
+                raise InputError(f"{name} must have one value a positioner, shape ({n},), got {value.shape}")
+            object.__setattr__(self, name, value)
+        if len(np.unique(columns["id"])) < n:
+            names, counts = np.unique(columns["id"], return_counts=True)
+            raise InputError(f"id must be unique, but {names[counts > 1][0]!r} occurs more than once")
+        width = columns["spectrograph"].shape[1:]
+        if width not in ((), (len(self.fiber_types),)):
+            raise InputError(
+                f"spectrograph must have the shape ({n},) or ({n}, {len(self.fiber_types)}), "
+                f"got {columns['spectrograph'].shape}"
+            )
+        for name in ("central_arm", "eccentric_arm"):
+            value = getattr(self, name)
+            if value is not None and not (to_mm(value, name).shape == (n,) and (to_mm(value, name) > 0).all()):
+                raise InputError(f"{name} must be {n} positive lengths, got {value}")
+        if self.stuck is not None and to_radian(self.stuck, "stuck").shape != (n, 2):
+            raise InputError(f"stuck must have the shape ({n}, 2), got {self.stuck.shape}")
+        if self.obstacles is not None:
+            circles = to_mm(self.obstacles, "obstacles")
+            if circles.ndim != 2 or circles.shape[1] != 3 or not (circles[:, 2] >= 0).all():
+                raise InputError(
+                    f"obstacles must be rows (x, y, radius) with radius >= 0, got the shape {circles.shape}"
+                )
+
+    def __len__(self):
+        return len(self.id)
+
+    def __repr__(self):
+        return f"<FocalPlane of {len(self)} positioners, {len(self._obstacles_mm)} obstacles>"
+
+    @cached_property
+    def fiber_types(self) -> tuple[str, ...]:
+        """Names of the fiber types, in the order in which they first occur."""
+        return tuple(dict.fromkeys(t for row in dict.fromkeys(self.fiber_type) for t in row.split("+")))
+
+    @property
+    def collision_type(self) -> int:
+        """1: no two arms can touch; 2: only those of first neighbors; 3: further ones too."""
+        pairs = self.neighbor_pairs()
+        if len(pairs) == 0:
+            return 1
+        distance = np.hypot(*(self._xy_mm[pairs[:, 0]] - self._xy_mm[pairs[:, 1]]).T)
+        nearest = cKDTree(self._xy_mm).query(self._xy_mm, k=2)[0][:, 1]
+        return 3 if distance.max() > 1.5 * np.median(nearest) else 2
+
+    @cached_property
+    def _xy_mm(self):
+        return to_points_mm(self.xy, "xy")
+
+    @cached_property
+    def _l1_mm(self):
+        full = np.full(len(self), self.positioner._l1)
+        return full if self.central_arm is None else to_mm(self.central_arm, "central_arm")
+
+    @cached_property
+    def _l2_mm(self):
+        full = np.full(len(self), self.positioner._l2)
+        return full if self.eccentric_arm is None else to_mm(self.eccentric_arm, "eccentric_arm")
+
+    @cached_property
+    def _equal_arms(self):
+        return np.abs(self._l1_mm - self._l2_mm) < arms.EQUAL_ARMS
+
+    @cached_property
+    def _inner_mm(self):
+        return np.where(self._equal_arms, 0.0, np.abs(self._l1_mm - self._l2_mm))
+
+    @cached_property
+    def _outer_mm(self):
+        return self._l1_mm + self._l2_mm
+
+    @cached_property
+    def _arm_length_mm(self):
+        """Length of the colliding segment; NaN: it ends at the fiber."""
+        length = self.positioner.arm_length
+        return np.full(len(self), np.nan if length is None else float(to_mm(length, "arm_length")))
+
+    @cached_property
+    def _arm_reach_mm(self):
+        """Distance from the center that the colliding segment can reach."""
+        length = np.where(np.isnan(self._arm_length_mm), self._l2_mm, self._arm_length_mm)
+        return self._l1_mm + length
+
+    @cached_property
+    def _stuck_rad(self):
+        return np.full((len(self), 2), np.nan) if self.stuck is None else to_radian(self.stuck, "stuck")
+
+    @cached_property
+    def _is_stuck(self):
+        return np.isfinite(self._stuck_rad).all(axis=1)
+
+    @cached_property
+    def _usable(self):
+        """Positioners that may take a target."""
+        return ~self.disabled & ~self._is_stuck
+
+    @cached_property
+    def _obstacles_mm(self):
+        return np.empty((0, 3)) if self.obstacles is None else to_mm(self.obstacles, "obstacles")
+
+    @cached_property
+    def _offers(self):
+        """Bit mask of the fiber types of each positioner; none for those that take no target."""
+        masks = {row: sum(1 << self.fiber_types.index(t) for t in row.split("+")) for row in np.unique(self.fiber_type)}
+        return np.where(self._usable, [masks[row] for row in self.fiber_type], 0)
+
+    @cached_property
+    def _grid(self):
+        """Positioners sorted into cells of about one reach: x0, y0, size, nx, ny, start, order."""
+        low, high = self._xy_mm.min(axis=0), self._xy_mm.max(axis=0)
+        # no more than a few cells a positioner, however far apart they stand
+        size = max(self._outer_mm.max(), np.sqrt(np.prod(high - low) / (4 * len(self))), (high - low).max() / 4096)
+        nx, ny = (int(n) for n in (high - low) // size + 1)
+        start, order = np.zeros(nx * ny + 1, dtype=np.int64), np.empty(len(self), dtype=np.int64)
+        x, y = self._xy_mm.T.copy()
+        reach.fill_grid(x, y, low[0], low[1], size, nx, ny, start, order)
+        return float(low[0]), float(low[1]), float(size), nx, ny, start, order
+
+    @cached_property
+    def _neighbors(self):
+        reach_mm = self._arm_reach_mm
+        limit = 2 * reach_mm.max() + self.positioner._separation_mm
+        pairs = cKDTree(self._xy_mm).query_pairs(limit, output_type="ndarray")
+        distance = np.hypot(*(self._xy_mm[pairs[:, 0]] - self._xy_mm[pairs[:, 1]]).T)
+        near = distance < reach_mm[pairs].sum(axis=1) + self.positioner._separation_mm
+        pairs = np.sort(pairs[near], axis=1).astype(np.int64)
+        return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+
+    @cached_property
+    def _obstacle_pairs(self):
+        """Pairs (positioner, obstacle) that can touch."""
+        circles = self._obstacles_mm
+        if len(circles) == 0:
+            return np.empty((0, 2), dtype=np.int64)
+        apart = np.hypot(*(self._xy_mm[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
+        clearance = float(to_mm(self.positioner.clearance, "clearance"))
+        return np.argwhere(apart < self._arm_reach_mm[:, None] + circles[None, :, 2] + clearance)
+
+    def neighbor_pairs(self) -> np.ndarray:
+        """Return the pairs of positioners whose arms can come closer than the safe distance.
+
+        Returns
+        -------
+        ndarray of int, shape (k, 2)
+            Row numbers i < j, sorted.
+        """
+        return self._neighbors.copy()
+
+    def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
+        """Return which positioner reaches which target.
+
+        A target on the edge of a patrol area is in reach: patrol areas are closed, and ties are settled in
+        exact arithmetic.
+
+        Parameters
+        ----------
+        xy : Quantity, shape (n_targets, 2)
+            Targets on the focal plane; NaN is out of reach.
+        fiber_type : array_like of str, shape (n_targets,), optional
+            Fiber type that each target needs; ``""`` means any.
+
+        Returns
+        -------
+        scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
+            Its ``indptr`` and ``indices`` list the targets of each positioner, ascending.
+        """
+        points = to_points_mm(xy, "xy")
+        indptr, target, _ = self._reach(points, fiber_type).by_positioner
+        return csr_array((np.ones(len(target), bool), target, indptr), shape=(len(self), len(points)))
+
+    def _reach(self, points: np.ndarray, fiber_type=None) -> Reach:
+        """Reachable pairs of targets in mm."""
+        accepts = self._accepts(fiber_type, len(points))
+        x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+        cx, cy = self._xy_mm.T.copy()
+        indptr = np.empty(len(points) + 1, dtype=np.int64)
+        room = 2 * len(points) + 1024
+        while True:
+            owner, r2, code = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
+            positioners = (cx, cy, self._inner_mm, self._outer_mm, self._offers)
+            n = reach.reachable_pairs(x, y, accepts, *positioners, *self._grid, indptr, owner, r2, code)
+            if n <= room:
+                break
+            room = n
+        pairs = Reach(indptr, owner[:n], r2[:n], len(self))
+        edge = np.flatnonzero(code[:n] == reach.BORDERLINE)
+        if len(edge):
+            keep = np.ones(n, dtype=bool)
+            target = pairs.target
+            keep[edge] = [self._in_annulus_exactly(owner[k], points[target[k]]) for k in edge]
+            pairs = pairs.where(keep)
+        if not self.positioner._joints_free:
+            pairs = pairs.where(self._joints_reach(pairs, points))
+        return pairs
+
+    def _accepts(self, fiber_type, n):
+        """Bit mask of the fiber types that may observe each target."""
+        if fiber_type is None or self.fiber_types == ("",):
+            return np.full(n, -1, dtype=np.int64)
+        types = np.asarray(fiber_type, dtype=str)
+        if types.shape != (n,):
+            raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
+        names, inverse = np.unique(types, return_inverse=True)
+        unknown = [str(t) for t in names if t and t not in self.fiber_types]
+        if unknown:
+            raise InputError(
+                f"fiber_type must be one of {', '.join(self.fiber_types)} or empty, got {', '.join(unknown)}"
+            )
+        masks = [1 << self.fiber_types.index(t) if t else -1 for t in names]
+        return np.array(masks, dtype=np.int64)[inverse.reshape(-1)]
+
+    def _in_annulus_exactly(self, i, point):
+        """Rational arithmetic on the floats as they are."""
+        r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, self._xy_mm[i], strict=True))
+        l1, l2 = Fraction(self._l1_mm[i]), Fraction(self._l2_mm[i])
+        inner = 0 if self._equal_arms[i] else abs(l1 - l2)
+        return inner**2 <= r2 <= (l1 + l2) ** 2
+
+    def _joints_reach(self, pairs, points):
+        """Mark the pairs that the joint limits allow with the positioner's handedness."""
+        own, xy = pairs.owner, points[pairs.target]
+        theta, phi, ex, ey = (np.empty(len(own)) for _ in range(4))
+        allowed = np.zeros(len(own), dtype=bool)
+        for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[self.positioner.handedness]:
+            arms.solve(
+                *xy.T.copy(), *self._xy_mm[own].T.copy(), self._l1_mm[own], self._l2_mm[own],
+                np.full(len(own), side), self.positioner._home_rad[0], theta, phi, ex, ey,
+            )  # fmt: skip
+            allowed |= self.positioner._joints_allowed(theta, phi)
+        return allowed
+
+    @classmethod
+    def hexagonal(
+        cls,
+        positioner: Positioner,
+        *,
+        pitch: u.Quantity,
+        rings: int | None = None,
+        count: int | None = None,
+        radius: u.Quantity | None = None,
+        inner_radius: u.Quantity = 0 * u.mm,
+        vacant: list[tuple[int, int]] = (),
+        rows_along: str = "x",
+        **columns,
+    ) -> "FocalPlane":
+        """Lay positioners out on a hexagonal lattice about the origin.
+
+        Cell (q, k) has its center at pitch (q + k / 2, sqrt(3) k / 2), with x and y exchanged for
+        ``rows_along="y"``. Cells are ordered by k, then q.
+
+        Parameters
+        ----------
+        positioner : Positioner
+            Geometry common to all.
+        pitch : Quantity
+            Distance of neighboring centers.
+        rings : int, optional
+            Rings around the central cell: 3 rings (rings + 1) + 1 cells.
+        count : int, optional
+            Number of cells, those nearest the origin (ties by angle from +x, counter-clockwise).
+        radius : Quantity, optional
+            Keep centers at most this far from the origin.
+        inner_radius : Quantity, optional
+            Keep centers at least this far from the origin.
+        vacant : list of tuple of int, optional
+            Cells (q, k) without a positioner.
+        rows_along : {"x", "y"}, optional
+            Direction of the closest-packed rows.
+        **columns
+            Further columns of the `FocalPlane`.
+
+        Returns
+        -------
+        FocalPlane
+            The focal plane.
+
+        Raises
+        ------
+        InputError
+            If none or several of ``rings``, ``count`` and ``radius`` alone leave the size open or impossible.
+        """
+        xy, _ = hexagonal_cells(
+            pitch, rings=rings, count=count, radius=radius, inner_radius=inner_radius, vacant=vacant,
+            rows_along=rows_along,
+        )  # fmt: skip
+        return cls(xy * u.mm, positioner, **columns)
+
+    @classmethod
+    def from_table(cls, table: Table, positioner: Positioner | None = None) -> "FocalPlane":
+        """Make a focal plane from an instrument team's own table.
+
+        Parameters
+        ----------
+        table : Table or QTable
+            A row for each positioner, columns ``x`` and ``y`` (with units) and, where wanted, ``id``,
+            ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``theta`` and
+            ``phi`` (pose of a stuck unit, NaN for others). Rows with a finite ``obstacle_radius`` are fixed
+            circles, not positioners.
+        positioner : Positioner, optional
+            Geometry common to all. Without it the table needs both arm columns, whose medians are
+            the common lengths, and ``table.meta["clearance"]``, such as ``"2.25 mm"``.
+
+        Returns
+        -------
+        FocalPlane
+            The focal plane.
+
+        Raises
+        ------
+        InputError
+            If a column is missing or has no unit.
+        """
+        return cls(**_tables.read_columns(table, positioner))
+
+    def to_table(self) -> QTable:
+        """Return the columns as a table that `from_table` reads back.
+
+        Returns
+        -------
+        QTable
+            A row for each positioner, then one for each obstacle.
+        """
+        return _tables.to_table(self)

@@ -1,0 +1,56 @@
+"""Hexagonal lattices."""
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import to_mm
+from rfpsurvey.errors import InputError
+
+__all__ = ["hexagonal_cells"]
+
+
+def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=0 * u.mm, vacant=(), rows_along="x"):
+    """Return centers in mm, shape (n, 2), and cells (q, k), shape (n, 2), of a hexagonal lattice."""
+    step = float(to_mm(pitch, "pitch"))
+    if not 0 < step < np.inf:
+        raise InputError(f"pitch must be a positive length, got {pitch}")
+    if (rings is None) == (count is None) and not (rings is None and radius is not None):
+        raise InputError(f"give rings or count, or radius alone, got rings={rings}, count={count}, radius={radius}")
+    for name, value in (("rings", rings), ("count", count)):
+        if value is not None and (int(value) != value or value < (name == "count")):
+            raise InputError(f"{name} must be a whole number of at least {int(name == 'count')}, got {value}")
+    if rows_along not in ("x", "y"):
+        raise InputError(f"rows_along must be 'x' or 'y', got {rows_along!r}")
+    hole = float(to_mm(inner_radius, "inner_radius"))
+    edge = np.inf if radius is None else float(to_mm(radius, "radius"))
+    if rings is not None:
+        n = int(rings)
+    elif count is not None:
+        area = count * np.sqrt(3) / 2 * step**2 + np.pi * hole**2 + len(vacant) * step**2
+        n = int(np.sqrt(area / np.pi) / (step * np.sqrt(3) / 2)) + 3
+    else:
+        n = int(edge / (step * np.sqrt(3) / 2)) + 2
+    k, q = (a.ravel() for a in np.mgrid[-n : n + 1, -n : n + 1])
+    inside = np.abs(q + k) <= n
+    k, q = k[inside], q[inside]
+    xy = step * np.column_stack([q + k / 2, np.sqrt(3) / 2 * k])
+    if rows_along == "y":
+        xy = xy[:, ::-1].copy()
+    r = np.hypot(*xy.T)
+    # the lattice has exact ties in r: compare in units of the pitch, rounded well above the last bit
+    keep = (np.round(r / step, 9) >= np.round(hole / step, 9)) & (np.round(r / step, 9) <= np.round(edge / step, 9))
+    cells = np.column_stack([q, k])
+    for cell in vacant:
+        hit = (cells == np.asarray(cell)).all(axis=1)
+        if not hit.any():
+            raise InputError(f"vacant cell {tuple(cell)} is not on the lattice of {n} rings")
+        keep &= ~hit
+    if count is not None:
+        angle = np.round(np.mod(np.arctan2(xy[:, 1], xy[:, 0]), 2 * np.pi), 9)
+        order = np.lexsort((angle, np.round(r / step, 9)))
+        order = order[keep[order]][: int(count)]
+        if len(order) < count:
+            raise InputError(f"only {len(order)} cells lie within radius {radius}, fewer than count = {count}")
+        keep[:] = False
+        keep[order] = True
+    return xy[keep], cells[keep]

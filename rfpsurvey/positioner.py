@@ -1,0 +1,253 @@
+"""One theta-phi positioner: two arms, their joints, and the shape that can collide."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import arms
+from rfpsurvey._units import to_mm, to_points_mm, to_radian
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["HANDEDNESS", "Positioner"]
+
+HANDEDNESS = ("right", "left", "both")
+ARM_MODELS = ("elbow_to_tip", "capsule")
+
+
+@dataclass(frozen=True, eq=False)
+class Positioner:
+    """A two-arm fiber positioner.
+
+    The central arm turns by theta about the center, counter-clockwise from +x; the eccentric arm turns by phi
+    about the elbow, relative to the central arm: phi = 0 is extended, 180 deg folded. The fiber
+    reaches the closed annulus between ``inner_radius`` and ``outer_radius``.
+
+    Parameters
+    ----------
+    central_arm : Quantity
+        Length l1, center to elbow.
+    eccentric_arm : Quantity
+        Length l2, elbow to fiber.
+    clearance : Quantity
+        Radius d that the eccentric arm keeps free around itself.
+    step : Quantity, optional
+        Angle of one step of the motors, for the displacement within a step.
+    handedness : {"right", "left", "both"}, optional
+        ``right``: phi in [0, 180] deg; ``left``: its mirror image; ``both``: either, as the allocator likes.
+    theta_range, phi_range : Quantity, shape (2,), optional
+        Joint limits, up to whole turns. None: unlimited.
+    home : Quantity, shape (2,), optional
+        theta and phi of a positioner without a target.
+    displacement : Quantity, optional
+        Largest displacement of the arm in one step, where it is not (l1 + l2) sin(2 step).
+    arm_model : {"elbow_to_tip", "capsule"}, optional
+        What can collide: the segment from the elbow to the fiber, or a segment of its own.
+    arm_length : Quantity, optional
+        Length of the capsule's segment, from the elbow.
+    arm_angle : Quantity or dict of str to Quantity, optional
+        Angle of the capsule's segment, counter-clockwise from the direction of the fiber; one value for each
+        fiber type where they differ.
+
+    Raises
+    ------
+    InputError
+        If a length, an angle or a name is impossible.
+
+    References
+    ----------
+    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
+    Positioners", Eqs. 1 and 2 (safe distance).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm, step=0.1 * u.deg)
+    >>> robot.min_separation
+    <Quantity 5.0781907 mm>
+    >>> theta, phi = robot.inverse([[15, 10]] * u.mm)
+    >>> robot.forward(theta, phi)
+    <Quantity [[15., 10.]] mm>
+    """
+
+    central_arm: u.Quantity
+    eccentric_arm: u.Quantity
+    clearance: u.Quantity
+    step: u.Quantity = field(default=0 * u.deg)
+    handedness: str = "right"
+    theta_range: u.Quantity | None = None
+    phi_range: u.Quantity | None = None
+    home: u.Quantity = field(default=[0, 180] * u.deg)
+    displacement: u.Quantity | None = None
+    arm_model: str = "elbow_to_tip"
+    arm_length: u.Quantity | None = None
+    arm_angle: u.Quantity | dict[str, u.Quantity] | None = None
+
+    def __post_init__(self):
+        for name in ("central_arm", "eccentric_arm"):
+            value = to_mm(getattr(self, name), name)
+            if value.shape != () or not 0 < value < np.inf:
+                raise InputError(f"{name} must be one positive length, got {getattr(self, name)}")
+        for name in ("clearance", "displacement", "arm_length"):
+            value = getattr(self, name)
+            if value is not None and not (to_mm(value, name).shape == () and 0 <= to_mm(value, name) < np.inf):
+                raise InputError(f"{name} must be one length of at least 0, got {value}")
+        step = to_radian(self.step, "step")
+        if step.shape != () or not 0 <= step < np.pi / 4:
+            raise InputError(f"step must be one angle of at least 0 and below 45 deg, got {self.step}")
+        check_choice(self.handedness, HANDEDNESS, "handedness")
+        check_choice(self.arm_model, ARM_MODELS, "arm model")
+        if (self.arm_model == "capsule") != (self.arm_length is not None):
+            raise InputError("the arm model 'capsule', and no other, needs arm_length")
+        if self.arm_model != "capsule" and self.arm_angle is not None:
+            raise InputError("arm_angle belongs to the arm model 'capsule'")
+        for name in ("theta_range", "phi_range", "home"):
+            value = getattr(self, name)
+            if value is not None and to_radian(value, name).shape != (2,):
+                raise InputError(f"{name} must be two angles, got {value}")
+        for name in ("theta_range", "phi_range"):
+            value = getattr(self, name)
+            if value is not None and not value[0] < value[1]:
+                raise InputError(f"{name} must be (low, high) with low < high, got {value}")
+        angles = self.arm_angle.values() if isinstance(self.arm_angle, dict) else [self.arm_angle]
+        for value in angles:
+            if value is not None and to_radian(value, "arm_angle").shape != ():
+                raise InputError(f"arm_angle must be one angle a fiber type, got {value}")
+
+    @cached_property
+    def _l1(self) -> float:
+        return float(to_mm(self.central_arm, "central_arm"))
+
+    @cached_property
+    def _l2(self) -> float:
+        return float(to_mm(self.eccentric_arm, "eccentric_arm"))
+
+    @cached_property
+    def _home_rad(self) -> np.ndarray:
+        return to_radian(self.home, "home")
+
+    @cached_property
+    def _separation_mm(self) -> float:
+        if self.displacement is None:
+            moved = (self._l1 + self._l2) * np.sin(2 * float(to_radian(self.step, "step")))
+        else:
+            moved = float(to_mm(self.displacement, "displacement"))
+        return moved + 2 * float(to_mm(self.clearance, "clearance"))
+
+    @property
+    def equal_arms(self) -> bool:
+        """Whether both arms have the same length (to 1e-9 mm), so that the fiber reaches the center."""
+        return abs(self._l1 - self._l2) < arms.EQUAL_ARMS
+
+    @property
+    def inner_radius(self) -> u.Quantity:
+        """Inner radius of the patrol area, |l1 - l2|."""
+        return (0.0 if self.equal_arms else abs(self._l1 - self._l2)) * u.mm
+
+    @property
+    def outer_radius(self) -> u.Quantity:
+        """Outer radius of the patrol area, l1 + l2."""
+        return (self._l1 + self._l2) * u.mm
+
+    @property
+    def min_separation(self) -> u.Quantity:
+        """Distance D below which two arms collide: displacement within a step plus twice the clearance."""
+        return self._separation_mm * u.mm
+
+    def inverse(self, xy: u.Quantity, handedness: str | None = None) -> tuple[u.Quantity, u.Quantity]:
+        """Return the joint angles that bring the fiber to points relative to the center.
+
+        Parameters
+        ----------
+        xy : Quantity, shape (n, 2)
+            Points relative to the positioner's center.
+        handedness : {"right", "left", "both"}, optional
+            Instead of the positioner's own. With ``both``, the left solution stands in where the joint limits
+            forbid the right one.
+
+        Returns
+        -------
+        theta, phi : Quantity, shape (n,)
+            In deg; theta in (-180, 180], phi in [0, 180] ("right") or [-180, 0]. NaN out of reach.
+        """
+        points = to_points_mm(xy, "xy")
+        choice = check_choice(handedness or self.handedness, HANDEDNESS, "handedness")
+        theta, phi, ok = self._solve(points, -1.0 if choice == "left" else 1.0)
+        if choice == "both" and not ok.all():
+            theta_left, phi_left, ok_left = self._solve(points, -1.0)
+            use = ~ok & ok_left
+            theta[use], phi[use] = theta_left[use], phi_left[use]
+            ok |= ok_left
+        theta[~ok] = phi[~ok] = np.nan
+        return np.rad2deg(theta) * u.deg, np.rad2deg(phi) * u.deg
+
+    def forward(self, theta: u.Quantity, phi: u.Quantity) -> u.Quantity:
+        """Return where the fiber is for given joint angles.
+
+        Parameters
+        ----------
+        theta, phi : Quantity, shape (n,) or scalar
+            Joint angles.
+
+        Returns
+        -------
+        Quantity, shape (n, 2)
+            Points relative to the center, in mm.
+        """
+        theta, phi = np.broadcast_arrays(np.atleast_1d(to_radian(theta, "theta")), np.atleast_1d(to_radian(phi, "phi")))
+        if theta.ndim != 1:
+            raise InputError(f"theta and phi must have the shape (n,), got {theta.shape}")
+        n = theta.size
+        full = (np.zeros(n), np.zeros(n), np.full(n, self._l1), np.full(n, self._l2))
+        ex, ey, x, y = (np.empty(n) for _ in range(4))
+        arms.pose(theta.copy(), phi.copy(), *full, ex, ey, x, y)
+        return np.column_stack([x, y]) * u.mm
+
+    def _solve(self, points, side):
+        """Joint angles in radians and whether annulus and joints allow them."""
+        n = len(points)
+        full = (np.zeros(n), np.zeros(n), np.full(n, self._l1), np.full(n, self._l2), np.full(n, side))
+        theta, phi, ex, ey = (np.empty(n) for _ in range(4))
+        x, y = points.T.copy()
+        arms.solve(x, y, *full, self._home_rad[0], theta, phi, ex, ey)
+        r = np.hypot(x, y)
+        # rounding: a point made from the joint angles at full stretch is in reach
+        slack = 1e-12 * (self._l1 + self._l2)
+        inner, outer = self.inner_radius.value, self.outer_radius.value
+        ok = (r >= inner - slack) & (r <= outer + slack)
+        return theta, phi, ok & self._joints_allowed(theta, phi)
+
+    def _joints_allowed(self, theta, phi):
+        """Mark joint angles (radians) inside the joint limits."""
+        limits = []
+        for value, name in ((self.theta_range, "theta_range"), (self.phi_range, "phi_range")):
+            limits += [-np.inf, np.inf] if value is None else list(to_radian(value, name))
+        return _allowed(theta, *limits[:2]) & _allowed(phi, *limits[2:])
+
+    @cached_property
+    def _joints_free(self) -> bool:
+        """Whether the joint limits leave the whole patrol area in reach."""
+        theta, phi = self.theta_range, self.phi_range
+        if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
+            return False
+        low, high = (-180 * u.deg, 0 * u.deg) if self.handedness == "left" else (0 * u.deg, 180 * u.deg)
+        return phi is None or bool(phi[0] <= low and phi[1] >= high)
+
+    def _arm_angle_rad(self, fiber_types: tuple[str, ...]) -> np.ndarray:
+        """Angle of the colliding segment from the fiber, for each fiber type."""
+        if isinstance(self.arm_angle, dict):
+            for name in self.arm_angle:
+                check_choice(name, fiber_types, "fiber type of arm_angle")
+            return np.array([float(to_radian(self.arm_angle.get(t, 0 * u.deg), "arm_angle")) for t in fiber_types])
+        angle = 0.0 if self.arm_angle is None else float(to_radian(self.arm_angle, "arm_angle"))
+        return np.full(len(fiber_types), angle)
+
+
+def _allowed(angle, low, high):
+    """Mark angles that lie in [low, high] up to whole turns."""
+    if np.isinf(low) or high - low >= 2 * np.pi:
+        return ~np.isnan(angle)
+    with np.errstate(invalid="ignore"):
+        return np.mod(angle - low + 1e-12, 2 * np.pi) <= high - low + 2e-12
