@@ -1,0 +1,144 @@
+"""Descriptions of instruments: TOML files in which every figure has a status and a source."""
+
+import tomllib
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
+from rfpsurvey.positioner import Positioner
+from rfpsurvey.projection import RadialMap
+
+__all__ = ["build", "load"]
+
+STATUSES = ("published", "derived", "assumed")
+
+
+def load(path: Path) -> dict:
+    """Read a description; ``inherits`` names another one whose figures it starts from."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path} cannot be read as TOML: {error}") from error
+    parent = content.pop("inherits", None)
+    if parent is not None:
+        base = load(path.with_name(f"{parent}.toml"))
+        for key, value in content.items():
+            base[key] = {**base[key], **value} if isinstance(value, dict) and key in base else value
+        return base
+    return content
+
+
+def build(content: dict) -> dict:
+    """Return the arguments of the Instrument that a description describes."""
+    sources = content.get("sources", {})
+    values = {}
+    for section in ("positioner", "layout", "optics", "observing"):
+        for name, entry in content.get(section, {}).items():
+            entry = dict(entry)
+            check_choice(entry["status"], STATUSES, f"status of {section}.{name}")
+            entry["source"] = sources.get(entry["source"], entry["source"])
+            values[f"{section}.{name}"] = entry
+
+    def get(name, default=None):
+        entry = values.get(name)
+        if entry is None:
+            return default
+        value = entry["value"]
+        return value * u.Unit(entry["unit"]) if "unit" in entry else value
+
+    arm_keys = ("central_arm", "eccentric_arm", "clearance", "step", "handedness", "theta_range", "phi_range", "home",
+                "displacement", "arm_model", "arm_length")  # fmt: skip
+    options = {k: get(f"positioner.{k}") for k in arm_keys if f"positioner.{k}" in values}
+    angle = values.get("positioner.arm_angle")
+    if angle is not None:
+        by_type = {t: v * u.Unit(angle["unit"]) for t, v in angle["value"].items()}
+        options["arm_angle"] = by_type
+    focal_plane = _layout(Positioner(**options), get)
+    maps = {
+        t: RadialMap(
+            m["form"], tuple(m["coefficients"]), max_angle=get("optics.max_angle"),
+            radius=m["radius"] * u.mm if "radius" in m else None,
+            unit_tangent=m.get("unit_tangent", 1.0), factor=get("optics.factor", 1.0),
+        )
+        for t, m in get("optics.radial_map", {}).items()
+    }  # fmt: skip
+    distortion = maps.get("any") if "any" in maps else maps or None
+    return {
+        "name": content["name"],
+        "focal_plane": focal_plane,
+        "plate_scale": get("optics.plate_scale") if distortion is None else None,
+        "distortion": distortion,
+        "title": content.get("title", ""),
+        "layout": content.get("layout_is", "nominal"),
+        "targets_per_fiber": get("observing.targets_per_fiber", 4.0),
+        "values": values,
+        "notes": content.get("notes", ""),
+    }
+
+
+def _layout(positioner: Positioner, get) -> FocalPlane:
+    """Build the lattice that the section ``layout`` describes."""
+    fiducials = get("layout.fiducial_cells", [])
+    shape = {
+        "pitch": get("layout.pitch"),
+        "rings": get("layout.rings"),
+        "count": get("layout.count"),
+        "inner_radius": get("layout.inner_radius", 0 * u.mm),
+        "vacant": [*fiducials, *get("layout.vacant_cells", [])],
+        "rows_along": get("layout.rows_along", "x"),
+    }
+    xy, cells = hexagonal_cells(**shape)
+    columns = {}
+    if get("layout.names") == "row and column":
+        columns["id"] = _hole_names(cells, get("layout.rings"))
+    if get("layout.fiber_types"):
+        few = {tuple(c) for c in get("layout.first_type_only_cells", [])}
+        first, *_ = types = get("layout.fiber_types")
+        columns["fiber_type"] = np.array([first if tuple(c) in few else "+".join(types) for c in cells.tolist()])
+        if get("layout.spectrographs") == "one a fiber type":
+            columns["spectrograph"] = np.tile(np.arange(len(types)), (len(xy), 1))
+    if isinstance(get("layout.spectrographs"), int):
+        columns["spectrograph"] = _groups(xy, get("layout.spectrographs"), get("layout.spectrograph_shape", "blocks"))
+    if fiducials:
+        everything = {**shape, "vacant": [], "count": None, "inner_radius": 0 * u.mm}
+        all_xy, all_cells = hexagonal_cells(**everything)
+        index = {tuple(c): k for k, c in enumerate(all_cells.tolist())}
+        circles = all_xy[[index[tuple(c)] for c in fiducials]]
+        radius = get("layout.fiducial_radius").to_value(u.mm)
+        columns["obstacles"] = np.column_stack([circles, np.full(len(circles), radius)]) * u.mm
+    return FocalPlane(xy * u.mm, positioner, **columns)
+
+
+def _hole_names(cells, rings):
+    """Names such as R+10C1 and R0C3: row with its sign, column from the left, counted from 1."""
+    names = []
+    for q, k in cells.tolist():
+        row = f"{k:+d}" if k else "0"
+        names.append(f"R{row}C{q - max(-rings, -rings - k) + 1}")
+    return np.array(names)
+
+
+def _groups(xy, n_groups, shape):
+    """Split positioners into contiguous groups of equal size: wedges, or blocks by halving."""
+    check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
+    group = np.empty(len(xy), dtype=int)
+    if shape == "wedges":
+        order = np.lexsort((np.hypot(*xy.T), np.round(np.mod(np.arctan2(xy[:, 1], xy[:, 0]), 2 * np.pi), 9)))
+        for g, rows in enumerate(np.array_split(order, n_groups)):
+            group[rows] = g
+        return group
+    todo = [(np.arange(len(xy)), 0, n_groups)]
+    while todo:
+        rows, first, n = todo.pop()
+        if n == 1:
+            group[rows] = first
+            continue
+        axis = int(np.ptp(xy[rows, 1]) > np.ptp(xy[rows, 0]))
+        order = rows[np.lexsort((xy[rows, 1 - axis], np.round(xy[rows, axis], 9)))]
+        left = n // 2
+        cut = round(len(rows) * left / n)
+        todo += [(order[:cut], first, left), (order[cut:], first + left, n - left)]
+    return group

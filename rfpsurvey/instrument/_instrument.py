@@ -1,0 +1,231 @@
+"""An instrument: focal plane, optics and where every figure comes from. Presets are data files."""
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from importlib.resources import files
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import _description
+from rfpsurvey.projection import RadialMap, TangentPlane
+
+__all__ = ["Instrument", "available_instruments"]
+
+ENTRY_POINTS = "rfpsurvey.instruments"
+LAYOUTS = ("nominal", "as built")
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument:
+    """A fiber positioner instrument at its telescope.
+
+    Parameters
+    ----------
+    name : str
+        Short name.
+    focal_plane : FocalPlane
+        The positioners.
+    plate_scale : Quantity, optional
+        Length per angle at the field center; needed without ``distortion``.
+    distortion : RadialMap or dict of str to RadialMap, optional
+        Radial map of the field, or one for each fiber type.
+    title : str, optional
+        Full name.
+    layout : {"nominal", "as built"}, optional
+        Are the centers a nominal lattice, or those of the instrument as it was built?
+    targets_per_fiber : float, optional
+        Usual density of a target list, for synthetic catalogs.
+    values : dict, optional
+        Every figure behind the instrument: dotted name to a dict of ``value``, ``unit``, ``status`` (published,
+        derived or assumed) and ``source``.
+    notes : str, optional
+        What a user must know.
+
+    Raises
+    ------
+    InputError
+        If neither plate scale nor distortion is given.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> len(lamost.focal_plane), lamost.layout
+    (4000, 'nominal')
+    """
+
+    name: str
+    focal_plane: FocalPlane
+    plate_scale: u.Quantity | None = None
+    distortion: RadialMap | dict[str, RadialMap] | None = None
+    title: str = ""
+    layout: str = "nominal"
+    targets_per_fiber: float = 4.0
+    values: dict = field(default_factory=dict)
+    notes: str = ""
+
+    def __post_init__(self):
+        if not isinstance(self.focal_plane, FocalPlane):
+            raise InputError(f"focal_plane must be a FocalPlane, got {type(self.focal_plane).__name__}")
+        check_choice(self.layout, LAYOUTS, "layout")
+        if isinstance(self.distortion, dict):
+            for name in self.distortion:
+                check_choice(name, self.focal_plane.fiber_types, "fiber type of the distortion")
+        if not 0 < self.targets_per_fiber < np.inf:
+            raise InputError(f"targets_per_fiber must be a positive number, got {self.targets_per_fiber}")
+        plane = self.projection(SkyCoord(0 * u.deg, 0 * u.deg))  # raises where the optics are incomplete
+        object.__setattr__(self, "plate_scale", plane.plate_scale)
+
+    def __repr__(self):
+        return f"<Instrument {self.name!r}: {len(self.focal_plane)} positioners, layout {self.layout}>"
+
+    def projection(self, center: SkyCoord, position_angle: u.Quantity = 0 * u.deg) -> TangentPlane:
+        """Return the projection of a field onto the focal plane.
+
+        Parameters
+        ----------
+        center : SkyCoord
+            Field center.
+        position_angle : Quantity, optional
+            Position angle of +y, from north toward east.
+
+        Returns
+        -------
+        TangentPlane
+            The projection.
+        """
+        return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
+
+    @property
+    def field_radius(self) -> u.Quantity:
+        """Field angle of the outermost point that any positioner reaches."""
+        plane = self.focal_plane
+        edge = float((np.hypot(*plane._xy_mm.T) + plane._outer_mm).max())
+        if self.distortion is None:
+            focal_length = self.plate_scale.to_value(u.mm / u.rad)
+            return np.rad2deg(np.arctan(edge / focal_length)) * u.deg
+        maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
+        angles = [m.to_angle(edge * u.mm) for m in maps]
+        # a focal plane wider than the map sees as much as the map does
+        return max(m.max_angle.to(u.deg) if np.isnan(a) else a for m, a in zip(maps, angles, strict=True))
+
+    @property
+    def target_density(self) -> u.Quantity:
+        """``targets_per_fiber`` targets for every positioner's share of the field, per solid angle."""
+        area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
+        return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
+
+    @classmethod
+    def preset(cls, name: str) -> "Instrument":
+        """Return an instrument by name.
+
+        Parameters
+        ----------
+        name : str
+            One of `available_instruments`.
+
+        Returns
+        -------
+        Instrument
+            The instrument, made anew.
+
+        Raises
+        ------
+        InputError
+            If the name is unknown; the choices are listed.
+        """
+        found = {**_plugins(), **_shipped()}
+        source = found[check_choice(name, found, "instrument")]
+        if not isinstance(source, os.PathLike):
+            source = source.load()
+            source = source() if callable(source) else source
+        return source if isinstance(source, cls) else cls.read(source)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> "Instrument":
+        """Read an instrument from a TOML file, laid out as the shipped presets are.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+
+        Returns
+        -------
+        Instrument
+            The instrument.
+
+        Raises
+        ------
+        InputError
+            If the file is not there or is not a description of an instrument.
+        """
+        path = Path(path)
+        try:
+            return cls(**_description.build(_description.load(path)))
+        except (KeyError, TypeError) as error:
+            raise InputError(f"{path}: the description of the instrument lacks or misuses {error}") from error
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def to_table(self) -> Table:
+        """Return the figures behind the instrument with their sources.
+
+        Returns
+        -------
+        Table
+            Columns name, value, unit, status, source.
+        """
+        rows = [
+            (name, _short(v["value"]), v.get("unit", ""), v["status"], v["source"]) for name, v in self.values.items()
+        ]
+        return Table(rows=rows or None, names=["name", "value", "unit", "status", "source"], dtype=[str] * 5)
+
+    def _provenance(self) -> dict:
+        """Return what a result records about the instrument."""
+        plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
+        digest = hashlib.sha256(repr(sorted(self.values.items())).encode())
+        digest.update(self.focal_plane._xy_mm.tobytes())
+        return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}
+
+
+def available_instruments() -> list[str]:
+    """Return the names that `Instrument.preset` knows: shipped ones, and those of installed packages.
+
+    Packages add instruments by the entry-point group ``rfpsurvey.instruments``; the object is an `Instrument`, a
+    function that returns one, or the path of a TOML file.
+
+    Returns
+    -------
+    list of str
+        Sorted names.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> "lamost" in rs.available_instruments()
+    True
+    """
+    return sorted({**_plugins(), **_shipped()})
+
+
+def _shipped() -> dict[str, Path]:
+    folder = Path(str(files("rfpsurvey"))) / "presets"
+    return {path.stem: path for path in folder.glob("*.toml")}
+
+
+def _plugins() -> dict:
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+
+
+def _short(value) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else f"{len(value)} entries" if isinstance(value, list) else text[:57] + "..."
