@@ -1,0 +1,43 @@
+"""Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
+
+The names below are the whole public interface; the way data flows is catalog, projection, reach, allocation,
+arms, collisions, tile score.
+"""
+
+from rfpsurvey.allocation import Allocation, allocate
+from rfpsurvey.catalog import Catalog, synthetic_catalog
+from rfpsurvey.collision import CollisionReport, find_collisions
+from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument, available_instruments
+from rfpsurvey.plot import plot_focal_plane
+from rfpsurvey.positioner import Positioner
+from rfpsurvey.projection import RadialMap, TangentPlane
+from rfpsurvey.tile import Tile, plan_tile, score_tile
+
+try:
+    from rfpsurvey._version import version as __version__
+except ImportError:  # a source tree that was never built
+    __version__ = "0+unknown"
+
+__all__ = [
+    "Allocation",
+    "Catalog",
+    "CollisionReport",
+    "FocalPlane",
+    "InputError",
+    "Instrument",
+    "Positioner",
+    "RadialMap",
+    "RfpsurveyWarning",
+    "TangentPlane",
+    "Tile",
+    "__version__",
+    "allocate",
+    "available_instruments",
+    "find_collisions",
+    "plan_tile",
+    "plot_focal_plane",
+    "score_tile",
+    "synthetic_catalog",
+]

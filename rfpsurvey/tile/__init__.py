@@ -1,0 +1,7 @@
+"""One tile end to end: planned from a catalog, or scored as another planner assigned it."""
+
+from rfpsurvey.tile._plan import plan_tile
+from rfpsurvey.tile._score import score_tile
+from rfpsurvey.tile._tile import Tile
+
+__all__ = ["Tile", "plan_tile", "score_tile"]

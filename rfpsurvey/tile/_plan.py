@@ -1,0 +1,171 @@
+"""Plan one tile: catalog, projection, reach, allocation, arms, collisions, score."""
+
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from astropy.time import Time
+
+from rfpsurvey.allocation import allocate
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.collision import find_collisions
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.tile._tile import Tile, build_tile
+
+__all__ = ["plan_tile"]
+
+
+def plan_tile(
+    catalog: Catalog,
+    instrument: Instrument | str,
+    center: SkyCoord,
+    *,
+    position_angle: u.Quantity = 0 * u.deg,
+    epoch: Time | str | float | None = None,
+    allocator: str = "lamost",
+    parked_obstacles: bool = True,
+    rng: int | np.random.Generator | None = 0,
+) -> Tile:
+    """Assign the targets of one field to fibers and find the arms that collide there.
+
+    Only targets of the kind ``science`` are assigned; sky positions and standard stars are counted and set aside.
+
+    Parameters
+    ----------
+    catalog : Catalog, SkyCoord or Table
+        The targets.
+    instrument : Instrument or str
+        The instrument, or the name of a preset.
+    center : SkyCoord
+        Field center; north is that of its frame.
+    position_angle : Quantity, optional
+        Angle from north toward east by which +y of the focal plane is turned.
+    epoch : Time, str or float, optional
+        Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
+    allocator : {"lamost", "balanced"}, optional
+        Rule of the allocation, see `allocate`.
+    parked_obstacles : bool, optional
+        Do idle equal-arm positioners stand in the way?
+    rng : int, Generator or None, optional
+        Seed or source of random numbers, for allocators that draw. The default gives the same tile every time.
+
+    Returns
+    -------
+    Tile
+        A row for each positioner, with a summary.
+
+    Raises
+    ------
+    InputError
+        If the catalog is empty, does not overlap the field, or has no target that a positioner reaches.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=300 / u.deg**2, rng=1)
+    >>> tile = rs.plan_tile(sky, "sdss_apo", center, position_angle=30 * u.deg)
+    >>> tile.table.colnames[:4]
+    ['id', 'spectrograph', 'x', 'y']
+    """
+    seconds = {}
+    start = perf_counter()
+    instrument = Instrument.preset(instrument) if isinstance(instrument, str) else instrument
+    catalog = _as_catalog(catalog)
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    plane = instrument.projection(center, position_angle)
+    if epoch is not None:
+        catalog = catalog.at_epoch(epoch)
+    rows = catalog._within(center, instrument.field_radius.to_value(u.rad) * (1 + 1e-9))
+    if len(rows) == 0:
+        nearest = catalog.coord.icrs.separation(center.icrs).min().deg
+        raise InputError(
+            f"no target lies within {instrument.field_radius:.4g} of the field center "
+            f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
+        )
+    seconds["select"] = perf_counter() - start
+    start = perf_counter()
+    science = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]
+    needs = None if catalog.fiber_type is None else catalog.fiber_type[science]
+    # an instrument with one unnamed fiber type serves every target
+    needs = None if instrument.focal_plane.fiber_types == ("",) else needs
+    xy = plane._project(catalog._vectors[science], needs)
+    seconds["projection"] = perf_counter() - start
+    priority = None if catalog.priority is None else catalog.priority[science]
+    rng, seed = _generator(rng)
+    allocation = allocate(
+        xy * u.mm, instrument.focal_plane, method=allocator, priority=priority, fiber_type=needs,
+        parked_obstacles=parked_obstacles, rng=rng,
+    )  # fmt: skip
+    seconds.update(allocation.seconds)
+    if allocation.n_assigned == 0:
+        what = "no science target" if len(science) else f"none of the {len(rows)} targets in the field is science and"
+        raise InputError(f"{what} lies in reach of a positioner of {instrument.name}")
+    start = perf_counter()
+    posed = allocation.place_arms(instrument.focal_plane)
+    seconds["arms"] = perf_counter() - start
+    start = perf_counter()
+    report = find_collisions(instrument.focal_plane, posed)
+    seconds["collisions"] = perf_counter() - start
+    target_of = allocation.target_of_positioner
+    summary = {
+        "n_targets": len(catalog) + catalog.n_dropped,
+        "n_dropped": catalog.n_dropped,
+        "n_in_field": len(rows),
+        "n_set_aside": len(rows) - len(science),
+        "n_reachable": allocation.n_reachable,
+        "seconds": {k: round(v, 6) for k, v in seconds.items()},
+    }
+    parameters = {
+        **_where(center, position_angle),
+        "epoch": _epoch_text(catalog.epoch),
+        "allocator": allocator,
+        "parked_obstacles": bool(parked_obstacles),
+        "rng": seed,
+    }
+    rows_of = np.where(target_of >= 0, science[target_of], -1)
+    icrs = catalog.coord.icrs
+    return build_tile(
+        instrument, catalog.id, np.array([icrs.ra.deg, icrs.dec.deg]), rows_of, allocation.fiber_type, posed, report,
+        summary, parameters, catalog.meta,
+    )  # fmt: skip
+
+
+def _as_catalog(catalog) -> Catalog:
+    if isinstance(catalog, Catalog):
+        return catalog
+    return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)
+
+
+def _generator(rng):
+    """Return a Generator and what to record so that it can be made again."""
+    if isinstance(rng, np.random.Generator):
+        state = rng.bit_generator.state
+        return rng, f"{state['bit_generator']} {state.get('state')}"
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy)
+    return np.random.default_rng(rng), int(rng)
+
+
+def _where(center: SkyCoord, position_angle: u.Quantity) -> dict:
+    icrs = center.icrs
+    return {
+        "ra_deg": float(icrs.ra.deg),
+        "dec_deg": float(icrs.dec.deg),
+        "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
+        "north_of": str(center.frame.name) + (f" {center.equinox}" if hasattr(center, "equinox") else ""),
+    }
+
+
+def _epoch_text(epoch: Time | None) -> str | None:
+    if epoch is None:
+        return None
+    years = np.atleast_1d(epoch.jyear)
+    low, high = float(years.min()), float(years.max())
+    return f"J{low:.3f}" if low == high else f"J{low:.3f} to J{high:.3f}"

@@ -1,0 +1,219 @@
+"""Score an assignment that another planner made."""
+
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import FK5, SkyCoord
+from astropy.table import Table
+from astropy.time import Time
+
+from rfpsurvey.catalog import Catalog, Finder
+from rfpsurvey.collision import find_collisions, place_arms
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.tile._plan import _epoch_text, _where
+from rfpsurvey.tile._tile import Tile, build_tile
+
+__all__ = ["score_tile"]
+
+# where planners write the field: names of columns (one value throughout) or of entries in the table's meta
+FIELD = {
+    "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
+    "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
+    "position angle": ("position_angle", "field_pa", "pa", "posang"),
+}
+
+
+def score_tile(
+    table: Table,
+    instrument: Instrument | str,
+    *,
+    center: SkyCoord | None = None,
+    position_angle: u.Quantity | None = None,
+    equinox: str | None = None,
+    epoch: Time | str | float | None = None,
+    positions: str | None = None,
+    columns: dict | None = None,
+    units: dict | None = None,
+    parked_obstacles: bool = True,
+) -> Tile:
+    """Find the collisions in an assignment that another planner made.
+
+    Arms whose target is out of reach stretch toward it as far as they can, and are counted.
+
+    Parameters
+    ----------
+    table : Table or QTable
+        A row for each assigned fiber: the positioner's id (``positioner``, ``hole_id``, ``robot_id``, ...) and
+        either its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows
+        without a positioner, and those whose column ``assigned`` is 0, are not looked at.
+    instrument : Instrument or str
+        The instrument, or the name of a preset.
+    center : SkyCoord, optional
+        Field center; without it the columns or meta entries ``racen`` and ``deccen`` are used.
+    position_angle : Quantity, optional
+        Position angle of +y, from the north of the center's frame; without it ``position_angle`` or
+        ``field_pa`` of the table.
+    equinox : str, optional
+        Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
+    epoch : Time, str or float, optional
+        Move sky positions by their proper motions to this epoch.
+    positions : {"focal_plane", "sky"}, optional
+        Which positions to use; by default those on the focal plane, where there are any.
+    columns, units : dict, optional
+        Names and units of columns, as in `Catalog.from_table`; roles here are also ``positioner``, ``x``, ``y``.
+    parked_obstacles : bool, optional
+        Do idle equal-arm positioners stand in the way?
+
+    Returns
+    -------
+    Tile
+        As `plan_tile` returns it; the summary has ``n_out_of_reach`` and ``n_wrong_fiber`` too.
+
+    Raises
+    ------
+    InputError
+        If a positioner is unknown or occurs twice, or if positions or the field center are missing.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> plan = QTable({"positioner": [0, 1], "x": [-20, 8] * u.mm, "y": [-840, -838] * u.mm})
+    >>> rs.score_tile(plan, "lamost").summary["n_assigned"]
+    2
+    """
+    start = perf_counter()
+    instrument = Instrument.preset(instrument) if isinstance(instrument, str) else instrument
+    if not isinstance(table, Table):
+        raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+    plane = instrument.focal_plane
+    full = Finder(table, columns or {}, units or {})
+    rows, who, name = _positioners(full, plane)
+    if len(rows) == 0:
+        raise InputError("the table must assign at least one positioner, got none")
+    part = table[rows]
+    find = Finder(part, columns or {}, units or {})
+    xy_names = [find.name_of(role) for role in ("x", "y")]
+    if positions is None:
+        positions = "focal_plane" if None not in xy_names else "sky"
+    check_choice(positions, ("focal_plane", "sky"), "kind of positions")
+    needs = find.labels("fiber_type") if plane.fiber_types != ("",) else None
+    plane._accepts(needs, len(part))
+    ids = _target_ids(find, name)
+    parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": bool(parked_obstacles)}
+    if positions == "sky":
+        catalog = Catalog._from_table(part, columns, units, "icrs", assume_units=False)
+        if len(catalog) < len(part):
+            raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
+        catalog = catalog if epoch is None else catalog.at_epoch(epoch)
+        center = _center(part) if center is None else center
+        if equinox is not None:
+            center = center.transform_to(FK5(equinox=equinox))
+        if position_angle is None:
+            position_angle = _field_value(part, "position angle") * u.deg
+        xy = instrument.projection(center, position_angle)._project(catalog._vectors, needs)
+        icrs = catalog.coord.icrs
+        sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
+        parameters.update(_where(center, position_angle), epoch=_epoch_text(catalog.epoch))
+    else:
+        if None in xy_names:
+            raise find.missing("x and y")
+        xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+        sky_deg = _sky_deg(find)
+    if not np.isfinite(xy).all():
+        raise InputError(
+            f"{int((~np.isfinite(xy)).any(axis=1).sum())} assigned rows have no position on the focal plane"
+        )
+    n = len(plane)
+    tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
+    tips[who], target_of[who] = xy, np.arange(len(who))
+    types = np.array([row.split("+")[0] for row in plane.fiber_type], dtype="U32")
+    wrong = 0
+    if needs is not None:
+        types[who] = np.where(needs == "", types[who], needs)
+        wrong = sum(t not in row.split("+") for t, row in zip(types[who], plane.fiber_type[who], strict=True))
+    posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
+    report = find_collisions(plane, posed)
+    summary = {
+        "n_targets": len(part),
+        "n_rows_ignored": len(table) - len(part),
+        "n_out_of_reach": int(posed.clipped.sum()),
+        "n_wrong_fiber": int(wrong),
+        "seconds": {"total": round(perf_counter() - start, 6)},
+    }
+    meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
+    return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
+
+
+def _positioners(find: Finder, plane):
+    """Rows that assign a positioner, the positioners, and the column that names them."""
+    name = find.name_of("positioner")
+    if name is None:
+        raise find.missing("positioner")
+    values = np.asarray(find.labels("positioner"))
+    keep = np.ones(len(values), dtype=bool)
+    if "assigned" in find.table.colnames:
+        keep &= np.asarray(find.table["assigned"]).astype(int) != 0
+    has_target = find.table["target_id"] if "target_id" in find.table.colnames else None
+    if has_target is not None:  # a tile of ours: idle positioners have no target
+        keep &= ~np.ma.getmaskarray(np.ma.asarray(has_target))
+    keep &= (values != "") if values.dtype.kind == "U" else (values >= 0)
+    rows = np.flatnonzero(keep)
+    index = {str(i): k for k, i in enumerate(plane.id)}
+    names = [str(v) for v in values[rows]]
+    unknown = [v for v in names if v not in index]
+    if unknown:
+        raise InputError(
+            f"column {name!r} names positioners that the instrument does not have: "
+            f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(names)} rows); "
+            f"its ids are such as {plane.id[0]} and {plane.id[-1]}"
+        )
+    who = np.array([index[v] for v in names], dtype=int)
+    twice, counts = np.unique(who, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(
+            f"positioner {plane.id[twice[counts > 1][0]]} is assigned more than once; "
+            f"a table of several fields is scored one field at a time, for example with --select COLUMN=VALUE"
+        )
+    return rows, who, name
+
+
+def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
+    """Ids of the targets, from another column than the positioners' own."""
+    names = [c for c in find.table.colnames if c != positioner_column]
+    ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
+    return np.arange(len(find.table)) if ids is None else ids
+
+
+def _sky_deg(find: Finder) -> np.ndarray:
+    """Sky positions where the table has them, else NaN, shape (2, n)."""
+    if find.name_of("ra") is None or find.name_of("dec") is None:
+        return np.full((2, len(find.table)), np.nan)
+    return np.array([find.quantity("ra").value, find.quantity("dec").value])
+
+
+def _center(table) -> SkyCoord:
+    return SkyCoord(_field_value(table, "ra") * u.deg, _field_value(table, "dec") * u.deg)
+
+
+def _field_value(table, what: str) -> float:
+    """Return the field's one value from a column or the meta."""
+    lower = {c.lower(): c for c in table.colnames}
+    meta = {str(k).lower(): v for k, v in table.meta.items()}
+    for name in FIELD[what]:
+        if name in lower:
+            values = np.unique(u.Quantity(table[lower[name]]).value)
+            if len(values) > 1:
+                raise InputError(
+                    f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one at "
+                    f"a time, for example with --select COLUMN=VALUE"
+                )
+            return float(values[0])
+        if name in meta:
+            return float(meta[name])
+    raise InputError(
+        f"the {what} of the field must be given, or be in a column or meta entry {' or '.join(FIELD[what][:2])}"
+    )

@@ -1,0 +1,259 @@
+"""The result for one tile: a row for each positioner, a summary, and where it comes from."""
+
+import os
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+
+import astropy.units as u
+import numpy as np
+from astropy.table import MaskedColumn, QTable
+from astropy.utils.masked import Masked
+
+from rfpsurvey import _io
+from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument import Instrument
+
+__all__ = ["Tile", "build_tile"]
+
+MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """One tile: which fiber is where, and which arms collide.
+
+    Parameters
+    ----------
+    table : QTable
+        A row for each positioner. Columns: ``id``, ``spectrograph``, ``x``, ``y`` (center), ``status``
+        (``assigned``; ``out_of_reach``: assigned elsewhere, but the arm cannot get there; ``parked``: idle at home
+        and in the way; ``idle``: gives way; ``disabled``; ``stuck``), ``target_id`` (masked
+        without a target), ``ra``, ``dec`` (ICRS), ``fiber_type``, ``theta``, ``phi``, ``elbow_x``,
+        ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with`` (ids, separated by spaces),
+        ``clearance`` (distance to the nearest other arm minus D). Numbers that do not apply are NaN.
+        Its ``meta`` holds ``summary``, ``provenance`` and ``geometry``.
+
+    Raises
+    ------
+    InputError
+        If the table is not that of a tile.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("uniform", center, lamost.field_radius, n_targets=9000, rng=1)
+    >>> tile = rs.plan_tile(sky, lamost, center)
+    >>> tile.summary["n_positioners"]
+    4000
+    """
+
+    table: QTable
+
+    def __post_init__(self):
+        lacking = [name for name in ("summary", "provenance", "geometry") if name not in self.table.meta]
+        if lacking or "in_collision" not in self.table.colnames:
+            raise InputError("the table is not that of a tile: it lacks " + (", ".join(lacking) or "in_collision"))
+
+    @property
+    def summary(self) -> dict:
+        """Counts, rates, and seconds of each stage."""
+        return self.table.meta["summary"]
+
+    @property
+    def provenance(self) -> dict:
+        """Versions, instrument, catalog and parameters behind the tile."""
+        return self.table.meta["provenance"]
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> "Tile":
+        """Read a tile that `write` wrote.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+
+        Returns
+        -------
+        Tile
+            Equal to the one that was written.
+
+        Raises
+        ------
+        InputError
+            If the file is not there or does not hold a tile.
+        """
+        table = _io.read_table(path)
+        for name in table.colnames:
+            column = table[name]
+            if isinstance(column, Masked):
+                table[name] = column.filled(np.nan)
+            elif name != "target_id" and isinstance(column, MaskedColumn):
+                table[name] = column.filled("" if column.dtype.kind in "US" else 0)
+        try:
+            has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
+            ids = np.ma.getdata(table["target_id"])
+            table["target_id"] = _target_column(ids, has_target)
+            table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
+            return cls(table)
+        except (KeyError, InputError) as error:
+            raise InputError(f"{path} does not hold a tile: {error}") from None
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+        """Write the tile as FITS or ECSV; the file appears whole or not at all.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Ends in ``.fits`` or ``.ecsv``, with or without ``.gz``.
+        overwrite : bool, optional
+            Replace a file that exists.
+
+        Raises
+        ------
+        InputError
+            If the folder is missing or the file exists.
+        """
+        parameters = self.provenance["parameters"]
+        cards = {
+            "INSTRUME": self.provenance["instrument"]["name"],
+            "RA": parameters.get("ra_deg"),
+            "DEC": parameters.get("dec_deg"),
+            "POSANG": parameters.get("position_angle_deg"),
+            "ALLOCATR": parameters.get("allocator"),
+            "NASSIGN": self.summary["n_assigned"],
+            "NCOLLIDE": self.summary["n_colliding"],
+        }
+        _io.write_table(self.table, path, overwrite=overwrite, cards={k: v for k, v in cards.items() if v is not None})
+
+    def __eq__(self, other):
+        if not isinstance(other, Tile):
+            return NotImplemented
+        a, b = self.table, other.table
+        return a.colnames == b.colnames and a.meta == b.meta and all(_same(a[c], b[c]) for c in a.colnames)
+
+    __hash__ = None
+
+    def __repr__(self):
+        s = self.summary
+        return (
+            f"<Tile of {self.provenance['instrument']['name']!r}: {s['n_assigned']} of {s['n_positioners']} "
+            f"positioners assigned, {s['n_colliding']} in collision>"
+        )
+
+
+def build_tile(
+    instrument: Instrument,
+    ids: np.ndarray,
+    sky_deg: np.ndarray,
+    target_of: np.ndarray,
+    fiber_type: np.ndarray,
+    posed: Arms,
+    report: CollisionReport,
+    summary: dict,
+    parameters: dict,
+    catalog_meta: dict,
+) -> Tile:
+    """Put the columns together.
+
+    ``ids`` and ``sky_deg`` (rows ra, dec in ICRS) describe the targets; ``target_of`` are their rows, -1 for none.
+    """
+    plane = instrument.focal_plane
+    n = len(plane)
+    has_target = posed.assigned
+    row = np.where(has_target, target_of, 0)
+    names = np.array([str(i) for i in plane.id])
+    status = np.full(n, "idle", dtype="U12")
+    for flag, word in (
+        (posed.parked, "parked"), (plane.disabled, "disabled"), (plane._is_stuck, "stuck"), (has_target, "assigned"),
+        (posed.clipped, "out_of_reach"),
+    ):  # fmt: skip
+        status[flag] = word
+    table = QTable({"id": plane.id})
+    table["spectrograph"] = _spectrograph(plane, fiber_type)
+    table["x"], table["y"] = plane._xy_mm.T * u.mm
+    table["status"] = status
+    table["target_id"] = _target_column(ids[row], has_target)
+    table["ra"], table["dec"] = np.where(has_target, sky_deg[:, row], np.nan) * u.deg
+    table["fiber_type"] = np.where(has_target, fiber_type, "")
+    table["theta"], table["phi"] = np.rad2deg(posed.theta) * u.deg, np.rad2deg(posed.phi) * u.deg
+    table["elbow_x"], table["elbow_y"] = posed.elbow.T * u.mm
+    table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
+    table["in_collision"] = report.in_collision
+    table["colliding_with"] = [" ".join(names[p]) for p in report.colliding_with]
+    table["clearance"] = (nearest_distance(posed) - plane.positioner._separation_mm) * u.mm
+    positioner = plane.positioner
+    summary = {
+        **summary,
+        "n_positioners": n,
+        "n_assigned": int(has_target.sum()),
+        "n_parked": int(posed.parked.sum()),
+        "n_colliding": int(report.in_collision.sum()),
+        "n_colliding_pairs": len(report.pairs),
+        "n_obstacle_collisions": len(report.obstacle_pairs),
+        "collision_rate": report.rate,
+        "collision_rate_assigned": report.rate_assigned,
+    }
+    table.meta = {
+        "summary": summary,
+        "provenance": {
+            "software": _versions(),
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "model": MODEL,
+            "instrument": instrument._provenance(),
+            "catalog": dict(catalog_meta),
+            "parameters": parameters,
+        },
+        "geometry": {
+            "inner_radius_mm": positioner.inner_radius.value,
+            "outer_radius_mm": positioner.outer_radius.value,
+            "min_separation_mm": float(positioner._separation_mm),
+            "obstacles_mm": plane._obstacles_mm.tolist(),
+        },
+    }
+    return Tile(table)
+
+
+def _target_column(ids, has_target) -> MaskedColumn:
+    """Ids with a mask; the fill value is no id of a target, so that files keep all."""
+    if ids.dtype.kind in "iu":
+        spare = np.iinfo(ids.dtype).max if ids.dtype.kind == "u" else -1
+        if np.any(ids[has_target] == spare):
+            spare = np.iinfo(ids.dtype).min
+        values = np.where(has_target, ids, np.array(spare, dtype=ids.dtype))
+        return MaskedColumn(values, mask=~has_target, fill_value=spare)
+    values = np.where(has_target, ids.astype(str), "")
+    return MaskedColumn(values, mask=~has_target, fill_value="")
+
+
+def _spectrograph(plane, fiber_type):
+    if plane.spectrograph.ndim == 1:
+        return plane.spectrograph
+    column = np.array([plane.fiber_types.index(t) if t else 0 for t in fiber_type])
+    return plane.spectrograph[np.arange(len(plane)), column]
+
+
+def _versions() -> dict:
+    found = {"python": sys.version.split()[0]}
+    for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def _same(a, b) -> bool:
+    if getattr(a, "unit", None) != getattr(b, "unit", None):
+        return False
+    if not np.array_equal(np.ma.getmaskarray(np.ma.asarray(a)), np.ma.getmaskarray(np.ma.asarray(b))):
+        return False
+    if isinstance(a, MaskedColumn):
+        return bool(np.array_equal(a.filled(), b.filled()))
+    a, b = np.asarray(getattr(a, "value", a)), np.asarray(getattr(b, "value", b))
+    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
