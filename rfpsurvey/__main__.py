@@ -1,0 +1,6 @@
+"""``python -m rfpsurvey``."""
+
+from rfpsurvey._cli import main
+
+if __name__ == "__main__":
+    main()
