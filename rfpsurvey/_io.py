@@ -4,6 +4,7 @@ FITS headers hold no nested values, so that there the table's ``meta`` travels a
 ``RFPSURVY``, beside the plain cards that a person may want to read.
 """
 
+import gzip
 import json
 import os
 from contextlib import contextmanager, suppress
@@ -32,7 +33,7 @@ META_KEY = "RFPSURVY"
 def suffix_of(path: Path) -> str:
     """Return the ending that tells the format; ``.gz`` is looked through."""
     suffixes = [s.lower() for s in path.suffixes]
-    if suffixes and suffixes[-1] in (".gz", ".fz", ".bz2", ".xz"):
+    if suffixes and suffixes[-1] in (".gz", ".bz2", ".xz"):
         suffixes.pop()
     return suffixes[-1] if suffixes else ""
 
@@ -72,7 +73,8 @@ def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = Fal
             except UnicodeEncodeError as error:
                 raise InputError(f"{path}: FITS holds ASCII text only ({error}); write .ecsv instead") from error
         else:
-            table.write(temporary, format="ascii.ecsv")
+            with gzip.open(temporary, "wt") if path.suffix.lower() == ".gz" else open(temporary, "w") as file:
+                table.write(file, format="ascii.ecsv")
 
 
 def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:

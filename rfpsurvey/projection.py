@@ -100,7 +100,8 @@ class RadialMap:
         output = float(self.factor)
         if self.form == "sine":
             output *= float(to_mm(self.radius, "radius"))
-        limit = float(to_radian(self.max_angle, "max_angle"))
+        # a direction made to lie just at max_angle is inside, whatever its rounding
+        limit = float(to_radian(self.max_angle, "max_angle")) * (1 + 1e-12)
         return _FORMS[self.form], np.array(self.coefficients), argument, unit, output, limit
 
     @property

@@ -15,13 +15,13 @@ def elbow(dx, dy, l1, l2, side, home_theta):
     """Elbow (relative to the center) and joint angles for a tip at (dx, dy).
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. A tip outside the annulus gets
-    the pose that points to it from the nearest reachable radius. Near r = 0 (equal arms) theta is free.
+    the pose that points to it from the nearest reachable radius. At r = 0 (equal arms) theta is free: home.
     """
     r = math.hypot(dx, dy)
     total = l1 + l2
     difference = l1 - l2
     if abs(difference) < EQUAL_ARMS:
-        if r < EQUAL_ARMS:
+        if r == 0.0:
             return l1 * math.cos(home_theta), l1 * math.sin(home_theta), home_theta, side * math.pi
         difference = 0.0
     r_in = abs(difference)
@@ -31,7 +31,7 @@ def elbow(dx, dy, l1, l2, side, home_theta):
     else:
         ux, uy = math.cos(home_theta), math.sin(home_theta)
     # 2 l1 l2 times the sine and cosine of phi, the sine without cancellation at either edge
-    sine = math.sqrt(max(0.0, (total - s) * (total + s) * (s - r_in) * (s + r_in)))
+    sine = math.sqrt(max(0.0, (total - s) * (total + s))) * math.sqrt(max(0.0, s - r_in)) * math.sqrt(s + r_in)
     cosine = s * s - l1 * l1 - l2 * l2
     phi = math.atan2(sine, cosine)
     along = (s * s + difference * total) / (2.0 * s)

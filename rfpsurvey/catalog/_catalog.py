@@ -305,8 +305,13 @@ class Catalog:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ErfaWarning)  # "distance overridden": none is known
             moved = still.apply_space_motion(dt=(time.tdb - self.epoch.tdb).to(u.yr))
-        # the catalog keeps its own proper motions: those of the new epoch differ by less than they are known
-        coord = SkyCoord(moved.ra, moved.dec, pm_ra_cosdec=icrs.pm_ra_cosdec, pm_dec=icrs.pm_dec)
+        known = np.isfinite(icrs.pm_ra_cosdec) & np.isfinite(icrs.pm_dec)
+        coord = SkyCoord(
+            moved.ra,
+            moved.dec,
+            pm_ra_cosdec=np.where(known, moved.pm_ra_cosdec, np.nan),
+            pm_dec=np.where(known, moved.pm_dec, np.nan),
+        )
         return self._take(slice(None), coord=coord, epoch=time)
 
     def within(self, center: SkyCoord, radius: u.Quantity) -> "Catalog":

@@ -1,0 +1,49 @@
+import os
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import settings
+
+import rfpsurvey as rs
+
+matplotlib.use("agg")
+# the first call of a kernel compiles it; the same examples every time, so that a red run can be repeated
+settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database=None)
+settings.load_profile("rfpsurvey")
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20260101)
+
+
+@pytest.fixture(scope="session")
+def presets():
+    """All shipped instruments, built once."""
+    return {
+        name: rs.Instrument.preset(name) for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs")
+    }
+
+
+@pytest.fixture(scope="session")
+def tycho():
+    """The shipped real catalog."""
+    return Path(__file__).parent.parent / "data" / "tycho2_anticenter_r8.ecsv.gz"
+
+
+@pytest.fixture(scope="session")
+def real_data():
+    """Return a function from file name to path among the optional catalogs, or skip."""
+
+    def find(name):
+        folder = os.environ.get("RFPSURVEY_TEST_DATA")
+        if not folder:
+            pytest.skip("RFPSURVEY_TEST_DATA is not set: the optional real catalogs are not there")
+        path = Path(folder) / name
+        if not path.exists():
+            pytest.skip(f"{name} is not in RFPSURVEY_TEST_DATA")
+        return path
+
+    return find

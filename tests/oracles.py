@@ -1,0 +1,101 @@
+"""Slow and simple answers to compare with: brute force, exact rationals, other packages."""
+
+from fractions import Fraction
+
+import numpy as np
+import shapely
+from astropy.wcs import WCS
+
+
+def segment_distances(segments, pairs):
+    """Distances of pairs of segments, by shapely."""
+    first, second = (shapely.linestrings(segments[pairs[:, k]].reshape(-1, 2, 2)) for k in (0, 1))
+    return shapely.distance(first, second)
+
+
+def closer_than(a, b, separation):
+    """Are two segments closer than ``separation``? In exact rational arithmetic on the floats as given."""
+    a, b = [Fraction(v) for v in a], [Fraction(v) for v in b]
+    return _squared_distance(a, b) < Fraction(separation) ** 2
+
+
+def _squared_distance(a, b):
+    p, q, r, s = (a[0], a[1]), (a[2], a[3]), (b[0], b[1]), (b[2], b[3])
+
+    def turn(u, v, w):
+        return (v[0] - u[0]) * (w[1] - u[1]) - (v[1] - u[1]) * (w[0] - u[0])
+
+    if turn(p, q, r) * turn(p, q, s) < 0 and turn(r, s, p) * turn(r, s, q) < 0:
+        return Fraction(0)
+    return min(_to_segment(p, r, s), _to_segment(q, r, s), _to_segment(r, p, q), _to_segment(s, p, q))
+
+
+def _to_segment(p, a, b):
+    u, v = (b[0] - a[0], b[1] - a[1]), (p[0] - a[0], p[1] - a[1])
+    length2 = u[0] ** 2 + u[1] ** 2
+    t = Fraction(0) if length2 == 0 else min(max((u[0] * v[0] + u[1] * v[1]) / length2, Fraction(0)), Fraction(1))
+    return (v[0] - t * u[0]) ** 2 + (v[1] - t * u[1]) ** 2
+
+
+def in_annulus(point, center, l1, l2):
+    """Is a point in the closed patrol area? In exact rational arithmetic."""
+    r2 = sum((Fraction(float(p)) - Fraction(float(c))) ** 2 for p, c in zip(point, center, strict=True))
+    inner = 0 if abs(l1 - l2) < 1e-9 else abs(Fraction(l1) - Fraction(l2))
+    return inner**2 <= r2 <= (Fraction(l1) + Fraction(l2)) ** 2
+
+
+def tip_and_elbow(center, l1, l2, theta, phi):
+    """Two arms as complex numbers; angles in radians."""
+    elbow = complex(*center) + l1 * np.exp(1j * theta)
+    return elbow + l2 * np.exp(1j * (theta + phi)), elbow
+
+
+def balanced_owner(xy, centers, reaches):
+    """Owner of each target under the rule `balanced`, literally; ``reaches[i][t]`` says who reaches what."""
+    count = [0] * len(centers)
+    owner = []
+    for t in range(len(xy)):
+        candidates = [i for i in range(len(centers)) if reaches[i][t]]
+        best = min(candidates, key=lambda i: (count[i], _d2(xy[t], centers[i]), i), default=-1)
+        owner.append(best)
+        if best >= 0:
+            count[best] += 1
+    return owner
+
+
+def lamost_target(xy, centers, reaches, priority):
+    """Target of each positioner under the rule `lamost`, literally."""
+    n, m = len(centers), len(xy)
+    target, taken = [-1] * n, [False] * m
+    for value in sorted(set(priority), reverse=True):
+        while True:
+            nominations = {}
+            for i in range(n):
+                mine = [t for t in range(m) if reaches[i][t] and not taken[t] and priority[t] == value]
+                if target[i] < 0 and mine:
+                    nominations.setdefault(min(mine, key=lambda t: (_d2(xy[t], centers[i]), t)), []).append(i)
+            if not nominations:
+                break
+            choices = [sum(reaches[i][t] and not taken[t] for t in range(m)) for i in range(n)]
+            for t, rivals in nominations.items():
+                winner = min(rivals, key=lambda i: (choices[i], _d2(xy[t], centers[i]), i))
+                target[winner] = t
+                taken[t] = True
+    return target
+
+
+def _d2(a, b):
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2
+
+
+def tangent_plane_mm(coord, center, mm_per_deg, position_angle_deg):
+    """Gnomonic projection by astropy's WCS, both axes increasing east and north at position angle 0."""
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ["RA---TAN", "DEC--TAN"]
+    wcs.wcs.crval = [center.ra.deg, center.dec.deg]
+    wcs.wcs.crpix = [1, 1]
+    wcs.wcs.lonpole = 180  # the same sense of north on the pole as everywhere else
+    pa = np.deg2rad(position_angle_deg)
+    # intermediate world coordinates (east, north) of one mm along +x and +y
+    wcs.wcs.cd = np.array([[np.cos(pa), np.sin(pa)], [-np.sin(pa), np.cos(pa)]]) / mm_per_deg
+    return np.column_stack(wcs.wcs_world2pix(coord.ra.deg, coord.dec.deg, 0))

@@ -1,0 +1,259 @@
+import gzip
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import FK5, AltAz, Galactic, SkyCoord
+from astropy.table import MaskedColumn, QTable, Table
+from astropy.time import Time
+from erfa import ErfaWarning
+
+import rfpsurvey as rs
+
+DEG = u.deg
+PM = u.mas / u.yr
+
+
+def table(**more):
+    return QTable({"ra": [10.0, 20.0, 30.0] * DEG, "dec": [-5.0, 0.0, 5.0] * DEG, **more})
+
+
+@pytest.mark.parametrize(
+    ("ra", "dec"),
+    [
+        ("ra", "dec"), ("RAJ2000", "DEJ2000"), ("TARGET_RA", "TARGET_DEC"), ("RA_ICRS", "DE_ICRS"), ("RA", "DEC"),
+        ("Ra_Deg", "dec_deg"),
+    ],
+)  # fmt: skip
+def test_usual_names_are_found(ra, dec):
+    catalog = rs.Catalog.from_table(QTable({ra: [1.0] * DEG, dec: [2.0] * DEG}))
+    assert (catalog.coord.ra[0].deg, catalog.coord.dec[0].deg) == (1, 2)
+
+
+def test_columns_are_found_by_ucd():
+    t = Table({"alpha_x": [1.0], "delta_x": [2.0], "name_x": [7], "err": [0.1]})
+    for name, ucd in (("alpha_x", "pos.eq.ra;meta.main"), ("delta_x", "pos.eq.dec;meta.main"), ("name_x", "meta.id;meta.main")):
+        t[name].meta["ucd"] = ucd
+    t["err"].meta["ucd"] = "stat.error;pos.eq.ra"
+    t["alpha_x"].unit = t["delta_x"].unit = DEG
+    catalog = rs.Catalog.from_table(t)
+    assert catalog.coord.ra[0].deg == 1
+    assert catalog.id.tolist() == [7]
+
+
+def test_columns_and_units_can_be_given():
+    t = Table({"a": [1.0, 2.0], "b": [60.0, 120.0], "rank": [1, 2], "star": ["x", "y"], "ra": [0.0, 0.0]})
+    catalog = rs.Catalog.from_table(
+        t, columns={"ra": "a", "dec": "b", "priority": "-rank", "id": "star"}, units={"ra": "deg", "dec": "arcmin"}
+    )
+    np.testing.assert_allclose(catalog.coord.dec.deg, [1, 2])
+    assert catalog.priority.tolist() == [-1, -2]
+    assert catalog.id.tolist() == ["x", "y"]
+
+
+def test_everything_that_a_catalog_can_carry():
+    catalog = rs.Catalog.from_table(
+        table(
+            source_id=np.array([2**60 + 1, 2**60 + 2, 3]),
+            priority=[3, 2, 1],
+            category=["science", "sky_boss", "standard_apogee"],
+            fiber_type=["BOSS", "BOSS", "APOGEE"],
+            pmra=[1.0, np.nan, 3.0] * PM,
+            pmdec=[0.0, 0.0, -5.0] * PM,
+            ref_epoch=[2015.5, 2016.0, 2016.0] * u.yr,
+        )
+    )
+    assert catalog.id.tolist() == [2**60 + 1, 2**60 + 2, 3]
+    assert catalog.kind.tolist() == ["science", "sky", "standard"]
+    assert catalog.has_proper_motion
+    np.testing.assert_allclose(catalog.epoch.jyear, [2015.5, 2016, 2016])
+    part = catalog[1:]
+    assert len(part) == 2
+    assert part.id.tolist() == [2**60 + 2, 3]
+    assert part.fiber_type.tolist() == ["BOSS", "APOGEE"]
+    np.testing.assert_allclose(part.epoch.jyear, 2016)
+
+
+@pytest.mark.parametrize("suffix", [".ecsv", ".ecsv.gz", ".fits", ".fits.gz", ".csv", ".vot", ".parquet"])
+def test_files_are_read_through_astropy(tmp_path, suffix):
+    path = tmp_path / f"stars{suffix}"
+    t = table(id=np.array([2**60, 5, 6]), priority=[1.0, 2.0, 3.0])
+    if suffix == ".parquet":
+        t = Table(t)
+    if suffix == ".ecsv.gz":
+        with gzip.open(path, "wt") as file:
+            t.write(file, format="ascii.ecsv")
+    else:
+        t.write(path, **({"format": "votable"} if suffix == ".vot" else {}))
+    catalog = rs.Catalog.read(path)
+    np.testing.assert_allclose(catalog.coord.ra.deg, [10, 20, 30])
+    assert catalog.id.tolist() == [2**60, 5, 6]
+    assert catalog.priority.tolist() == [1, 2, 3]
+    assert catalog.meta["file"] == path.name
+
+
+@pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
+def test_write_then_read(tmp_path, suffix):
+    first = rs.Catalog.from_table(
+        table(id=["a", "b", "c"], priority=[1, 2, 3], pmra=[1, 2, 3] * PM, pmdec=[1, 2, 3] * PM, ref_epoch=[2016] * 3 * u.yr)
+    )
+    path = tmp_path / f"stars{suffix}"
+    first.write(path)
+    second = rs.Catalog.read(path)
+    np.testing.assert_array_equal(second.coord.ra, first.coord.ra)
+    np.testing.assert_array_equal(second.coord.pm_dec, first.coord.pm_dec)
+    np.testing.assert_array_equal(second.id, first.id)
+    assert second.epoch.jyear == pytest.approx(2016)
+    assert (path.read_bytes()[:2] == b"\x1f\x8b") == suffix.endswith(".gz")
+    with pytest.raises(rs.InputError, match="exists; ask for it to be overwritten"):
+        first.write(path)
+    first.write(path, overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("frame", ["icrs", "fk5", "galactic"])
+def test_any_frame_will_do(frame):
+    coord = SkyCoord([10, 20] * DEG, [30, 40] * DEG)
+    catalog = rs.Catalog(coord.transform_to(frame))
+    np.testing.assert_allclose(catalog._vectors, coord.cartesian.xyz.value.T, atol=1e-14)
+
+
+def test_galactic_columns():
+    c = SkyCoord([10, 20] * DEG, [30, 40] * DEG).galactic
+    catalog = rs.Catalog.from_table(QTable({"l": c.l, "b": c.b}), frame="galactic")
+    np.testing.assert_allclose(catalog.coord.icrs.ra.deg, [10, 20])
+
+
+def test_sexagesimal_text_and_csv_without_units(tmp_path):
+    (tmp_path / "a.csv").write_text("ra,dec\n06h20m00s,+23d00m00s\n")
+    assert rs.Catalog.read(tmp_path / "a.csv").coord[0].ra.deg == pytest.approx(95)
+    (tmp_path / "b.csv").write_text("ra,dec\n06:20:00,+23:00:00\n")
+    assert rs.Catalog.read(tmp_path / "b.csv").coord[0].ra.deg == pytest.approx(95)
+    (tmp_path / "c.csv").write_text("ra,dec,pmra,pmdec\n95.0,23.0,1,2\n")
+    assert rs.Catalog.read(tmp_path / "c.csv").coord[0].pm_dec == 2 * PM
+
+
+def test_coordinates_that_are_not_finite_are_dropped_and_counted():
+    t = table(id=[1, 2, 3], priority=[1, 2, 3])
+    t["ra"][1] = np.nan
+    with pytest.warns(rs.RfpsurveyWarning, match="1 of 3 targets have no finite coordinates"):
+        catalog = rs.Catalog.from_table(t)
+    assert catalog.n_dropped == 1
+    assert catalog.id.tolist() == [1, 3]
+    masked = Table({"ra": MaskedColumn([1.0, 2.0], mask=[True, False], unit=DEG), "dec": [1.0, 2.0] * DEG})
+    with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
+        assert len(rs.Catalog.from_table(masked)) == 1
+    with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
+        assert rs.Catalog(SkyCoord([1, np.nan] * DEG, [0, 0] * DEG)).within(SkyCoord(1, 0, unit="deg"), 1 * DEG).n_dropped == 1
+
+
+def test_at_epoch_agrees_with_astropy(rng):
+    n = 50
+    coord = SkyCoord(
+        rng.uniform(0, 360, n) * DEG,
+        rng.uniform(-89, 89, n) * DEG,
+        pm_ra_cosdec=rng.normal(0, 3000, n) * PM,
+        pm_dec=rng.normal(0, 3000, n) * PM,
+    )
+    start, end = Time(2016, format="jyear", scale="tcb"), Time(2046.5, format="jyear", scale="tcb")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ErfaWarning)
+        expected = SkyCoord(coord, obstime=start).apply_space_motion(new_obstime=end)
+    moved = rs.Catalog(coord, epoch=start).at_epoch(2046.5)
+    assert moved.coord.separation(expected).to_value(u.mas).max() < 1e-3
+    assert moved.epoch.jyear == pytest.approx(2046.5)
+    # 3 arcsec a year for 30 years is not nothing
+    assert moved.coord.separation(coord).to_value(u.arcsec).max() > 50
+    assert moved.at_epoch(start).coord.separation(coord).to_value(u.mas).max() < 100
+
+
+def test_at_epoch_leaves_targets_without_proper_motion_in_place():
+    t = table(pmra=[1000, np.nan, 0] * PM, pmdec=[0, np.nan, 0] * PM, ref_epoch=[2016, 2016, 2000] * u.yr)
+    moved = rs.Catalog.from_table(t).at_epoch("2026-01-01")
+    shift = moved.coord.separation(SkyCoord(t["ra"], t["dec"])).to_value(u.arcsec)
+    np.testing.assert_allclose(shift, [10, 0, 0], atol=1e-2)
+    still = rs.Catalog.from_table(table())
+    assert still.at_epoch(2030) is still
+    no_epoch = rs.Catalog.from_table(table(pmra=[1, 1, 1] * PM, pmdec=[1, 1, 1] * PM))
+    with pytest.raises(rs.InputError, match="proper motions but no epoch"):
+        no_epoch.at_epoch(2030)
+    with pytest.raises(rs.InputError, match="time must be a Time, a Julian year"):
+        still.at_epoch("soon")
+
+
+def test_epoch_from_the_meta_of_a_table(tycho):
+    catalog = rs.Catalog.read(tycho)
+    assert len(catalog) == 21662
+    assert catalog.epoch.jyear == pytest.approx(2000)
+    assert catalog.id[0] == "1315-1257-1"
+    assert catalog.has_proper_motion
+
+
+@pytest.mark.parametrize("center", [(0.1, 0), (200, 90), (123, -45)])
+def test_within_agrees_with_astropy(center, rng):
+    center = SkyCoord(*center, unit="deg")
+    catalog = rs.synthetic_catalog("uniform", center, 10 * DEG, n_targets=2000, rng=1)
+    inside = catalog.within(center, 4 * DEG)
+    expected = catalog.coord.separation(center) <= 4 * DEG
+    np.testing.assert_array_equal(inside.id, np.flatnonzero(expected))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
+        ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
+        ({"ra": [1.0], "dec": [1.0]}, "column 'ra' has no unit; say which, for example"),
+        ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
+        ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
+        ({"ra": ["x"], "dec": ["y"]}, "are not sexagesimal"),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]}, "column 'priority' .priority. must hold numbers"),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]}, "unknown kind of target 'galaxy'; choose one of"),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": [np.nan]}, "priority must be a number for every target"),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0]}, "must hold Julian years"),
+    ],
+)
+def test_bad_tables_are_named(content, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.Catalog.from_table(QTable(content))
+
+
+def test_bad_overrides_are_named():
+    with pytest.raises(rs.InputError, match="there is no column 'nope' .wanted as id.; the columns are: ra, dec"):
+        rs.Catalog.from_table(table(), columns={"id": "nope"})
+    with pytest.raises(rs.InputError, match="unknown column role 'identity'"):
+        rs.Catalog.from_table(table(), columns={"identity": "ra"})
+    with pytest.raises(rs.InputError, match="id must have one value a target"):
+        rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1])
+    with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
+        rs.Catalog([1, 2])
+    with pytest.raises(rs.InputError, match="'altaz' cannot be brought to ICRS"):
+        rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz()))._vectors  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("missing.fits", None, "there is no such file"),
+        ("broken.fits", b"not a table", "cannot be read as fits"),
+        ("broken.ecsv", b"# %ECSV 1.0\n# ---\n# nonsense: [\n", "cannot be read as ascii.ecsv"),
+        ("broken.parquet", b"PAR1", "cannot be read as parquet"),
+        ("stars.txt", b"", "must end in one of"),
+    ],
+)
+def test_unreadable_files_are_named(tmp_path, name, content, message):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(rs.InputError, match=message) as caught:
+        rs.Catalog.read(path)
+    assert name in str(caught.value)
+
+
+def test_frames_other_than_icrs_keep_their_proper_motions():
+    c = SkyCoord([10] * DEG, [20] * DEG, pm_ra_cosdec=[500] * PM, pm_dec=[-300] * PM)
+    for frame in (Galactic(), FK5(equinox="J2000")):
+        moved = rs.Catalog(c.transform_to(frame), epoch=2000.0).at_epoch(2100.0)
+        expected = rs.Catalog(c, epoch=2000.0).at_epoch(2100.0)
+        assert moved.coord.separation(expected.coord).to_value(u.mas).max() < 1

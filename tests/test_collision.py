@@ -1,0 +1,255 @@
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rfpsurvey as rs
+from oracles import closer_than, segment_distances, tip_and_elbow
+from rfpsurvey._kernels import collisions
+from rfpsurvey.collision import METHODS, nearest_distance, place_arms
+from strategies import coarse, segments
+
+MM = u.mm
+
+
+def lamost_like(rings=3, **options):
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    return rs.FocalPlane.hexagonal(unit, rings=rings, pitch=25.6 * MM, **options)
+
+
+def sdss_like(rings=4, l2=15.0, **options):
+    unit = rs.Positioner(7.4 * MM, l2 * MM, 2.5 * MM, step=0.1 * u.deg, **options)
+    return rs.FocalPlane.hexagonal(unit, rings=rings, pitch=22.4 * MM)
+
+
+def random_tips(plane, rng, part=1.0):
+    n = len(plane)
+    r = np.sqrt(rng.uniform(plane._inner_mm**2, plane._outer_mm**2)) * (1 - 1e-12)
+    alpha = rng.uniform(0, 2 * np.pi, n)
+    tips = plane._xy_mm + np.maximum(r, plane._inner_mm)[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+    tips[rng.random(n) > part] = np.nan
+    return tips * MM
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("plane", [lamost_like(), sdss_like()], ids=["equal arms", "unequal arms"])
+def test_pairs_and_distances_are_those_of_shapely(plane, method, rng):
+    everyone = np.array([(i, j) for i in range(len(plane)) for j in range(i + 1, len(plane))])
+    for _ in range(20):
+        tips = random_tips(plane, rng, part=0.9)
+        report = rs.find_collisions(plane, tips, method=method)
+        arms = place_arms(plane, tips).segments
+        there = everyone[np.isfinite(arms[everyone[:, 0], 0]) & np.isfinite(arms[everyone[:, 1], 0])]
+        distance = segment_distances(arms, there)
+        close = distance < plane.positioner.min_separation.value
+        np.testing.assert_array_equal(report.pairs, there[close])
+        np.testing.assert_allclose(report.distances.value, distance[close], atol=1e-12)
+        np.testing.assert_array_equal(np.flatnonzero(report.in_collision), np.unique(there[close]))
+
+
+@given(segments(2), st.sampled_from([0.0, 1.25, 2.5, 4.5]))
+def test_pair_test_agrees_with_exact_rationals(pair, separation):
+    """Crossing, touching, collinear and degenerate segments; only rounding of the limit itself may differ."""
+    out, squared = np.empty((1, 2), np.int64), np.empty(1)
+    half = np.empty(2)
+    collisions.half_lengths(pair, half)
+    n = collisions.colliding_pairs(pair, half, np.array([[0, 1]]), separation, out, squared)
+    slack = 1e-14 * (1 + separation)
+    assert bool(n) in (closer_than(*pair, max(0, separation - slack)), closer_than(*pair, separation + slack))
+    swapped = collisions.segments_squared(pair[1], pair[0])
+    assert collisions.segments_squared(pair[0], pair[1]) == pytest.approx(swapped, rel=1e-9, abs=1e-20)
+
+
+@given(st.tuples(*[coarse] * 8), st.floats(0, 2 * np.pi), st.tuples(coarse, coarse))
+def test_distance_does_not_depend_on_where_the_scene_is(values, angle, shift):
+    pair = np.array(values, dtype=float).reshape(2, 4)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    moved = (pair.reshape(-1, 2) @ turn.T + shift).reshape(2, 4)
+    before, after = (np.sqrt(collisions.segments_squared(*p)) for p in (pair, moved))
+    assert after == pytest.approx(before, abs=1e-6)
+
+
+def test_crossing_arms_have_distance_zero():
+    """The four endpoint distances of this cross are all 10 mm."""
+    cross = np.array([[-10.0, 0, 10, 0], [0, -10, 0, 10]])
+    assert collisions.segments_squared(cross[0], cross[1]) == 0
+
+
+def test_the_limit_is_strict():
+    """Arms at just D do not collide; a hair nearer they do."""
+    unit = rs.Positioner(4 * MM, 4 * MM, 2.25 * MM)
+    for gap, n in ((4.5, 0), (4.5 - 2**-40, 1)):
+        plane = rs.FocalPlane([[0, 0], [16 + gap, 0]] * MM, unit)
+        report = rs.find_collisions(plane, [[8, 0], [8 + gap, 0]] * MM)
+        assert len(report.pairs) == n
+
+
+def test_a_larger_clearance_never_removes_a_pair(rng):
+    plane = sdss_like()
+    tips = random_tips(plane, rng)
+    before = set()
+    for clearance in (0, 0.5, 1.5, 2.5, 4):
+        wider = replace(plane, positioner=replace(plane.positioner, clearance=clearance * MM))
+        pairs = {tuple(p) for p in rs.find_collisions(wider, tips).pairs}
+        assert before <= pairs
+        before = pairs
+
+
+def test_parked_equal_arms_stand_in_the_way():
+    plane = lamost_like(rings=0, id=["only"])
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, plane.positioner)
+    tips = [[16, 0], [np.nan, np.nan]] * MM  # reaches the neighbor's home arm, which lies from (25.6, 0) to elbow
+    parked_home = replace(plane, positioner=replace(plane.positioner, home=[180, 180] * u.deg))
+    report = rs.find_collisions(parked_home, tips)
+    assert report.pairs.tolist() == [[0, 1]]
+    assert report.rate == 1
+    assert report.rate_assigned == 1
+    ignored = rs.find_collisions(parked_home, tips, parked_obstacles=False)
+    assert len(ignored.pairs) == 0
+    assert ignored.counted.tolist() == [True, False]
+    # from home at theta = 0 the parked arm lies away from the neighbor
+    away = rs.find_collisions(plane, tips)
+    assert len(away.pairs) == 0
+    assert away.counted.tolist() == [True, True]
+    assert away.rate == 0
+
+
+def test_idle_unequal_arms_give_way():
+    plane = sdss_like(rings=1)
+    tips = np.full((7, 2), np.nan)
+    tips[3] = plane._xy_mm[3] + [15, 0]
+    report = rs.find_collisions(plane, tips * MM)
+    assert len(report.pairs) == 0
+    assert report.counted.sum() == 1
+    arms = place_arms(plane, tips * MM)
+    assert arms.present.sum() == 1
+
+
+def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():
+    base = sdss_like(rings=1)
+    stuck = np.full((7, 2), np.nan)
+    stuck[4] = [180, 0]  # stretched toward the central positioner
+    plane = replace(base, stuck=stuck * u.deg)
+    tips = np.full((7, 2), np.nan)
+    tips[3] = base._xy_mm[3] + [20, 0]
+    report = rs.find_collisions(plane, tips * MM)
+    assert report.pairs.tolist() == [[3, 4]]
+    assert report.counted.tolist() == [False] * 3 + [True] + [False] * 3
+    assert report.rate == 1
+    arms = place_arms(replace(base, disabled=np.arange(7) == 4), tips * MM)
+    assert arms.present.tolist() == [False] * 3 + [True, True] + [False] * 2
+    home_tip, home_elbow = tip_and_elbow(base._xy_mm[4], 7.4, 15, 0, np.pi)
+    np.testing.assert_allclose(arms.segments[4], [home_elbow.real, home_elbow.imag, home_tip.real, home_tip.imag])
+
+
+def test_obstacles_count():
+    """An arm collides with a circle if it comes nearer to its edge than the clearance."""
+    unit = rs.Positioner(4 * MM, 4 * MM, 2 * MM)
+    for x, n in ((13.0, 0), (12.999, 1)):
+        plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[x, 0, 3], [50, 0, 3]] * MM)
+        report = rs.find_collisions(plane, [[8, 0]] * MM)
+        assert len(report.obstacle_pairs) == n
+        assert report.in_collision.tolist() == [bool(n)]
+    np.testing.assert_allclose(report.obstacle_distances.value, [1.999])
+
+
+def test_poses_and_tips_and_allocations_say_the_same(rng):
+    plane = sdss_like()
+    theta, phi = rng.uniform(-180, 180, len(plane)), rng.uniform(0, 180, len(plane))
+    by_pose = rs.find_collisions(plane, theta=theta * u.deg, phi=phi * u.deg)
+    tips = [
+        (lambda tip: (tip.real, tip.imag))(tip_and_elbow(c, 7.4, 15, t, p)[0])
+        for c, t, p in zip(plane._xy_mm, np.deg2rad(theta), np.deg2rad(phi), strict=True)
+    ]
+    by_tip = rs.find_collisions(plane, tips * MM)
+    assert len(by_pose.pairs) > 3
+    np.testing.assert_array_equal(by_pose.pairs, by_tip.pairs)
+    np.testing.assert_allclose(by_pose.distances.value, by_tip.distances.value, atol=1e-9)
+    mirror = replace(plane, xy=plane.xy * [1, -1])
+    left = rs.find_collisions(mirror, tips * np.array([1, -1]) * MM, handedness="left")
+    np.testing.assert_array_equal(left.pairs, by_tip.pairs)
+    allocation = rs.allocate(rng.uniform(-90, 90, (80, 2)) * MM, plane, method="lamost")
+    again = rs.find_collisions(plane, allocation.tips)
+    np.testing.assert_array_equal(rs.find_collisions(plane, allocation).pairs, again.pairs)
+
+
+def test_the_capsule_is_turned_from_the_fiber():
+    unit = rs.Positioner(
+        7.4 * MM, 14.97 * MM, 2 * MM, arm_model="capsule", arm_length=14.7 * MM, arm_angle={"B": 2 * u.deg, "A": -2 * u.deg}
+    )
+    plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, unit, fiber_type=["B+A", "B+A"])
+    arms = place_arms(plane, [[22.37, 0], [122.37, 0]] * MM, fiber_type=np.array(["B", "A"]))
+    turn = np.deg2rad(2)
+    expected = [7.4 + 14.7 * np.cos(turn), 14.7 * np.sin(turn)]
+    np.testing.assert_allclose(arms.segments[0], [7.4, 0, *expected], atol=1e-6)
+    np.testing.assert_allclose(arms.segments[1], [107.4, 0, 100 + expected[0], -expected[1]], atol=1e-6)
+
+
+def test_nearest_distance_is_that_of_brute_force(rng):
+    for plane, part in ((lamost_like(), 1.0), (sdss_like(), 0.7), (sdss_like(), 0.05)):
+        arms = place_arms(plane, random_tips(plane, rng, part))
+        got = nearest_distance(arms)
+        there = np.flatnonzero(arms.present)
+        assert np.isnan(got[~arms.present]).all()
+        for i in there:
+            pairs = np.array([(i, j) for j in there if j != i]).reshape(-1, 2)
+            expected = segment_distances(arms.segments, pairs).min() if len(pairs) else np.inf
+            assert got[i] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("length", "clearance", "step", "limit"),
+    [(15.0, 2.5, 0.1, 157.27), (14.2321, 2.5, 0.1, 149.94), (14.7276, 2.0, 0.1, 149.47)],
+)
+def test_folded_arms_never_collide(length, clearance, step, limit, rng):
+    """With phi >= arccos(((pitch - D)^2 / 4 - l1^2 - L^2) / (2 l1 L)) no two arms can touch."""
+    unit = rs.Positioner(
+        7.4 * MM, 15 * MM, clearance * MM, step=step * u.deg, arm_model="capsule", arm_length=length * MM
+    )
+    D = unit.min_separation.value
+    phi0 = np.rad2deg(np.arccos(((22.4 - D) ** 2 / 4 - 7.4**2 - length**2) / (2 * 7.4 * length)))
+    assert phi0 == pytest.approx(limit, abs=0.02)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=22.4 * MM)
+    n = len(plane)
+    for _ in range(200):
+        phi = rng.choice([phi0 + 1e-9, 180.0, rng.uniform(phi0, 180)], n)
+        theta = rng.choice(np.arange(0, 360, 30), n) + rng.choice([0, rng.uniform(-15, 15)], n)
+        assert len(rs.find_collisions(plane, theta=theta * u.deg, phi=phi * u.deg).pairs) == 0
+
+
+def test_the_fold_bound_is_sharp():
+    """At phi = 149.94 deg the full arm of 15 mm with D = 5.0782 mm can collide: elbow and tip face each other."""
+    unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, step=0.1 * u.deg)
+    plane = rs.FocalPlane([[0, 0], [22.4, 0]] * MM, unit)
+    tip, _ = tip_and_elbow((0, 0), 7.4, 15, 0, np.deg2rad(149.94))
+    assert abs(tip) > (22.4 - unit.min_separation.value) / 2
+    toward = -np.rad2deg(np.angle(tip))
+    report = rs.find_collisions(plane, theta=[toward, toward + 180] * u.deg, phi=[149.94, 149.94] * u.deg)
+    assert report.pairs.tolist() == [[0, 1]]
+    bound = np.rad2deg(np.arccos(((22.4 - 5.0781907) ** 2 / 4 - 7.4**2 - 15**2) / (2 * 7.4 * 15)))
+    tip, _ = tip_and_elbow((0, 0), 7.4, 15, 0, np.deg2rad(bound + 1e-6))
+    toward = -np.rad2deg(np.angle(tip))
+    folded = rs.find_collisions(plane, theta=[toward, toward + 180] * u.deg, phi=[bound + 1e-6] * 2 * u.deg)
+    assert len(folded.pairs) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"tips": [[30, 0], [30, 0]] * MM}, "1 tips are out of reach, the first that of positioner 0: 30.0000 mm"),
+        ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
+        ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
+        ({}, "give tips, or theta and phi"),
+        ({"theta": [1, 2] * u.deg}, "give tips, or theta and phi"),
+        ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
+        ({"tips": [[3, 0], [30, 0]] * MM, "method": "guess"}, "unknown collision method 'guess'; choose one of: exact"),
+        ({"tips": [[3, 0], [30, 0]] * MM, "handedness": "up"}, "unknown handedness 'up'"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
+    with pytest.raises(rs.InputError, match=message):
+        rs.find_collisions(plane, **arguments)

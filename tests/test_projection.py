@@ -1,0 +1,166 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import FK5, Galactic, SkyCoord
+from scipy.optimize import brentq
+
+import rfpsurvey as rs
+from oracles import tangent_plane_mm
+
+CENTERS = [(95, 23), (0, 0), (359.99, -45), (10, 90), (200, -90), (180, 89.9)]
+ARCSEC = u.arcsec
+MAPS = {
+    "theta": rs.RadialMap("theta", [243.02389, 4.05206956, 0.0300642306], max_angle=1.65 * u.deg),
+    "tan_theta": rs.RadialMap(
+        "tan_theta", [256.668, 8.3145, -1.1717], max_angle=0.72 * u.deg, unit_tangent=0.014, factor=0.99995
+    ),
+    "sine": rs.RadialMap("sine", [1.3658, 6.09425e-3, 6.5e-4], max_angle=1.5 * u.deg, radius=9208 * u.mm),
+}
+
+
+def around(center, radius_deg, n, rng):
+    """Points within a circle, made by astropy."""
+    r = radius_deg * np.sqrt(rng.random(n))
+    return center.directional_offset_by(rng.uniform(0, 360, n) * u.deg, r * u.deg)
+
+
+@pytest.mark.parametrize("position_angle", [0, 40, -137.5])
+@pytest.mark.parametrize("center", CENTERS)
+def test_agrees_with_astropy_wcs(center, position_angle, rng):
+    center = SkyCoord(*center, unit="deg")
+    coord = around(center, 2.5, 500, rng)
+    plane = rs.TangentPlane(center, 20 * u.m / u.rad, position_angle * u.deg)
+    expected = tangent_plane_mm(coord, center, 20000 * np.pi / 180, position_angle)
+    np.testing.assert_allclose(plane.to_focal_plane(coord).to_value(u.mm), expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("distortion", [None, *MAPS])
+@pytest.mark.parametrize("center", CENTERS)
+def test_round_trip(center, distortion, rng):
+    center = SkyCoord(*center, unit="deg")
+    radial = MAPS.get(distortion)
+    scale = 20 * u.m / u.rad if radial is None else None
+    plane = rs.TangentPlane(center, scale, 17 * u.deg, radial)
+    radius = 2.5 if radial is None else radial.max_angle.value * 0.9999
+    coord = around(center, radius, 300, rng)
+    back = plane.to_sky(plane.to_focal_plane(coord))
+    assert back.separation(coord).to_value(ARCSEC).max() < 1e-8
+    xy = plane.to_focal_plane(coord)
+    np.testing.assert_allclose(plane.to_focal_plane(back).value, xy.value, atol=1e-9)
+
+
+def test_position_angle_turns_y_from_north_toward_east():
+    center = SkyCoord(30, 40, unit="deg")
+    for angle in (0, 30, 90, 200):
+        plane = rs.TangentPlane(center, 200 * u.mm / u.deg, angle * u.deg)
+        up = plane.to_focal_plane(center.directional_offset_by(angle * u.deg, 0.5 * u.deg))
+        right = plane.to_focal_plane(center.directional_offset_by((angle + 90) * u.deg, 0.5 * u.deg))
+        np.testing.assert_allclose(up.value, [[0, np.tan(np.deg2rad(0.5)) * 200 * 180 / np.pi]], atol=1e-9)
+        np.testing.assert_allclose(right.value, [[np.tan(np.deg2rad(0.5)) * 200 * 180 / np.pi, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("frame", [FK5(equinox="J2026"), Galactic()])
+def test_north_is_that_of_the_frame_of_the_center(frame):
+    center = SkyCoord(269.59, 66.55, unit="deg").transform_to(frame)
+    plane = rs.TangentPlane(center, 200 * u.mm / u.deg, 40 * u.deg)
+    up = plane.to_focal_plane(center.directional_offset_by(40 * u.deg, 1 * u.deg))
+    np.testing.assert_allclose(up.value, [[0, np.tan(np.deg2rad(1)) * 200 * 180 / np.pi]], atol=1e-8)
+
+
+def test_what_is_90_degrees_away_has_no_image():
+    center = SkyCoord(10, 20, unit="deg")
+    plane = rs.TangentPlane(center, 200 * u.mm / u.deg)
+    for angle in (0, 77, 180, 290):
+        far = SkyCoord([center.directional_offset_by(angle * u.deg, r * u.deg) for r in (90, 90.001, 135, 180)])
+        assert np.isnan(plane.to_focal_plane(far).value).all()
+        near = center.directional_offset_by(angle * u.deg, 89.9 * u.deg)
+        assert np.isfinite(plane.to_focal_plane(near).value).all()
+
+
+def test_beyond_the_map_there_is_no_image():
+    center = SkyCoord(10, 20, unit="deg")
+    plane = rs.TangentPlane(center, distortion=MAPS["sine"])
+    inside, outside = (center.directional_offset_by(33 * u.deg, r * u.deg) for r in (1.4999, 1.5001))
+    assert np.isfinite(plane.to_focal_plane(inside).value).all()
+    assert np.isnan(plane.to_focal_plane(outside).value).all()
+    assert np.isnan(plane.to_sky([[400, 0]] * u.mm).ra.value).all()
+
+
+@pytest.mark.parametrize("form", MAPS)
+def test_radial_map_keeps_the_azimuth_and_follows_the_formula(form, rng):
+    radial = MAPS[form]
+    theta = np.linspace(0, radial.max_angle.value, 50)
+    c = radial.coefficients
+    t = np.tan(np.deg2rad(theta)) / 0.014 if form == "tan_theta" else theta
+    p = sum(ck * t ** (2 * k + 1) for k, ck in enumerate(c))
+    expected = {"theta": p, "tan_theta": 0.99995 * p, "sine": 9208 * np.sin(np.deg2rad(p))}[form]
+    np.testing.assert_allclose(radial.to_radius(theta * u.deg).value, expected, rtol=1e-13, atol=1e-12)
+    center = SkyCoord(50, -30, unit="deg")
+    xy = rs.TangentPlane(center, distortion=radial).to_focal_plane(
+        center.directional_offset_by(25 * u.deg, theta[1:] * u.deg)
+    )
+    np.testing.assert_allclose(np.arctan2(xy[:, 0], xy[:, 1]).to_value(u.deg), 25, atol=1e-9)
+    np.testing.assert_allclose(np.hypot(*xy.T).value, expected[1:], rtol=1e-11)
+
+
+@pytest.mark.parametrize("form", MAPS)
+def test_inverse_of_the_radial_map_agrees_with_brentq(form):
+    radial = MAPS[form]
+    limit = radial.max_angle.value
+    for r in np.linspace(0, radial.to_radius(radial.max_angle).value, 11)[1:-1]:
+        theta = brentq(lambda a, r=r: radial.to_radius(a * u.deg).value - r, 0, limit, xtol=1e-15, rtol=1e-15)
+        assert radial.to_angle(r * u.mm).value == pytest.approx(theta, rel=1e-13)
+
+
+def test_a_map_that_turns_over_is_refused():
+    with pytest.raises(rs.InputError, match="must rise from the center"):
+        rs.RadialMap("theta", [1, -1], max_angle=1 * u.deg)  # turns over at 0.577 deg
+    rs.RadialMap("theta", [1, -1], max_angle=0.57 * u.deg)
+    with pytest.raises(rs.InputError, match="must rise"):
+        rs.RadialMap("sine", [60.0], max_angle=1.6 * u.deg, radius=1 * u.m)  # sin beyond 90 deg
+    with pytest.raises(rs.InputError, match="must rise"):
+        rs.RadialMap("theta", [-1.0], max_angle=1 * u.deg)
+
+
+def test_each_fiber_type_has_its_map():
+    center = SkyCoord(10, 20, unit="deg")
+    maps = {"BOSS": MAPS["sine"], "APOGEE": MAPS["theta"]}
+    both = rs.TangentPlane(center, distortion=maps)
+    coord = center.directional_offset_by([10, 20, 30] * u.deg, [0.5, 0.6, 0.7] * u.deg)
+    got = both.to_focal_plane(coord, ["BOSS", "APOGEE", ""])
+    for k, name in enumerate(("sine", "theta", "sine")):
+        alone = rs.TangentPlane(center, distortion=MAPS[name]).to_focal_plane(coord)
+        np.testing.assert_array_equal(got[k].value, alone[k].value)
+    assert both.to_sky(got, ["BOSS", "APOGEE", ""]).separation(coord).to_value(ARCSEC).max() < 1e-8
+    with pytest.raises(rs.InputError, match="unknown fiber type 'X'; choose one of: APOGEE, BOSS"):
+        both.to_focal_plane(coord, "X")
+
+
+def test_focal_length_is_another_way_to_say_plate_scale():
+    center = SkyCoord(1, 2, unit="deg")
+    plane = rs.TangentPlane.from_focal_length(center, 20 * u.m)
+    assert plane.plate_scale.to_value(u.mm / u.deg) == pytest.approx(349.0658504)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"plate_scale": 17.5}, "plate_scale must be a Quantity with a unit convertible to mm / rad, got 17.5"),
+        ({"plate_scale": 5 * u.mm}, "plate_scale must have a unit convertible to mm / rad, got mm"),
+        ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one positive number"),
+        ({}, "needs plate_scale or distortion"),
+        ({"distortion": "no"}, "distortion must be a RadialMap or a dict"),
+        ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "is not that of the distortion"),
+        ({"plate_scale": 1 * u.mm / u.deg, "rotation": 5}, "rotation must be a Quantity"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.TangentPlane(SkyCoord(0, 0, unit="deg"), **arguments)
+
+
+def test_center_must_be_one_coordinate():
+    with pytest.raises(rs.InputError, match="center must be one SkyCoord"):
+        rs.TangentPlane((0, 0), 1 * u.mm / u.deg)
+    with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
+        rs.TangentPlane(SkyCoord(0, 0, unit="deg"), 1 * u.mm / u.deg).to_focal_plane([1, 2])

@@ -1,0 +1,115 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from scipy import stats
+from scipy.spatial import cKDTree
+
+import rfpsurvey as rs
+
+DEG = u.deg
+CENTERS = [(0, 0), (359.9, 40), (120, 90), (77, -90), (200, -30)]
+OPTIONS = {
+    "uniform": {"n_targets": 4000},
+    "poisson": {"density": 60 / u.deg**2},
+    "poisson_disc": {"min_separation": 0.05 * DEG, "n_targets": 4000},
+    "clustered": {"density": 60 / u.deg**2, "cluster_scale": 0.05 * DEG, "cluster_size": 5},
+}
+
+
+def sky(kind, center, radius=5, **options):
+    return rs.synthetic_catalog(kind, SkyCoord(*center, unit="deg"), radius * DEG, **{**OPTIONS[kind], **options})
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+@pytest.mark.parametrize("center", CENTERS)
+def test_points_are_true_to_area(kind, center):
+    """Area within a circle grows as sin^2(r / 2), and azimuths are uniform: Kolmogorov-Smirnov at 1 in 10^4."""
+    seeds = range(6) if kind == "clustered" else range(1)
+    catalogs = [sky(kind, center, rng=100 + k) for k in seeds]
+    middle = SkyCoord(*center, unit="deg")
+    r = np.concatenate([c.coord.separation(middle).rad for c in catalogs])
+    azimuth = np.concatenate([middle.position_angle(c.coord).rad for c in catalogs])
+    assert r.max() <= np.deg2rad(5) * (1 + 1e-12)
+    area = np.sin(r / 2) ** 2 / np.sin(np.deg2rad(2.5)) ** 2
+    # members of a cluster are not independent: thin them out
+    step = 10 if kind == "clustered" else 1
+    assert stats.kstest(area[::step], "uniform").pvalue > 1e-4
+    assert stats.kstest(azimuth[::step] / (2 * np.pi), "uniform").pvalue > 1e-4
+
+
+def test_large_circles_and_the_whole_sphere():
+    whole = sky("uniform", (10, 20), radius=180, rng=1)
+    z = whole.coord.cartesian.xyz.value
+    for axis in z:
+        assert stats.kstest((axis + 1) / 2, "uniform").pvalue > 1e-4
+
+
+def test_counts():
+    assert len(sky("uniform", (0, 0), rng=1)) == 4000
+    area = 2 * np.pi * (1 - np.cos(np.deg2rad(5))) * (180 / np.pi) ** 2
+    numbers = np.array([len(sky("poisson", (0, 90), rng=k)) for k in range(300)])
+    assert numbers.mean() == pytest.approx(60 * area, abs=5 * np.sqrt(60 * area / 300))
+    assert numbers.var() / numbers.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / 300))
+    clustered = np.array([len(sky("clustered", (0, 90), rng=k)) for k in range(200)])
+    # a Thomas process has the variance (1 + cluster size) times the mean
+    assert clustered.mean() == pytest.approx(60 * area, abs=5 * np.sqrt(6 * 60 * area / 200))
+    assert clustered.var() / clustered.mean() == pytest.approx(6, rel=0.5)
+
+
+def test_poisson_disc_keeps_its_distance():
+    catalog = sky("poisson_disc", (359.99, 89), rng=2)
+    chord = cKDTree(catalog._vectors).query(catalog._vectors, k=2)[0][:, 1]
+    assert np.rad2deg(2 * np.arcsin(chord.min() / 2)) >= 0.05
+    full = sky("poisson_disc", (0, 0), radius=1, n_targets=None, rng=3)
+    # random sequential addition jams at 0.547 of the area; discs on the rim stick out a little
+    filled = len(full) * np.pi * 0.025**2 / (np.pi * (1 + 0.025) ** 2)
+    assert 0.45 < filled < 0.56
+    with pytest.raises(rs.InputError, match="targets at least 0.5 deg apart do not fit"):
+        sky("poisson_disc", (0, 0), min_separation=0.5 * DEG, n_targets=4000, rng=1)
+
+
+def test_clusters_have_their_size():
+    """Pairs of a Thomas process: the mean number of excess neighbors within R is size (1 - exp(-R^2 / 4 sigma^2))."""
+    excess = []
+    for k in range(10):
+        catalog = sky("clustered", (40, 20), rng=k, cluster_size=8.0)
+        inner = catalog.coord.separation(SkyCoord(40, 20, unit="deg")) < 4.5 * DEG
+        tree = cKDTree(catalog._vectors)
+        near = tree.query_ball_point(catalog._vectors[inner], 2 * np.sin(np.deg2rad(0.1) / 2), return_length=True) - 1
+        excess.append(near.mean() - 60 * np.pi * 0.1**2)
+    expected = 8 * (1 - np.exp(-(0.1**2) / (4 * 0.05**2)))
+    assert np.mean(excess) == pytest.approx(expected, rel=0.08)
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_rng_decides(kind):
+    first, second, third = sky(kind, (0, 0), rng=7), sky(kind, (0, 0), rng=np.random.default_rng(7)), sky(kind, (0, 0), rng=8)
+    np.testing.assert_array_equal(first._vectors, second._vectors)
+    assert len(first) != len(third) or not np.array_equal(first._vectors, third._vectors)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "message"),
+    [
+        ("poison", {"n_targets": 1}, "unknown kind of synthetic catalog 'poison'.* Did you mean 'poisson'"),
+        ("uniform", {}, "a uniform catalog needs n_targets or density"),
+        ("uniform", {"n_targets": 1, "density": 1 / u.deg**2}, "give n_targets or density, not both"),
+        ("uniform", {"n_targets": -1}, "must be finite and not negative"),
+        ("poisson", {"density": 5}, "density must be a Quantity"),
+        ("poisson", {"density": 5 / u.mm**2}, "density must have a unit convertible to 1 / sr"),
+        ("poisson_disc", {"n_targets": 1}, "needs min_separation"),
+        ("clustered", {"n_targets": 1}, "needs cluster_scale"),
+        ("clustered", {"n_targets": 1, "cluster_scale": 90 * DEG}, "cluster_scale must be between 0 and 28 deg"),
+    ],
+)
+def test_bad_input_is_named(kind, options, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.synthetic_catalog(kind, SkyCoord(0, 0, unit="deg"), 1 * DEG, **options)
+
+
+def test_bad_circles_are_named():
+    with pytest.raises(rs.InputError, match="radius must be between 0 and 180 deg"):
+        rs.synthetic_catalog("uniform", SkyCoord(0, 0, unit="deg"), 0 * DEG, n_targets=1)
+    with pytest.raises(rs.InputError, match="center must be one SkyCoord"):
+        rs.synthetic_catalog("uniform", (0, 0), 1 * DEG, n_targets=1)
