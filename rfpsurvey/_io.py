@@ -46,7 +46,7 @@ def read_table(path: str | os.PathLike) -> QTable:
         raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (or with .gz)")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    options = {"mask_invalid": False} if FORMATS[suffix] == "fits" else {}
+    options = {"mask_invalid": False, "character_as_bytes": False} if FORMATS[suffix] == "fits" else {}
     try:
         # CSV carries no units: a plain Table, whose text columns stay text
         cls = Table if FORMATS[suffix] == "ascii.csv" else QTable
@@ -56,6 +56,7 @@ def read_table(path: str | os.PathLike) -> QTable:
     except Exception as error:  # readers of seven formats raise what they like
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {reason}") from error
+    table.convert_bytestring_to_unicode()
     if META_KEY in table.meta:
         table.meta = json.loads(table.meta[META_KEY])
     return table

@@ -171,10 +171,10 @@ class Instrument:
         path = Path(path)
         try:
             return cls(**_description.build(_description.load(path)))
-        except (KeyError, TypeError) as error:
-            raise InputError(f"{path}: the description of the instrument lacks or misuses {error}") from error
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{path}: the description of the instrument lacks or misuses {error}") from error
 
     def to_table(self) -> Table:
         """Return the figures behind the instrument with their sources.

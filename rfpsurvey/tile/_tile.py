@@ -93,12 +93,11 @@ class Tile:
             column = table[name]
             if isinstance(column, Masked):
                 table[name] = column.filled(np.nan)
-            elif name != "target_id" and isinstance(column, MaskedColumn):
-                table[name] = column.filled("" if column.dtype.kind in "US" else 0)
+            elif isinstance(column, MaskedColumn):
+                table[name] = column.filled("" if column.dtype.kind == "U" else None)
         try:
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
-            ids = np.ma.getdata(table["target_id"])
-            table["target_id"] = _target_column(ids, has_target)
+            table["target_id"] = _target_column(np.asarray(table["target_id"]), has_target)
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             return cls(table)
         except (KeyError, InputError) as error:

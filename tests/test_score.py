@@ -1,0 +1,100 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, vstack
+
+import rfpsurvey as rs
+
+MM = u.mm
+CENTER = SkyCoord(95, 23, unit="deg")
+
+
+@pytest.fixture(scope="module")
+def tiles(presets):
+    sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=3)
+    types = np.where(np.arange(len(sky)) % 3, "BOSS", "APOGEE")
+    typed = rs.Catalog(sky.coord, id=sky.id, fiber_type=types)
+    return {
+        "lamost": rs.plan_tile(sky, presets["lamost"], CENTER, position_angle=20 * u.deg),
+        "sdss_apo": rs.plan_tile(typed, presets["sdss_apo"], CENTER, position_angle=20 * u.deg),
+    }
+
+
+@pytest.mark.parametrize("name", ["lamost", "sdss_apo"])
+@pytest.mark.parametrize("positions", [None, "focal_plane", "sky"])
+def test_a_plan_of_ours_scores_as_it_was_planned(presets, tiles, name, positions):
+    tile = tiles[name]
+    field = {"center": CENTER, "position_angle": 20 * u.deg} if positions == "sky" else {}
+    score = rs.score_tile(tile.table, presets[name], positions=positions, **field)
+    for column in ("status", "in_collision", "colliding_with", "spectrograph", "fiber_type"):
+        np.testing.assert_array_equal(score.table[column], tile.table[column])
+    for column in ("theta", "phi", "tip_x", "clearance", "ra"):
+        np.testing.assert_allclose(score.table[column].value, tile.table[column].value, atol=1e-5)
+    np.testing.assert_array_equal(score.table["target_id"].compressed(), tile.table["target_id"].compressed())
+    for key in ("n_assigned", "n_colliding", "n_colliding_pairs", "collision_rate", "n_parked"):
+        assert score.summary[key] == tile.summary[key]
+    assert score.summary["n_out_of_reach"] == 0
+
+
+def test_hole_names_and_field_columns(presets, tiles):
+    """The way SDSS-V lists its designs."""
+    t = tiles["sdss_apo"].table
+    t = t[t["status"] == "assigned"]
+    other = QTable({"holeid": t["id"], "catalogid": t["target_id"], "ra": t["ra"], "dec": t["dec"], "instrument": t["fiber_type"]})
+    other["racen"], other["deccen"], other["position_angle"] = 95 * u.deg, 23 * u.deg, 20 * u.deg
+    score = rs.score_tile(other, presets["sdss_apo"])
+    assert score.summary["n_colliding_pairs"] == tiles["sdss_apo"].summary["n_colliding_pairs"]
+    assert score.provenance["parameters"]["position_angle_deg"] == 20
+    two = vstack([other[:10], other[10:20]])
+    two["racen"][10:] = 96 * u.deg
+    with pytest.raises(rs.InputError, match="column 'racen' has 2 values, so the table holds several fields"):
+        rs.score_tile(two, presets["sdss_apo"])
+
+
+def test_targets_out_of_reach_are_counted_and_their_arms_stretched(presets):
+    plane = presets["lamost"].focal_plane
+    x, y = plane.xy[:2].T
+    plan = QTable({"positioner": [0, 1], "x": x + [20, 3] * MM, "y": y})
+    tile = rs.score_tile(plan, presets["lamost"])
+    assert tile.summary["n_out_of_reach"] == 1
+    assert tile.summary["n_assigned"] == 2
+    assert tile.table["status"][0] == "out_of_reach"
+    np.testing.assert_allclose((tile.table["tip_x"][:2] - x).value, [16.5, 3], atol=1e-9)
+
+
+def test_wrong_fibers_are_counted(presets):
+    plane = presets["sdss_apo"].focal_plane
+    boss_only = int(np.flatnonzero(plane.fiber_type == "BOSS")[0])
+    xy = plane.xy[boss_only] + [15, 0] * MM
+    plan = QTable({"hole_id": [plane.id[boss_only]], "x": xy[:1], "y": xy[1:], "fiber_type": ["APOGEE"]})
+    assert rs.score_tile(plan, presets["sdss_apo"]).summary["n_wrong_fiber"] == 1
+
+
+def test_rows_without_a_positioner_are_ignored(presets):
+    x, y = presets["lamost"].focal_plane.xy[:3].T
+    plan = QTable({"robot_id": [-1, 1, 2], "x": x, "y": y, "assigned": [0, 1, 0]})
+    tile = rs.score_tile(plan, "lamost")
+    assert tile.summary["n_rows_ignored"] == 2
+    assert tile.summary["n_assigned"] == 1
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        ({"x": [0] * MM, "y": [0] * MM}, "there is no column for positioner; the columns are: x, y"),
+        ({"positioner": [0], "z": [0] * MM}, "there is no column for ra and dec"),
+        ({"positioner": [0], "x": [0.0], "y": [0.0]}, "column 'x' has no unit"),
+        ({"positioner": [0], "x": [0] * u.deg, "y": [0] * MM}, "must have a unit convertible to mm, got deg"),
+        ({"positioner": [9999], "x": [0] * MM, "y": [0] * MM}, "positioners that the instrument does not have: 9999"),
+        ({"positioner": [1, 1], "x": [0, 0] * MM, "y": [0, 0] * MM}, "positioner 1 is assigned more than once"),
+        ({"positioner": [-1], "x": [0] * MM, "y": [0] * MM}, "must assign at least one positioner"),
+        ({"positioner": [0], "x": [np.nan] * MM, "y": [0] * MM}, "1 assigned rows have no position"),
+        ({"positioner": [0], "ra": [95] * u.deg, "dec": [23] * u.deg}, "the ra of the field must be given"),
+    ],
+)
+def test_bad_tables_are_named(presets, plan, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.score_tile(QTable(plan), presets["lamost"])
+    with pytest.raises(rs.InputError, match="table must be an astropy Table"):
+        rs.score_tile([1], presets["lamost"])

@@ -1,0 +1,252 @@
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import FK5, SkyCoord
+from astropy.table import QTable
+from astropy.time import Time
+
+import rfpsurvey as rs
+from oracles import segment_distances
+
+MM = u.mm
+CENTER = SkyCoord(95, 23, unit="deg")
+COLUMNS = (
+    "id spectrograph x y status target_id ra dec fiber_type theta phi elbow_x elbow_y tip_x tip_y in_collision "
+    "colliding_with clearance"
+).split()
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return rs.synthetic_catalog("poisson", CENTER, 1.6 * u.deg, density=250 / u.deg**2, rng=3)
+
+
+@pytest.fixture(scope="module")
+def small():
+    """An equal-arm instrument small enough to look at by hand."""
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * MM)
+    return rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
+
+
+@pytest.mark.parametrize("allocator", ["lamost", "balanced"])
+@pytest.mark.parametrize("name", ["sdss_apo", "lamost", "desi"])
+def test_the_table_is_consistent(presets, sky, name, allocator):
+    instrument = presets[name]
+    tile = rs.plan_tile(sky, instrument, CENTER, allocator=allocator, position_angle=33 * u.deg)
+    t, s = tile.table, tile.summary
+    assert t.colnames == COLUMNS
+    assert len(t) == s["n_positioners"] == len(instrument.focal_plane)
+    assigned = t["status"] == "assigned"
+    assert assigned.sum() == s["n_assigned"] > 100
+    np.testing.assert_array_equal(np.asarray(t["target_id"].mask), ~assigned)
+    for column in ("ra", "dec"):
+        np.testing.assert_array_equal(np.isfinite(t[column].value), assigned)
+    ids = t["target_id"][assigned]
+    assert len(np.unique(ids)) == len(ids)
+    # the fibers look at their targets: projection by way of astropy's offsets
+    plane = instrument.projection(CENTER, 33 * u.deg)
+    tips = np.column_stack([t["tip_x"], t["tip_y"]])[assigned]
+    target = SkyCoord(t["ra"][assigned], t["dec"][assigned])
+    assert plane.to_sky(tips).separation(target).to_value(u.arcsec).max() < 1e-6
+    np.testing.assert_array_equal(target.ra.deg, sky.coord.ra.deg[ids.data])
+    # the arms have their lengths, and phi is the angle between them
+    unit = instrument.focal_plane.positioner
+    there = np.isfinite(t["tip_x"].value)
+    assert there.sum() == s["n_assigned"] + s["n_parked"]
+    elbow = np.hypot(t["elbow_x"] - t["x"], t["elbow_y"] - t["y"])[there]
+    np.testing.assert_allclose(elbow.value, unit.central_arm.value, atol=1e-9)
+    offset = np.column_stack([t["tip_x"] - t["x"], t["tip_y"] - t["y"]])[there]
+    np.testing.assert_allclose(unit.forward(t["theta"][there], t["phi"][there]).value, offset.value, atol=1e-8)
+
+
+def test_collisions_and_clearances_are_those_of_brute_force(presets, sky):
+    """LAMOST's arms end at the fiber, so that the columns of the table say all."""
+    tile = rs.plan_tile(sky, presets["lamost"], CENTER, allocator="balanced")
+    t = tile.table
+    arms = np.column_stack([t[c].value for c in ("elbow_x", "elbow_y", "tip_x", "tip_y")])
+    i, j = np.triu_indices(len(t), 1)
+    near = np.hypot(*(arms[i, :2] - arms[j, :2]).T) < 60
+    pairs = np.column_stack([i[near], j[near]])
+    distance = segment_distances(arms, pairs)
+    close = pairs[distance < 4.5]
+    assert tile.summary["n_colliding_pairs"] == len(close) > 3
+    np.testing.assert_array_equal(np.flatnonzero(t["in_collision"]), np.unique(close))
+    partners = {k: [] for k in range(len(t))}
+    for a, b in close:
+        partners[a].append(b)
+        partners[b].append(a)
+    assert [sorted(int(v) for v in text.split()) for text in t["colliding_with"]] == [sorted(partners[k]) for k in range(len(t))]
+    nearest = np.full(len(t), np.inf)
+    np.minimum.at(nearest, pairs.ravel(), np.repeat(distance, 2))
+    np.testing.assert_allclose(t["clearance"].value, nearest - 4.5, atol=1e-11)
+    assert tile.summary["collision_rate"] == len(np.unique(close)) / len(t)
+
+
+@pytest.mark.parametrize("suffix", [".fits", ".ecsv", ".fits.gz", ".ecsv.gz"])
+@pytest.mark.parametrize("ids", [None, [999999, -1, 2**62], ["a b", "", "-1"]])
+def test_written_and_read_back_equal(small, tmp_path, suffix, ids):
+    coord = CENTER.directional_offset_by([0, 90, 200] * u.deg, [0.05, 0.2, 0.3] * u.deg)
+    catalog = rs.Catalog(coord, id=ids, meta={"note": "a value with 'quotes', \"more\" and spaces    " * 5})
+    tile = rs.plan_tile(catalog, small, CENTER, rng=5)
+    path = tmp_path / f"tile{suffix}"
+    tile.write(path)
+    back = rs.Tile.read(path)
+    assert back == tile
+    assert back.summary["n_assigned"] == 3
+    assert set(back.table["target_id"].compressed()) == set(catalog.id)
+    if not suffix.endswith("ecsv.gz"):
+        plain = QTable.read(path)
+        assert plain["x"].unit == MM
+        assert len(plain) == len(tile.table)
+    assert rs.Tile.read(path).provenance["parameters"]["rng"] == 5
+
+
+def test_tiles_that_differ_are_not_equal(small):
+    coord = CENTER.directional_offset_by([0, 90] * u.deg, [0.05, 0.2] * u.deg)
+    first = rs.plan_tile(coord, small, CENTER)
+    second = rs.Tile(first.table.copy())
+    assert second == first
+    second.table["tip_x"][18] += 1e-12 * MM
+    assert second != first
+    assert first != "a tile"
+
+
+def test_provenance_says_how_to_make_it_again(small, sky):
+    tile = rs.plan_tile(sky, small, CENTER, position_angle=10 * u.deg, allocator="balanced", rng=42)
+    p = tile.provenance
+    assert p["parameters"]["rng"] == 42
+    assert p["parameters"]["position_angle_deg"] == 10
+    assert p["parameters"]["allocator"] == "balanced"
+    assert p["instrument"]["name"] == "small"
+    assert {"rfpsurvey", "astropy", "numpy", "numba"} <= set(p["software"])
+    assert "no refraction" in p["model"]
+    again = rs.plan_tile(sky, small, CENTER, position_angle=10 * u.deg, allocator="balanced", rng=42)
+    np.testing.assert_array_equal(np.ma.filled(again.table["target_id"], -1), np.ma.filled(tile.table["target_id"], -1))
+    fresh = rs.plan_tile(sky, small, CENTER, allocator="balanced", rng=None).provenance["parameters"]["rng"]
+    twice = [rs.plan_tile(sky, small, CENTER, allocator="balanced", rng=r).table for r in (fresh, np.random.default_rng(fresh))]
+    np.testing.assert_array_equal(*(np.ma.filled(t["target_id"], -1) for t in twice))
+
+
+def test_proper_motion_moves_the_fibers(small):
+    coord = SkyCoord([95] * u.deg, [23] * u.deg, pm_ra_cosdec=[3600e3] * u.mas / u.yr, pm_dec=[0] * u.mas / u.yr)
+    catalog = rs.Catalog(coord, epoch=Time(2016, format="jyear", scale="tcb"))
+    still, moved = (rs.plan_tile(catalog, small, CENTER, epoch=e) for e in (None, 2016.05))
+    row = np.flatnonzero(still.table["status"] == "assigned")[0]
+    # 180 arcsec east at 200 mm / deg, along +x
+    shift = moved.table["tip_x"][row] - still.table["tip_x"][row]
+    assert shift.to_value(MM) == pytest.approx(10, rel=1e-4)
+    assert moved.provenance["parameters"]["epoch"] == "J2016.050"
+
+
+def test_north_of_date_turns_the_field(small, sky):
+    today = CENTER.transform_to(FK5(equinox="J2026"))
+    tile = rs.plan_tile(sky, small, today)
+    assert tile.provenance["parameters"]["north_of"] == "fk5 J2026.000"
+
+
+def test_sky_and_standards_are_set_aside(small):
+    coord = CENTER.directional_offset_by([0, 90, 200] * u.deg, [0.05, 0.2, 0.3] * u.deg)
+    tile = rs.plan_tile(rs.Catalog(coord, kind=["science", "sky", "standard"]), small, CENTER)
+    assert tile.summary["n_in_field"] == 3
+    assert tile.summary["n_set_aside"] == 2
+    assert tile.summary["n_assigned"] == 1
+
+
+def test_priorities_decide(small):
+    coord = CENTER.directional_offset_by([0, 0] * u.deg, [0.01, 0.02] * u.deg)
+    tile = rs.plan_tile(rs.Catalog(coord, id=["near", "far"], priority=[1, 2]), small, CENTER)
+    assert tile.table["target_id"].compressed().tolist() == ["far"]
+
+
+def test_disabled_and_stuck_units_show(small):
+    n = len(small.focal_plane)
+    stuck = np.full((n, 2), np.nan)
+    stuck[3] = [20, 120]
+    plane = replace(small.focal_plane, disabled=np.arange(n) == 5, stuck=stuck * u.deg)
+    coord = CENTER.directional_offset_by(np.linspace(0, 350, 90) * u.deg, np.linspace(0.01, 0.4, 90) * u.deg)
+    tile = rs.plan_tile(coord, replace(small, focal_plane=plane), CENTER)
+    assert tile.table["status"][3] == "stuck"
+    assert tile.table["status"][5] == "disabled"
+    assert tile.table["theta"][3] == 20 * u.deg
+    assert tile.table["target_id"].mask[[3, 5]].all()
+
+
+def test_fiber_types_and_spectrographs(presets):
+    coord = CENTER.directional_offset_by(np.linspace(0, 357, 120) * u.deg, np.linspace(0.1, 1.3, 120) * u.deg)
+    types = np.array(["BOSS", "APOGEE", ""] * 40)
+    tile = rs.plan_tile(rs.Catalog(coord, fiber_type=types), presets["sdss_apo"], CENTER)
+    t = tile.table[tile.table["status"] == "assigned"]
+    wanted = types[np.asarray(t["target_id"])]
+    assert (t["fiber_type"][wanted != ""] == wanted[wanted != ""]).all()
+    assert (t["fiber_type"][wanted == ""] == "BOSS").all()
+    np.testing.assert_array_equal(t["spectrograph"], (t["fiber_type"] == "APOGEE").astype(int))
+    # an instrument without named fiber types takes them all
+    assert rs.plan_tile(rs.Catalog(coord, fiber_type=types), presets["lamost"], CENTER).summary["n_assigned"] > 80
+
+
+def test_each_fiber_type_is_projected_by_its_map(presets):
+    instrument = presets["sdss_apo"]
+    coord = SkyCoord([CENTER.directional_offset_by(90 * u.deg, 1.0 * u.deg)])
+    # 9208 sin(1.372...) and 8939 sin(1.413...), the two maps at 1 deg
+    for name, expected in (("BOSS", 220.519), ("APOGEE", 220.528)):
+        tile = rs.plan_tile(rs.Catalog(coord, fiber_type=[name]), instrument, CENTER)
+        tip = tile.table["tip_x"][tile.table["status"] == "assigned"]
+        assert tip[0].value == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("catalog", "message"),
+    [
+        (SkyCoord([], [], unit="deg"), "the catalog must have at least one target"),
+        (SkyCoord([200], [-40], unit="deg"), "no target lies within .* of the field center .*; the nearest is"),
+        (SkyCoord([95], [23.46], unit="deg"), "no science target lies in reach"),
+        (rs.Catalog(SkyCoord([95], [23], unit="deg"), kind=["sky"]), "none of the 1 targets in the field is science"),
+        ("stars", "coord must be a SkyCoord"),
+    ],
+)
+def test_a_field_without_targets_is_named(small, catalog, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.plan_tile(catalog, small, CENTER)
+
+
+def test_bad_input_is_named(small, sky, presets, tmp_path):
+    with pytest.raises(rs.InputError, match="unknown allocator 'best'; choose one of: balanced, lamost"):
+        rs.plan_tile(sky, small, CENTER, allocator="best")
+    with pytest.raises(rs.InputError, match="center must be one SkyCoord"):
+        rs.plan_tile(sky, small, (95, 23))
+    with pytest.raises(rs.InputError, match="rotation must be a Quantity"):
+        rs.plan_tile(sky, small, CENTER, position_angle=5)
+    with pytest.raises(rs.InputError, match="unknown fiber type 'HERMES'; choose one of: APOGEE, BOSS"):
+        rs.plan_tile(rs.Catalog(sky.coord, fiber_type=["HERMES"] * len(sky)), presets["sdss_apo"], CENTER)
+    tile = rs.plan_tile(sky, small, CENTER)
+    with pytest.raises(rs.InputError, match="the folder .* does not exist"):
+        tile.write(tmp_path / "no" / "tile.fits")
+    with pytest.raises(rs.InputError, match="must end in .fits or .ecsv"):
+        tile.write(tmp_path / "tile.txt")
+    sky_path = tmp_path / "sky.ecsv"
+    sky.write(sky_path)
+    with pytest.raises(rs.InputError, match="does not hold a tile"):
+        rs.Tile.read(sky_path)
+    with pytest.raises(rs.InputError, match="there is no such file"):
+        rs.Tile.read(tmp_path / "nothing.fits")
+    unicode_ids = rs.plan_tile(rs.Catalog(sky.coord, id=[f"★{k}" for k in range(len(sky))]), small, CENTER)
+    with pytest.raises(rs.InputError, match="FITS holds ASCII text only"):
+        unicode_ids.write(tmp_path / "star.fits")
+    unicode_ids.write(tmp_path / "star.ecsv")
+    assert rs.Tile.read(tmp_path / "star.ecsv") == unicode_ids
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["sky.ecsv", "star.ecsv"]
+
+
+def test_a_failed_write_leaves_the_old_file(small, sky, tmp_path, monkeypatch):
+    path = tmp_path / "tile.ecsv"
+    tile = rs.plan_tile(sky, small, CENTER)
+    tile.write(path)
+    before = path.read_bytes()
+    monkeypatch.setattr(QTable, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        tile.write(path, overwrite=True)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["tile.ecsv"]
