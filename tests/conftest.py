@@ -22,9 +22,7 @@ def rng():
 @pytest.fixture(scope="session")
 def presets():
     """All shipped instruments, built once."""
-    return {
-        name: rs.Instrument.preset(name) for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs")
-    }
+    return {name: rs.Instrument.preset(name) for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs")}
 
 
 @pytest.fixture(scope="session")

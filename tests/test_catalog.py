@@ -33,7 +33,11 @@ def test_usual_names_are_found(ra, dec):
 
 def test_columns_are_found_by_ucd():
     t = Table({"alpha_x": [1.0], "delta_x": [2.0], "name_x": [7], "err": [0.1]})
-    for name, ucd in (("alpha_x", "pos.eq.ra;meta.main"), ("delta_x", "pos.eq.dec;meta.main"), ("name_x", "meta.id;meta.main")):
+    for name, ucd in (
+        ("alpha_x", "pos.eq.ra;meta.main"),
+        ("delta_x", "pos.eq.dec;meta.main"),
+        ("name_x", "meta.id;meta.main"),
+    ):
         t[name].meta["ucd"] = ucd
     t["err"].meta["ucd"] = "stat.error;pos.eq.ra"
     t["alpha_x"].unit = t["delta_x"].unit = DEG
@@ -96,7 +100,13 @@ def test_files_are_read_through_astropy(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
 def test_write_then_read(tmp_path, suffix):
     first = rs.Catalog.from_table(
-        table(id=["a", "b", "c"], priority=[1, 2, 3], pmra=[1, 2, 3] * PM, pmdec=[1, 2, 3] * PM, ref_epoch=[2016] * 3 * u.yr)
+        table(
+            id=["a", "b", "c"],
+            priority=[1, 2, 3],
+            pmra=[1, 2, 3] * PM,
+            pmdec=[1, 2, 3] * PM,
+            ref_epoch=[2016] * 3 * u.yr,
+        )
     )
     path = tmp_path / f"stars{suffix}"
     first.write(path)
@@ -145,7 +155,10 @@ def test_coordinates_that_are_not_finite_are_dropped_and_counted():
     with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
         assert len(rs.Catalog.from_table(masked)) == 1
     with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
-        assert rs.Catalog(SkyCoord([1, np.nan] * DEG, [0, 0] * DEG)).within(SkyCoord(1, 0, unit="deg"), 1 * DEG).n_dropped == 1
+        assert (
+            rs.Catalog(SkyCoord([1, np.nan] * DEG, [0, 0] * DEG)).within(SkyCoord(1, 0, unit="deg"), 1 * DEG).n_dropped
+            == 1
+        )
 
 
 def test_at_epoch_agrees_with_astropy(rng):
@@ -208,7 +221,10 @@ def test_within_agrees_with_astropy(center, rng):
         ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
         ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
         ({"ra": ["x"], "dec": ["y"]}, "are not sexagesimal"),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]}, "column 'priority' .priority. must hold numbers"),
+        (
+            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},
+            "column 'priority' .priority. must hold numbers",
+        ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]}, "unknown kind of target 'galaxy'; choose one of"),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": [np.nan]}, "priority must be a number for every target"),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0]}, "must hold Julian years"),

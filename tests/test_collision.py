@@ -178,7 +178,12 @@ def test_poses_and_tips_and_allocations_say_the_same(rng):
 
 def test_the_capsule_is_turned_from_the_fiber():
     unit = rs.Positioner(
-        7.4 * MM, 14.97 * MM, 2 * MM, arm_model="capsule", arm_length=14.7 * MM, arm_angle={"B": 2 * u.deg, "A": -2 * u.deg}
+        7.4 * MM,
+        14.97 * MM,
+        2 * MM,
+        arm_model="capsule",
+        arm_length=14.7 * MM,
+        arm_angle={"B": 2 * u.deg, "A": -2 * u.deg},
     )
     plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, unit, fiber_type=["B+A", "B+A"])
     arms = place_arms(plane, [[22.37, 0], [122.37, 0]] * MM, fiber_type=np.array(["B", "A"]))

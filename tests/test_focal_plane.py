@@ -83,15 +83,17 @@ def test_neighbor_pairs_are_those_of_brute_force(rng):
     plane = rs.FocalPlane(xy * MM, robot(), central_arm=arms[:, 0] * MM, eccentric_arm=arms[:, 1] * MM)
     reach = arms.sum(axis=1)
     expected = [
-        (i, j)
-        for i in range(120)
-        for j in range(i + 1, 120)
-        if np.hypot(*(xy[i] - xy[j])) < reach[i] + reach[j] + 4.5
+        (i, j) for i in range(120) for j in range(i + 1, 120) if np.hypot(*(xy[i] - xy[j])) < reach[i] + reach[j] + 4.5
     ]
     assert [tuple(p) for p in plane.neighbor_pairs()] == expected
 
 
-@given(arrays(float, (7, 2), elements=st.integers(-20, 20).map(lambda k: 2.5 * k), unique=True), points(30), lengths, lengths)
+@given(
+    arrays(float, (7, 2), elements=st.integers(-20, 20).map(lambda k: 2.5 * k), unique=True),
+    points(30),
+    lengths,
+    lengths,
+)
 def test_reach_is_exact(centers, xy, l1, l2):
     """Against exact rationals, with targets that often lie just on the edges."""
     if len(np.unique(centers, axis=0)) < 7:

@@ -194,7 +194,9 @@ def test_bad_descriptions_are_named(tmp_path, content, message):
 
 
 def test_unknown_names_list_the_choices(tmp_path):
-    with pytest.raises(rs.InputError, match="unknown instrument 'lamst'; choose one of: .*lamost.* Did you mean 'lamost'"):
+    with pytest.raises(
+        rs.InputError, match="unknown instrument 'lamst'; choose one of: .*lamost.* Did you mean 'lamost'"
+    ):
         rs.Instrument.preset("lamst")
     with pytest.raises(rs.InputError, match="cannot be read as TOML"):
         rs.Instrument.read(tmp_path / "missing.toml")

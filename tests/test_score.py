@@ -41,7 +41,9 @@ def test_hole_names_and_field_columns(presets, tiles):
     """The way SDSS-V lists its designs."""
     t = tiles["sdss_apo"].table
     t = t[t["status"] == "assigned"]
-    other = QTable({"holeid": t["id"], "catalogid": t["target_id"], "ra": t["ra"], "dec": t["dec"], "instrument": t["fiber_type"]})
+    other = QTable(
+        {"holeid": t["id"], "catalogid": t["target_id"], "ra": t["ra"], "dec": t["dec"], "instrument": t["fiber_type"]}
+    )
     other["racen"], other["deccen"], other["position_angle"] = 95 * u.deg, 23 * u.deg, 20 * u.deg
     score = rs.score_tile(other, presets["sdss_apo"])
     assert score.summary["n_colliding_pairs"] == tiles["sdss_apo"].summary["n_colliding_pairs"]

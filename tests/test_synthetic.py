@@ -84,7 +84,11 @@ def test_clusters_have_their_size():
 
 @pytest.mark.parametrize("kind", OPTIONS)
 def test_rng_decides(kind):
-    first, second, third = sky(kind, (0, 0), rng=7), sky(kind, (0, 0), rng=np.random.default_rng(7)), sky(kind, (0, 0), rng=8)
+    first, second, third = (
+        sky(kind, (0, 0), rng=7),
+        sky(kind, (0, 0), rng=np.random.default_rng(7)),
+        sky(kind, (0, 0), rng=8),
+    )
     np.testing.assert_array_equal(first._vectors, second._vectors)
     assert len(first) != len(third) or not np.array_equal(first._vectors, third._vectors)
 

@@ -78,7 +78,9 @@ def test_collisions_and_clearances_are_those_of_brute_force(presets, sky):
     for a, b in close:
         partners[a].append(b)
         partners[b].append(a)
-    assert [sorted(int(v) for v in text.split()) for text in t["colliding_with"]] == [sorted(partners[k]) for k in range(len(t))]
+    assert [sorted(int(v) for v in text.split()) for text in t["colliding_with"]] == [
+        sorted(partners[k]) for k in range(len(t))
+    ]
     nearest = np.full(len(t), np.inf)
     np.minimum.at(nearest, pairs.ravel(), np.repeat(distance, 2))
     np.testing.assert_allclose(t["clearance"].value, nearest - 4.5, atol=1e-11)
@@ -126,7 +128,10 @@ def test_provenance_says_how_to_make_it_again(small, sky):
     again = rs.plan_tile(sky, small, CENTER, position_angle=10 * u.deg, allocator="balanced", rng=42)
     np.testing.assert_array_equal(np.ma.filled(again.table["target_id"], -1), np.ma.filled(tile.table["target_id"], -1))
     fresh = rs.plan_tile(sky, small, CENTER, allocator="balanced", rng=None).provenance["parameters"]["rng"]
-    twice = [rs.plan_tile(sky, small, CENTER, allocator="balanced", rng=r).table for r in (fresh, np.random.default_rng(fresh))]
+    twice = [
+        rs.plan_tile(sky, small, CENTER, allocator="balanced", rng=r).table
+        for r in (fresh, np.random.default_rng(fresh))
+    ]
     np.testing.assert_array_equal(*(np.ma.filled(t["target_id"], -1) for t in twice))
 
 

@@ -46,6 +46,7 @@ def main() -> None:
     """Run the command line; bad input ends with one sentence and the exit code 2."""
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
+    warnings.simplefilter("always", rs.RfpsurveyWarning)
     try:
         app()
     except (rs.InputError, OSError) as error:

@@ -1,0 +1,174 @@
+import subprocess
+import sys
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable, Table
+
+import rfpsurvey as rs
+from rfpsurvey import _cli
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process; returns exit code, output and errors."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["rfpsurvey", *map(str, arguments)])
+        try:
+            _cli.main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return call
+
+
+def sentence(code, err):
+    """Bad input: exit code 2 and one line, no traceback."""
+    assert code == 2
+    lines = [line for line in err.strip().split("\n") if "warning:" not in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("rfpsurvey: ")
+    return lines[0]
+
+
+@pytest.mark.parametrize("instrument", ["lamost", "sdss_apo"])
+def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
+    fits, png = tmp_path / "tile.fits", tmp_path / "tile.png"
+    code, out, err = run(
+        "plan", tycho, "--instrument", instrument, "--center", "06h20m00s +23d00m00s", "--pa", 15, "--epoch", 2026.5,
+        "--output", fits, "--plot", png,
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    assert "targets in the catalog                 21662" in out
+    table = QTable.read(fits)
+    assert table["x"].unit == u.mm
+    assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    tile = rs.Tile.read(fits)
+    assert f"{tile.summary['n_assigned']:>10}" in out
+    if instrument == "lamost":
+        assert 1900 < tile.summary["n_in_field"] < 2700
+    assert tile.provenance["parameters"]["epoch"] == "J2026.500"
+
+
+def test_the_embedded_default(run):
+    code, out, _ = run("plan")
+    assert code == 0
+    assert out.startswith("lamost, allocator lamost\n")
+    assert "collision rate" in out
+
+
+def test_module_and_version_and_help():
+    for arguments, text in ((["--version"], "rfpsurvey "), (["--help"], "plan"), (["plan", "--help"], "Examples:")):
+        done = subprocess.run(
+            [sys.executable, "-m", "rfpsurvey", *arguments], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0
+        assert text in done.stdout
+
+
+def test_instruments(run):
+    code, out, _ = run("instruments")
+    assert code == 0
+    assert all(name in out for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs"))
+    code, out, _ = run("instruments", "lamost")
+    assert code == 0
+    assert "positioner.central_arm = 8.25 mm\n    published: Chen et al." in out
+    assert "assumed: " in out
+
+
+def test_score(run, tmp_path):
+    x, y = rs.Instrument.preset("lamost").focal_plane.xy[:3].T
+    path = tmp_path / "plan.ecsv"
+    QTable({"positioner": [0, 1, 2], "field": [1, 1, 2], "x": x + 5 * u.mm, "y": y}).write(path)
+    code, out, _ = run("score", path, "--select", "field=1", "--output", tmp_path / "out.ecsv")
+    assert code == 0
+    assert rs.Tile.read(tmp_path / "out.ecsv").summary["n_assigned"] == 2
+    assert "allocator scored" in out
+    assert "leaves no row" in sentence(*run("score", path, "--select", "field=3")[::2])
+    assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
+    assert "must have the form NAME=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
+
+
+def test_columns_units_and_toml(run, tmp_path):
+    center = "10.0 20.0"
+    rng = np.random.default_rng(1)
+    t = Table({"a": rng.uniform(9.7, 10.3, 50), "b": rng.uniform(19.7, 20.3, 50), "rank": np.arange(50)})
+    t.write(tmp_path / "t.ecsv")
+    arguments = ("plan", tmp_path / "t.ecsv", "--center", center, "--instrument", "moons")
+    names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
+    assert "has no unit; say which" in sentence(*run(*arguments, *names)[::2])
+    code, out, _ = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
+    assert code == 0
+    assert "in reach of a positioner" in out
+
+
+def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
+    t = QTable({"ra": [10, np.nan] * u.deg, "dec": [20, 20] * u.deg})
+    t.write(tmp_path / "t.ecsv")
+    code, out, err = run("plan", tmp_path / "t.ecsv", "--center", "10.0 20.0")
+    assert code == 0
+    assert "dropped, no finite coordinates           1\n" in out
+    assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were dropped\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{no}.fits"], "there is no such file"),
+        (["{bad}.fits"], "cannot be read as fits"),
+        (["{bad}.txt"], "must end in one of .fits"),
+        (["{empty}.ecsv"], "the catalog must have at least one target"),
+        (["{noname}.ecsv"], "there is no column for ra and dec; the columns are: x, y"),
+        (["{units}.ecsv"], "column 'ra' (ra) must have a unit convertible to deg, got mm"),
+        (["{unitless}.ecsv"], "column 'ra' has no unit"),
+        (["{good}.ecsv", "--center", "0.0 -60.0"], "no target lies within"),
+        (["{good}.ecsv", "--center", "10.0 22.4765"], "no science target lies in reach of a positioner"),
+        (["--center", "somewhere"], "--center must be coordinates"),
+        (["--instrument", "lamots"], "unknown instrument 'lamots'; choose one of"),
+        (["--instrument", "{no}.toml"], "cannot be read as TOML"),
+        (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
+        (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
+        (["--output", "{no}/tile.fits"], "does not exist"),
+        (["--output", "{good}.ecsv"], "exists; ask for it to be overwritten"),
+        (["--output", "{tile}.csv"], "must end in .fits or .ecsv"),
+        (["--plot", "{tile}.jpg"], "must end in .png or .pdf or .svg"),
+        (["{good}.ecsv", "--unit", "ra"], "--unit must have the form NAME=VALUE"),
+        (["{good}.ecsv", "--column", "rightascension=x"], "unknown column role 'rightascension'"),
+    ],
+)
+def test_bad_input_is_one_sentence(run, tmp_path, arguments, message):
+    (tmp_path / "bad.fits").write_bytes(b"nothing")
+    (tmp_path / "bad.txt").write_bytes(b"nothing")
+    deg = u.deg
+    for name, content in {
+        "empty": {"ra": [] * deg, "dec": [] * deg},
+        "noname": {"x": [1.0], "y": [2.0]},
+        "units": {"ra": [1.0] * u.mm, "dec": [2.0] * deg},
+        "unitless": {"ra": [1.0], "dec": [2.0]},
+        "good": {"ra": [10.0] * deg, "dec": [20.0] * deg},
+    }.items():
+        QTable(content).write(tmp_path / f"{name}.ecsv")
+    filled = [
+        a.format(**{k: tmp_path / k for k in "no bad empty noname units unitless good tile".split()}) for a in arguments
+    ]
+    before = sorted(p.name for p in tmp_path.iterdir())
+    code, _, err = run("plan", *filled)
+    assert message in sentence(code, err)
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_overwrite(run, tmp_path):
+    path = tmp_path / "tile.ecsv"
+    path.write_text("old")
+    assert run("plan", "--instrument", "moons", "--output", path, "--overwrite")[0] == 0
+    assert rs.Tile.read(path).summary["n_positioners"] == 1001
+
+
+def test_usage_errors_exit_with_2(run):
+    assert run("plan", "--nonsense")[0] == 2
+    assert run("nonsense")[0] == 2

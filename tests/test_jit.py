@@ -1,0 +1,74 @@
+"""The on-disk cache of machine code, in fresh processes and a copy of the package."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rfpsurvey
+
+PROBE = """
+import numpy as np
+from rfpsurvey._kernels import collisions
+from rfpsurvey._kernels.arms import solve
+one = np.ones(1)
+elbow = [np.empty(1) for _ in range(4)]
+solve(3 * one, 0 * one, 0 * one, 0 * one, 2 * one, 2 * one, one, 0.0, *elbow)
+print(elbow[3][0], sum(solve.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def copy(tmp_path):
+    package = Path(rfpsurvey.__file__).parent
+    target = tmp_path / "rfpsurvey"
+    shutil.copytree(package, target, ignore=shutil.ignore_patterns("__pycache__"))
+    return target
+
+
+def probe(copy, **environment):
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE], cwd=copy.parent, capture_output=True, text=True, check=True,
+        env={**clean, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment},
+    )  # fmt: skip
+    value, hits = done.stdout.split()
+    return float(value), int(hits)
+
+
+def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(copy):
+    """The edit keeps the size and the time of the file, as an upgrade may do, and numba would not notice."""
+    first = probe(copy)
+    assert first[1] == 0
+    assert probe(copy) == (first[0], 1)
+    for name, old, new in (
+        ("arms.py", "ey = along * uy - side * across * ux", "ey = along * uy + side * across * ux"),
+        ("collisions.py", "Distances between arms", "Distances betwixt arms"),
+    ):
+        path = copy / "_kernels" / name
+        stat = path.stat()
+        text = path.read_text()
+        assert text.count(old) == 1
+        path.write_text(text.replace(old, new))
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+        assert path.stat().st_size == stat.st_size
+        value, hits = probe(copy)
+        assert hits == 0
+        assert value == -first[0]
+    assert probe(copy)[1] == 1
+
+
+def test_the_cache_can_be_switched_off(copy):
+    first = probe(copy, RFPSURVEY_CACHE="0")
+    assert probe(copy, RFPSURVEY_CACHE="0") == (first[0], 0)
+    assert not list(copy.rglob("*.nbi"))
+
+
+def test_without_a_place_for_the_cache_it_still_runs(copy, tmp_path):
+    """NUMBA_CACHE_DIR in a folder that cannot be made: no cache, no error."""
+    blocked = tmp_path / "a_file"
+    blocked.write_text("")
+    assert probe(copy, NUMBA_CACHE_DIR=str(blocked / "below"))[1] == 0

@@ -1,0 +1,71 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import rfpsurvey as rs
+from rfpsurvey.plot import ARM, COLLISION, IDLE, OBSTACLE
+
+CENTER = SkyCoord(95, 23, unit="deg")
+
+
+@pytest.fixture(scope="module")
+def tile(presets):
+    sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+
+
+def artists(ax, kind, color):
+    def color_of(collection):
+        colors = collection.get_facecolor() if kind is PolyCollection else collection.get_edgecolor()
+        return to_hex(colors[0]) if len(colors) else None
+
+    return [c for c in ax.collections if type(c) is kind and color_of(c) == color.lower()]
+
+
+def test_every_arm_is_drawn_once_in_its_color(tile):
+    ax = rs.plot_focal_plane(tile)
+    t = tile.table
+    for color, rows in ((COLLISION, t["in_collision"]), (ARM, (t["status"] == "assigned") & ~t["in_collision"])):
+        central, eccentric = artists(ax, LineCollection, color)
+        assert len(central.get_segments()) == len(eccentric.get_segments()) == rows.sum() > 10
+        drawn = np.array(eccentric.get_segments())
+        np.testing.assert_allclose(drawn[:, 1, 0], t["tip_x"][rows].value)
+        np.testing.assert_allclose(drawn[:, 0, 1], t["elbow_y"][rows].value)
+    assert ax.get_aspect() == 1
+    # few artists, however many positioners
+    assert len(ax.collections) < 20
+
+
+def test_shades_are_half_the_safe_distance_wide(tile):
+    ax = rs.plot_focal_plane(tile)
+    body = artists(ax, PolyCollection, COLLISION)[0].get_paths()[0].vertices
+    arm = np.array(artists(ax, LineCollection, COLLISION)[1].get_segments()[0])
+    gap = np.linalg.norm(body - arm[0], axis=1).min()
+    assert gap == pytest.approx(4.0782 / 2, abs=1e-4)
+
+
+def test_unassigned_positioners_are_gray_and_obstacles_are_there(tile, presets):
+    ax = rs.plot_focal_plane(tile)
+    gray = artists(ax, EllipseCollection, IDLE)
+    assert len(gray[0].get_offsets()) == (tile.table["status"] != "assigned").sum()
+    circles = [
+        c
+        for c in ax.collections
+        if isinstance(c, EllipseCollection) and len(c.get_facecolor()) and to_hex(c.get_facecolor()[0]) == OBSTACLE
+    ]
+    assert len(circles[0].get_offsets()) == 46
+
+
+def test_axes_region_and_style_can_be_given(tile):
+    ax = Figure().add_subplot()
+    assert rs.plot_focal_plane(tile, ax=ax, region=[[-50, -40], [50, 40]] * u.mm, alpha=0.5) is ax
+    assert ax.get_xlim() == (-50, 50)
+    assert ax.get_ylim() == (-40, 40)
+    with pytest.raises(rs.InputError, match="tile must be a Tile"):
+        rs.plot_focal_plane("tile")
+    with pytest.raises(rs.InputError, match="region must be two corners"):
+        rs.plot_focal_plane(tile, region=[1, 2] * u.mm)
