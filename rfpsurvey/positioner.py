@@ -143,12 +143,12 @@ class Positioner:
 
     @property
     def inner_radius(self) -> u.Quantity:
-        """Inner radius of the patrol area, |l1 - l2|."""
+        """Inner radius of the patrol area, the difference of the arm lengths."""
         return (0.0 if self.equal_arms else abs(self._l1 - self._l2)) * u.mm
 
     @property
     def outer_radius(self) -> u.Quantity:
-        """Outer radius of the patrol area, l1 + l2."""
+        """Outer radius of the patrol area, the sum of the arm lengths."""
         return (self._l1 + self._l2) * u.mm
 
     @property

@@ -178,8 +178,8 @@ class TangentPlane:
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> plane = rs.TangentPlane(SkyCoord("6h20m +23d"), 20 * u.m / u.rad)
-    >>> plane.to_focal_plane(SkyCoord("6h20m +23d30m"))
-    <Quantity [[  0.        , 174.53735621]] mm>
+    >>> plane.to_focal_plane(SkyCoord("6h20m +23d30m")).round(6)
+    <Quantity [[  0.      , 174.537356]] mm>
     """
 
     center: SkyCoord
@@ -262,7 +262,7 @@ class TangentPlane:
         Returns
         -------
         Quantity, shape (n, 2)
-            x and y in mm; NaN where there is no image.
+            Columns x and y in mm; NaN where there is no image.
         """
         vectors = getattr(coord, "_vectors", None)
         if vectors is None:

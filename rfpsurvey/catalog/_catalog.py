@@ -207,7 +207,9 @@ class Catalog:
         ----------
         path : str or path-like
             The ending tells the format; it may be followed by ``.gz``.
-        columns, units, frame
+        columns, units : dict, optional
+            As in `from_table`.
+        frame : str, optional
             As in `from_table`.
 
         Returns

@@ -43,6 +43,7 @@ class Tile:
 
     Examples
     --------
+    >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> lamost = rs.Instrument.preset("lamost")
     >>> center = SkyCoord("6h20m +23d")

@@ -1,0 +1,38 @@
+"""Seconds of a fresh process: importing the package, and the embedded default with and without a cache of kernels.
+
+Run it as ``python tests/benchmarks/cold_start.py``; medians of five, the cold run once.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+BASE = "import astropy.coordinates, astropy.table, numba, scipy.spatial"
+PLAN = [sys.executable, "-m", "rfpsurvey", "plan"]
+
+
+def seconds(command, **environment):
+    """Wall time of one process."""
+    start = time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, **environment})
+    return time.perf_counter() - start
+
+
+def plan_seconds(folder, repeats):
+    """Wall times of the embedded default: the first without a cache, the others with it."""
+    return [seconds(PLAN, NUMBA_CACHE_DIR=folder) for _ in range(repeats + 1)]
+
+
+if __name__ == "__main__":
+    imports = {"dependencies": BASE, "rfpsurvey": "import rfpsurvey"}
+    times = {name: [] for name in imports}
+    for _ in range(5):
+        for name, statement in imports.items():
+            times[name].append(seconds([sys.executable, "-c", statement]))
+    with tempfile.TemporaryDirectory() as folder:
+        cold, *warm = plan_seconds(folder, 5)
+    for name, values in {**times, "plan, cold": [cold], "plan, warm": warm}.items():
+        print(f"{name:<14}{statistics.median(values):8.3f} s")

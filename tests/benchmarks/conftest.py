@@ -1,0 +1,35 @@
+import astropy.units as u
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from sky_center import CENTER
+
+
+@pytest.fixture(scope="session")
+def lamost():
+    return rs.Instrument.preset("lamost")
+
+
+@pytest.fixture(scope="session")
+def stars(lamost):
+    """100,000 targets in the field of LAMOST, their unit vectors made."""
+    catalog = rs.synthetic_catalog("uniform", CENTER, lamost.field_radius, n_targets=100_000, rng=1)
+    catalog._vectors  # noqa: B018
+    return catalog
+
+
+@pytest.fixture(scope="session")
+def xy(lamost, stars):
+    return lamost.projection(CENTER).to_focal_plane(stars)
+
+
+@pytest.fixture(scope="session")
+def tile_table(lamost, stars):
+    """One whole tile, which also compiles every kernel."""
+    return rs.plan_tile(stars, lamost, CENTER, epoch=None).table
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _warm(tile_table):
+    rs.plan_tile(SkyCoord(95.1, 23.1, unit="deg"), "sdss_apo", CENTER, position_angle=1 * u.deg)

@@ -1,0 +1,50 @@
+"""The stages of one LAMOST tile of 4000 positioners and 100,000 targets, JIT warmed."""
+
+import astropy.units as u
+import pytest
+
+import rfpsurvey as rs
+from rfpsurvey.collision import find_collisions, nearest_distance
+from sky_center import CENTER
+
+
+@pytest.fixture(autouse=True)
+def _group(benchmark):
+    benchmark.group = "stages"
+
+
+def test_1_select(benchmark, lamost, stars):
+    benchmark(lambda: stars._within(CENTER, lamost.field_radius.to_value(u.rad)))
+
+
+def test_2_projection(benchmark, lamost, stars):
+    benchmark(lambda: lamost.projection(CENTER).to_focal_plane(stars))
+
+
+def test_3_reach(benchmark, lamost, xy):
+    points = xy.value
+    benchmark(lambda: lamost.focal_plane._reach(points))
+
+
+@pytest.mark.parametrize("method", ["balanced", "lamost"])
+def test_4_allocation_with_reach(benchmark, lamost, xy, method):
+    benchmark(lambda: rs.allocate(xy, lamost.focal_plane, method=method))
+
+
+def test_5_arms(benchmark, lamost, xy):
+    allocation = rs.allocate(xy, lamost.focal_plane, method="balanced")
+    benchmark(lambda: allocation.place_arms(lamost.focal_plane))
+
+
+def test_6_collisions(benchmark, lamost, xy):
+    arms = rs.allocate(xy, lamost.focal_plane, method="balanced").place_arms(lamost.focal_plane)
+    benchmark(lambda: find_collisions(lamost.focal_plane, arms))
+
+
+def test_7_clearances(benchmark, lamost, xy):
+    arms = rs.allocate(xy, lamost.focal_plane, method="balanced").place_arms(lamost.focal_plane)
+    benchmark(lambda: nearest_distance(arms))
+
+
+def test_8_whole_tile(benchmark, lamost, stars):
+    benchmark(lambda: rs.plan_tile(stars, lamost, CENTER))
