@@ -58,7 +58,10 @@ def read_table(path: str | os.PathLike) -> QTable:
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {reason}") from error
     table.convert_bytestring_to_unicode()
     if META_KEY in table.meta:
-        table.meta = json.loads(table.meta[META_KEY])
+        try:
+            table.meta = json.loads(table.meta[META_KEY])
+        except ValueError as error:
+            raise InputError(f"{path}: the header card {META_KEY} is damaged: {error}") from None
     return table
 
 
@@ -68,13 +71,14 @@ def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = Fal
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
         if suffix_of(path) == ".fits":
             table = table.copy()
-            table.meta = {**(cards or {}), META_KEY: json.dumps(table.meta, separators=(",", ":"))}
+            table.meta = {**(cards or {}), META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
             try:
                 table.write(temporary, format="fits")
             except UnicodeEncodeError as error:
                 raise InputError(f"{path}: FITS holds ASCII text only ({error}); write .ecsv instead") from error
         else:
-            with gzip.open(temporary, "wt") if path.suffix.lower() == ".gz" else open(temporary, "w") as file:
+            opener = gzip.open if path.suffix.lower() == ".gz" else open
+            with opener(temporary, "wt", encoding="utf-8", newline="\n") as file:
                 table.write(file, format="ascii.ecsv")
 
 

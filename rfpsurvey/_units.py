@@ -1,16 +1,27 @@
-"""The door where units come off: everything inside is float64 in mm, radians or plain numbers."""
+"""The door where units and masks come off: everything inside is plain float64 in mm, radians or numbers."""
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord, UnitSphericalRepresentation
+from astropy.coordinates import (
+    RadialDifferential,
+    SkyCoord,
+    SphericalCosLatDifferential,
+    SphericalRepresentation,
+    UnitSphericalCosLatDifferential,
+    UnitSphericalRepresentation,
+)
+from astropy.utils.masked import Masked
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["to_mm", "to_points_mm", "to_radian", "to_unit", "to_vectors"]
+__all__ = [
+    "to_direction", "to_generator", "to_labels", "to_mm", "to_plain", "to_points_mm", "to_radian", "to_scalar",
+    "to_unit", "to_vectors",
+]  # fmt: skip
 
 
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
-    """Return ``value`` as a fresh float64 array in ``unit``, or raise a sentence about ``name``."""
+    """Return ``value`` as a fresh float64 array in ``unit``, masked values as NaN; ``name`` is for the error."""
     if isinstance(value, str):
         try:
             value = u.Quantity(value)
@@ -20,10 +31,27 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
         raise InputError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {_short(value)} without a unit"
         )
+    if isinstance(value, Masked):
+        value = value.filled(np.nan)
     try:
         return np.array(value.to_value(unit), dtype=np.float64, order="C")
     except u.UnitConversionError:
         raise InputError(f"{name} must have a unit convertible to {unit}, got {value.unit}") from None
+
+
+def to_scalar(
+    value: object, unit: u.UnitBase, name: str, *, low: float = -np.inf, high: float = np.inf, closed: bool = False
+) -> float:
+    """Return one finite number in ``unit`` above ``low`` (or equal to it, if ``closed``) and below ``high``."""
+    number = to_unit(value, unit, name)
+    if number.shape != ():
+        raise InputError(f"{name} must be one value, got the shape {number.shape}")
+    if not np.isfinite(number) or not (low < number < high or (closed and number == low)):
+        limits = f" above {low:g} {unit}" if low > -np.inf else ""
+        limits = limits.replace(" above", " of at least") if closed else limits
+        limits += f" and below {high:g} {unit}" if high < np.inf else ""
+        raise InputError(f"{name} must be one finite value{limits}, got {value}")
+    return float(number)
 
 
 def to_mm(value: object, name: str) -> np.ndarray:
@@ -44,16 +72,70 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
     return points
 
 
-def to_vectors(coord: object, name: str = "coord") -> np.ndarray:
-    """Return directions as ICRS unit vectors, shape (n, 3); distances do not matter."""
+def to_direction(coord: object, name: str = "coord") -> SkyCoord:
+    """Return coordinates without distance and radial velocity, in the same frame, with their proper motions."""
     if not isinstance(coord, SkyCoord):
         raise InputError(f"{name} must be a SkyCoord, got {_short(coord)}")
+    data = coord.data
+    motion = data.differentials.get("s")
+    place = data.without_differentials().represent_as(UnitSphericalRepresentation)
+    if motion is not None and not isinstance(motion, RadialDifferential):
+        if not hasattr(motion, "d_lon_coslat"):
+            full = data.represent_as(SphericalRepresentation, SphericalCosLatDifferential)
+            motion = full.differentials["s"]
+        motion = UnitSphericalCosLatDifferential(motion.d_lon_coslat, motion.d_lat)
+        if motion.d_lat.unit.is_equivalent(u.mas / u.yr):
+            place = place.with_differentials({"s": motion})
+    kind = {"representation_type": "spherical", "differential_type": "sphericalcoslat"}
+    return SkyCoord(coord.frame.realize_frame(place, **kind))
+
+
+def to_vectors(coord: object, name: str = "coord") -> np.ndarray:
+    """Return directions as ICRS unit vectors, shape (n, 3); distances do not matter."""
+    direction = to_direction(coord, name)
+    if direction.ndim > 1:
+        raise InputError(f"{name} must have the shape (n,), got {direction.shape}")
+    direction = SkyCoord(direction.frame.realize_frame(direction.data.without_differentials()))
     try:
-        icrs = coord.icrs
+        icrs = direction.icrs
     except Exception as error:  # frames raise what they like when an observer or a time is missing
         raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be brought to ICRS: {error}") from error
     xyz = icrs.represent_as(UnitSphericalRepresentation).to_cartesian().xyz.value
     return np.ascontiguousarray(np.atleast_2d(xyz.T), dtype=np.float64)
+
+
+def to_plain(column: object) -> np.ndarray:
+    """Return a table column or array without unit and mask: masked numbers are NaN, masked text is empty."""
+    values = getattr(column, "value", column)
+    mask = np.asarray(getattr(column, "mask", False))
+    values = np.asarray(getattr(values, "unmasked", values))
+    if values.dtype.kind == "S":
+        values = np.char.decode(values, "utf-8")
+    elif values.dtype.kind == "O":
+        values = np.array(["" if v is None else v for v in values.ravel()]).reshape(values.shape)
+    if mask.any():
+        values = (
+            np.where(mask, "", values) if values.dtype.kind == "U" else np.where(mask, np.nan, values.astype(float))
+        )
+    return values
+
+
+def to_labels(value: object, name: str) -> np.ndarray:
+    """Return names as an array of int64 or of text without blanks around it."""
+    values = to_plain(value)
+    if values.dtype.kind in "iu" and (values.size == 0 or values.max() < 2**63):
+        return values.astype(np.int64)
+    if values.dtype.kind == "f":
+        raise InputError(f"{name} must be integers or text for every row, got numbers such as {values.flat[0]}")
+    return np.char.strip(np.char.replace(values.astype(str), "\n", " "))
+
+
+def to_generator(rng: object) -> np.random.Generator:
+    """Return a numpy Generator from a seed, a Generator or None."""
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError):
+        raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {rng!r}") from None
 
 
 def _short(value: object) -> str:

@@ -29,7 +29,7 @@ class Arms:
     parked: np.ndarray
     """Usable positioners without a target that stand at home and count."""
     clipped: np.ndarray
-    """Positioners whose target is out of reach, stretched toward it."""
+    """Positioners whose target is out of reach: stretched toward it, or bent as the joint limits forbid."""
 
     @property
     def present(self) -> np.ndarray:
@@ -169,6 +169,8 @@ def find_collisions(
     function = METHODS[check_choice(method, METHODS, "collision method")]
     if isinstance(tips, Arms):
         posed = tips
+        if len(posed.segments) != len(focal_plane):
+            raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(focal_plane)}")
     elif hasattr(tips, "target_of_positioner"):
         if theta is not None or phi is not None or handedness is not None or fiber_type is not None:
             raise InputError("an Allocation brings its own arms; give no theta, phi, handedness or fiber_type")
@@ -206,7 +208,7 @@ def place_arms(
     With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
     """
     n = len(focal_plane)
-    if (tips is None) == (theta is None or phi is None):
+    if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("give tips, or theta and phi, not both")
     center = focal_plane._xy_mm
     geometry = (*center.T.copy(), focal_plane._l1_mm, focal_plane._l2_mm)
@@ -221,10 +223,12 @@ def place_arms(
         points = to_points_mm(tips, "tips")
         if len(points) != n:
             raise InputError(f"tips must have a row for each of the {n} positioners, got {len(points)}")
-        side = _sides(focal_plane.positioner.handedness if handedness is None else handedness, n)
+        side = focal_plane._sides(points) if handedness is None else _sides(handedness, n)
         arms.solve(*points.T.copy(), *geometry, side, focal_plane.positioner._home_rad[0], *angles, *elbow)
         tip = points.T.copy()
-        far = _out_of_reach(focal_plane, points)
+        far = _out_of_reach(focal_plane, points) & focal_plane._usable
+        there = np.isfinite(points).all(axis=1) & focal_plane._usable
+        barred = there & ~far & ~focal_plane.positioner._joints_allowed(*angles)
         if far.any() and not clip:
             k = int(np.flatnonzero(far)[0])
             raise InputError(
@@ -232,10 +236,16 @@ def place_arms(
                 f"{np.hypot(*(points[k] - center[k])):.4f} mm from its center, "
                 f"must be {focal_plane._inner_mm[k]:.4f} to {focal_plane._outer_mm[k]:.4f} mm"
             )
+        if barred.any() and not clip:
+            raise InputError(
+                f"{int(barred.sum())} tips are beyond the joint limits, the first that of positioner "
+                f"{focal_plane.id[np.flatnonzero(barred)[0]]}"
+            )
         if far.any():
             posed = [np.empty(n) for _ in range(4)]
             arms.pose(*angles, *geometry, *posed)
             tip[:, far] = np.array(posed[2:])[:, far]
+        far |= barred
     assigned = np.isfinite(tip).all(axis=0) & focal_plane._usable
     # arms at home: those that cannot move always; idle equal arms if wanted; idle unequal arms give way
     parked = focal_plane._usable & ~assigned & focal_plane._equal_arms & bool(parked_obstacles)
@@ -275,24 +285,23 @@ def _out_of_reach(focal_plane, points):
 
 def _arm_angles(focal_plane, fiber_type):
     names = focal_plane.fiber_types
-    by_type = focal_plane.positioner._arm_angle_rad(names)
-    if fiber_type is None:
-        return np.full(len(focal_plane), by_type[0])
-    types = np.asarray(fiber_type, dtype=str)
+    types = np.full(len(focal_plane), "") if fiber_type is None else np.asarray(fiber_type, dtype=str)
     if types.shape != (len(focal_plane),):
         raise InputError(f"fiber_type must have the shape ({len(focal_plane)},), got {types.shape}")
-    for name in np.unique(types[types != ""]):
+    types = np.where(types == "", focal_plane._first_type, types)
+    for name in np.unique(types):
         check_choice(str(name), names, "fiber type")
-    return np.array([by_type[names.index(t)] if t else by_type[0] for t in types])
+    by_type = dict(zip(names, focal_plane.positioner._arm_angle_rad(names), strict=True))
+    return np.array([by_type[t] for t in types.tolist()])
 
 
 def _sides(handedness, n):
-    """Turn elbow names into +1 (right, also the choice for "both") and -1 (left)."""
+    """Turn elbow names into +1 (right) and -1 (left)."""
     names = np.full(n, handedness) if isinstance(handedness, str) else np.asarray(handedness, dtype=str)
     if names.shape != (n,):
         raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
     for name in np.unique(names):
-        check_choice(str(name), ("right", "left", "both"), "handedness")
+        check_choice(str(name), ("right", "left"), "handedness of an arm")
     return np.where(names == "left", -1.0, 1.0)
 
 

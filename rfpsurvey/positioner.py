@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms
-from rfpsurvey._units import to_mm, to_points_mm, to_radian
+from rfpsurvey._units import to_mm, to_points_mm, to_radian, to_scalar
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["HANDEDNESS", "Positioner"]
@@ -39,7 +39,8 @@ class Positioner:
     theta_range, phi_range : Quantity, shape (2,), optional
         Joint limits, up to whole turns. None: unlimited.
     home : Quantity, shape (2,), optional
-        theta and phi of a positioner without a target.
+        theta and phi of a positioner without a target, within the joint limits. None: theta = 0 and phi = 180 deg
+        (folded), or the nearest angles that the limits allow.
     displacement : Quantity, optional
         Largest displacement of the arm in one step, where it is not (l1 + l2) sin(2 step).
     arm_model : {"elbow_to_tip", "capsule"}, optional
@@ -79,7 +80,7 @@ class Positioner:
     handedness: str = "right"
     theta_range: u.Quantity | None = None
     phi_range: u.Quantity | None = None
-    home: u.Quantity = field(default=[0, 180] * u.deg)
+    home: u.Quantity | None = None
     displacement: u.Quantity | None = None
     arm_model: str = "elbow_to_tip"
     arm_length: u.Quantity | None = None
@@ -87,16 +88,11 @@ class Positioner:
 
     def __post_init__(self):
         for name in ("central_arm", "eccentric_arm"):
-            value = to_mm(getattr(self, name), name)
-            if value.shape != () or not 0 < value < np.inf:
-                raise InputError(f"{name} must be one positive length, got {getattr(self, name)}")
+            to_scalar(getattr(self, name), u.mm, name, low=0)
         for name in ("clearance", "displacement", "arm_length"):
-            value = getattr(self, name)
-            if value is not None and not (to_mm(value, name).shape == () and 0 <= to_mm(value, name) < np.inf):
-                raise InputError(f"{name} must be one length of at least 0, got {value}")
-        step = to_radian(self.step, "step")
-        if step.shape != () or not 0 <= step < np.pi / 4:
-            raise InputError(f"step must be one angle of at least 0 and below 45 deg, got {self.step}")
+            if getattr(self, name) is not None:
+                to_scalar(getattr(self, name), u.mm, name, low=0, closed=True)
+        to_scalar(self.step, u.rad, "step", low=0, high=np.pi / 4, closed=True)
         check_choice(self.handedness, HANDEDNESS, "handedness")
         check_choice(self.arm_model, ARM_MODELS, "arm model")
         if (self.arm_model == "capsule") != (self.arm_length is not None):
@@ -105,16 +101,18 @@ class Positioner:
             raise InputError("arm_angle belongs to the arm model 'capsule'")
         for name in ("theta_range", "phi_range", "home"):
             value = getattr(self, name)
-            if value is not None and to_radian(value, name).shape != (2,):
-                raise InputError(f"{name} must be two angles, got {value}")
+            if value is not None and not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):
+                raise InputError(f"{name} must be two finite angles, got {value}")
         for name in ("theta_range", "phi_range"):
             value = getattr(self, name)
             if value is not None and not value[0] < value[1]:
                 raise InputError(f"{name} must be (low, high) with low < high, got {value}")
         angles = self.arm_angle.values() if isinstance(self.arm_angle, dict) else [self.arm_angle]
         for value in angles:
-            if value is not None and to_radian(value, "arm_angle").shape != ():
-                raise InputError(f"arm_angle must be one angle a fiber type, got {value}")
+            if value is not None:
+                to_scalar(value, u.rad, "arm_angle")
+        if self.home is not None and not self._joints_allowed(*self._home_rad[:, None])[0]:
+            raise InputError(f"home must lie within the joint limits, got {self.home}")
 
     @cached_property
     def _l1(self) -> float:
@@ -126,7 +124,14 @@ class Positioner:
 
     @cached_property
     def _home_rad(self) -> np.ndarray:
-        return to_radian(self.home, "home")
+        if self.home is not None:
+            return to_radian(self.home, "home")
+        home = np.array([0.0, np.pi])
+        for k, limits in enumerate((self.theta_range, self.phi_range)):
+            if limits is not None and not _allowed(home[k : k + 1], *to_radian(limits, "limits"))[0]:
+                ends = to_radian(limits, "limits")
+                home[k] = ends[np.argmin(np.abs(np.mod(ends - home[k] + np.pi, 2 * np.pi) - np.pi))]
+        return home
 
     @cached_property
     def _separation_mm(self) -> float:
@@ -196,9 +201,10 @@ class Positioner:
         Quantity, shape (n, 2)
             Points relative to the center, in mm.
         """
-        theta, phi = np.broadcast_arrays(np.atleast_1d(to_radian(theta, "theta")), np.atleast_1d(to_radian(phi, "phi")))
-        if theta.ndim != 1:
-            raise InputError(f"theta and phi must have the shape (n,), got {theta.shape}")
+        theta, phi = np.atleast_1d(to_radian(theta, "theta")), np.atleast_1d(to_radian(phi, "phi"))
+        if theta.ndim != 1 or phi.ndim != 1 or len({theta.size, phi.size} - {1}) > 1:
+            raise InputError(f"theta and phi must have the shape (n,), got {theta.shape} and {phi.shape}")
+        theta, phi = np.broadcast_arrays(theta, phi)
         n = theta.size
         full = (np.zeros(n), np.zeros(n), np.full(n, self._l1), np.full(n, self._l2))
         ex, ey, x, y = (np.empty(n) for _ in range(4))

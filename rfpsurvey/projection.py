@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._kernels import sky
-from rfpsurvey._units import to_mm, to_points_mm, to_radian, to_unit, to_vectors
+from rfpsurvey._units import to_direction, to_mm, to_points_mm, to_radian, to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["RadialMap", "TangentPlane"]
@@ -70,26 +70,28 @@ class RadialMap:
 
     def __post_init__(self):
         check_choice(self.form, _FORMS, "form of radial map")
-        object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
-        limit = float(to_radian(self.max_angle, "max_angle"))
-        if not 0 < limit < np.pi / 2:
-            raise InputError(f"max_angle must be between 0 and 90 deg, got {self.max_angle}")
-        if (self.form == "sine") != (self.radius is not None):
-            raise InputError(f"the form 'sine' and no other needs a radius, got {self.radius} with {self.form!r}")
+        try:
+            object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
+        except (TypeError, ValueError):
+            raise InputError(f"coefficients must be a sequence of numbers, got {self.coefficients!r}") from None
         c = np.array(self.coefficients)
         if c.size == 0 or not np.isfinite(c).all():
             raise InputError(f"coefficients must be finite numbers, at least one, got {self.coefficients}")
+        limit = to_scalar(self.max_angle, u.rad, "max_angle", low=0, high=np.pi / 2)
+        to_scalar(self.unit_angle, u.rad, "unit_angle", low=0)
+        for name in ("unit_tangent", "factor"):
+            to_scalar(u.Quantity(getattr(self, name)), u.dimensionless_unscaled, name, low=0)
+        if (self.form == "sine") != (self.radius is not None):
+            raise InputError(f"the form 'sine' and no other needs a radius, got {self.radius} with {self.form!r}")
+        if self.radius is not None:
+            to_scalar(self.radius, u.mm, "radius", low=0)
         _, _, argument, inner, _, _ = self._arguments
         edge = argument * (np.tan(limit) if self.form == "tan_theta" else limit)
         # dp/dt has its zeros where a polynomial in t^2 has: none may lie inside
         roots = np.roots((c * (2 * np.arange(c.size) + 1))[::-1])
         real = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
-        falls = (
-            self.factor * c[0] <= 0
-            or (real <= edge**2).any()
-            or (self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2)
-        )
-        if falls:
+        quarter = self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2
+        if c[0] <= 0 or (real <= edge**2).any() or quarter:
             raise InputError(f"the radial map must rise from the center to max_angle = {self.max_angle}")
 
     @cached_property
@@ -198,9 +200,7 @@ class TangentPlane:
             if self.distortion is None:
                 raise InputError("a TangentPlane needs plate_scale or distortion")
             scale = next(iter(maps)).plate_scale
-        number = to_unit(scale, _SCALE, "plate_scale")
-        if number.shape != () or not 0 < number < np.inf:
-            raise InputError(f"plate_scale must be one positive number, got {scale}")
+        number = to_scalar(scale, _SCALE, "plate_scale", low=0)
         if self.distortion is not None and not any(
             np.isclose(number, m.plate_scale.to_value(_SCALE), rtol=1e-9) for m in maps
         ):
@@ -208,7 +208,7 @@ class TangentPlane:
                 f"plate_scale {scale} is not that of the distortion ({next(iter(maps)).plate_scale}); give one of them"
             )
         object.__setattr__(self, "plate_scale", scale)
-        to_radian(self.rotation, "rotation")
+        to_scalar(self.rotation, u.rad, "rotation")
 
     @classmethod
     def from_focal_length(
@@ -235,14 +235,14 @@ class TangentPlane:
     @cached_property
     def _basis(self) -> np.ndarray:
         """Rows: directions of +x and +y across the center, and the center; ICRS unit vectors."""
-        center = self.center.icrs
+        center = to_direction(self.center, "center").icrs
         ra, dec = center.ra.rad, center.dec.rad
         east = np.array([-np.sin(ra), np.cos(ra), 0.0])
         north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
         out = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-        turn = float(to_radian(self.rotation, "rotation"))
+        turn = to_scalar(self.rotation, u.rad, "rotation")
         if self.center.frame.name != "icrs":
-            up = self.center.directional_offset_by(0 * u.deg, 1 * u.deg).icrs.cartesian.xyz.value
+            up = to_direction(self.center).directional_offset_by(0 * u.deg, 1 * u.deg).icrs.cartesian.xyz.value
             turn += np.arctan2(up @ east, up @ north)
         x = np.cos(turn) * east - np.sin(turn) * north
         y = np.sin(turn) * east + np.cos(turn) * north
@@ -314,7 +314,7 @@ class TangentPlane:
 
     @property
     def _focal_length(self) -> float:
-        return float(to_unit(self.plate_scale, _SCALE, "plate_scale"))
+        return to_scalar(self.plate_scale, _SCALE, "plate_scale")
 
     def _map_of(self, fiber_type, n):
         """Return (rows or None for all, map or None) for each map in use."""

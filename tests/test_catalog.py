@@ -227,7 +227,12 @@ def test_within_agrees_with_astropy(center, rng):
         ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]}, "unknown kind of target 'galaxy'; choose one of"),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": [np.nan]}, "priority must be a number for every target"),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0]}, "must hold Julian years"),
+        (
+            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
+            "must hold Julian years for targets with a proper motion, but 1 have none, such as 12",
+        ),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),
     ],
 )
 def test_bad_tables_are_named(content, message):

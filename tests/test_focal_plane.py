@@ -65,7 +65,7 @@ def test_rows_along_y_are_rows_along_x_with_the_axes_exchanged():
 def test_size_must_be_said_once(size):
     with pytest.raises(rs.InputError, match=r"give rings or count|must be a whole number"):
         rs.FocalPlane.hexagonal(robot(), pitch=25.6 * MM, **size)
-    with pytest.raises(rs.InputError, match="pitch must be a positive length"):
+    with pytest.raises(rs.InputError, match="pitch must be one finite value above 0 mm"):
         rs.FocalPlane.hexagonal(robot(), pitch=0 * MM, rings=1)
     with pytest.raises(rs.InputError, match="fewer than count"):
         rs.FocalPlane.hexagonal(robot(), pitch=25.6 * MM, count=50, radius=30 * MM)
@@ -181,7 +181,7 @@ def test_table_round_trip(tmp_path):
         ({"x": [0] * MM}, "there is no column 'y'; the columns are: x"),
         ({"x": [0.0], "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got none"),
         ({"x": [0] * u.deg, "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got deg"),
-        ({"x": [0] * MM, "y": [0] * MM}, "without a positioner the table must have"),
+        ({"x": [0] * MM, "y": [0] * MM}, "without a positioner the meta of the table must have an entry"),
     ],
 )
 def test_bad_tables_are_named(table, message):
@@ -200,7 +200,7 @@ def test_bad_tables_are_named(table, message):
         ({"id": [1]}, "id must have one value a positioner"),
         ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
         ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
-        ({"obstacles": [[1, 2]] * MM}, "obstacles must be rows"),
+        ({"obstacles": [[1, 2]] * MM}, "obstacles must be finite rows"),
         ({"spectrograph": [[0, 1], [0, 1]]}, "spectrograph must have the shape"),
     ],
 )

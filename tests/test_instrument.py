@@ -179,7 +179,7 @@ def test_other_packages_add_instruments(tmp_path, monkeypatch):
         ('name = "x"', "lacks"),
         (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
         (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
-        (DESCRIPTION.replace("value = 0.3", "value = -1"), "central_arm must be one positive length"),
+        (DESCRIPTION.replace("value = 0.3", "value = -1"), "central_arm must be one finite value above 0 mm"),
         (DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'), "plate_scale must have a unit convertible to"),
         (DESCRIPTION.replace('unit = "cm"', 'unit = "centimetre"'), "centimetre"),
         (DESCRIPTION.replace("pitch = ", "pich = "), "pitch must be a Quantity"),

@@ -81,6 +81,14 @@ def test_joint_limits_hold_up_to_whole_turns():
     assert np.isnan(theta[2].value)
 
 
+def test_home_is_folded_or_as_near_as_the_joints_allow():
+    assert robot()._home_rad.tolist() == [0, np.pi]
+    limited = robot(theta_range=[20, 300] * u.deg, phi_range=[-150, 140] * u.deg)
+    np.testing.assert_allclose(np.rad2deg(limited._home_rad), [20, -150])
+    with pytest.raises(rs.InputError, match=r"theta and phi must have the shape \(n,\), got \(2,\) and \(3,\)"):
+        robot().forward([1, 2] * u.deg, [1, 2, 3] * u.deg)
+
+
 def test_safe_distance():
     """(7.4 + 15) sin(0.2 deg) + 5 mm is the published 5.078 mm."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, step=0.1 * u.deg)
@@ -94,13 +102,14 @@ def test_safe_distance():
     [
         ({"central_arm": 7.4}, "central_arm must be a Quantity with a unit convertible to mm, got 7.4"),
         ({"central_arm": 7.4 * u.deg}, "central_arm must have a unit convertible to mm, got deg"),
-        ({"eccentric_arm": 0 * MM}, "eccentric_arm must be one positive length"),
-        ({"clearance": -1 * MM}, "clearance must be one length of at least 0"),
-        ({"clearance": np.nan * MM}, "clearance must be one length of at least 0"),
-        ({"step": 50 * u.deg}, "step must be one angle"),
+        ({"eccentric_arm": 0 * MM}, "eccentric_arm must be one finite value above 0 mm, got 0"),
+        ({"clearance": -1 * MM}, "clearance must be one finite value of at least 0 mm, got -1"),
+        ({"clearance": np.nan * MM}, "clearance must be one finite value of at least 0 mm, got nan"),
+        ({"step": 50 * u.deg}, "step must be one finite value of at least 0 rad and below 0.785398 rad"),
         ({"handedness": "rigth"}, "unknown handedness 'rigth'.* Did you mean 'right'"),
         ({"theta_range": [3, 1] * u.deg}, "theta_range must be .low, high."),
-        ({"home": 5 * u.deg}, "home must be two angles"),
+        ({"home": 5 * u.deg}, "home must be two finite angles"),
+        ({"home": [0, 180] * u.deg, "phi_range": [0, 90] * u.deg}, "home must lie within the joint limits"),
         ({"arm_model": "capsule"}, "needs arm_length"),
         ({"arm_length": 5 * MM}, "needs arm_length"),
         ({"arm_angle": 5 * u.deg}, "arm_angle belongs to the arm model"),

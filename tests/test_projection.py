@@ -147,16 +147,55 @@ def test_focal_length_is_another_way_to_say_plate_scale():
     [
         ({"plate_scale": 17.5}, "plate_scale must be a Quantity with a unit convertible to mm / rad, got 17.5"),
         ({"plate_scale": 5 * u.mm}, "plate_scale must have a unit convertible to mm / rad, got mm"),
-        ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one positive number"),
+        ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one finite value above 0 mm / rad, got -5"),
         ({}, "needs plate_scale or distortion"),
         ({"distortion": "no"}, "distortion must be a RadialMap or a dict"),
         ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "is not that of the distortion"),
         ({"plate_scale": 1 * u.mm / u.deg, "rotation": 5}, "rotation must be a Quantity"),
+        ({"plate_scale": 1 * u.mm / u.deg, "rotation": [5, 6] * u.deg}, "rotation must be one value, got the shape"),
+        ({"plate_scale": 1 * u.mm / u.deg, "rotation": np.nan * u.deg}, "rotation must be one finite value"),
     ],
 )
 def test_bad_input_is_named(arguments, message):
     with pytest.raises(rs.InputError, match=message):
         rs.TangentPlane(SkyCoord(0, 0, unit="deg"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"max_angle": 90 * u.deg}, "max_angle must be one finite value above 0 rad and below 1.5708 rad"),
+        ({"unit_angle": 0 * u.deg}, "unit_angle must be one finite value above 0"),
+        ({"unit_tangent": -1.0}, "unit_tangent must be one finite value above 0"),
+        ({"factor": np.nan}, "factor must be one finite value above 0"),
+        ({"coefficients": 5}, "coefficients must be a sequence of numbers"),
+        ({"coefficients": []}, "at least one"),
+        ({"form": "cubic"}, "unknown form of radial map 'cubic'; choose one of: sine, tan_theta, theta"),
+        ({"form": "sine"}, "the form 'sine' and no other needs a radius"),
+        ({"form": "sine", "radius": -9 * u.m}, "radius must be one finite value above 0 mm"),
+        ({"form": "sine", "radius": 1 * u.m, "coefficients": [-100]}, "must rise from the center"),
+    ],
+)
+def test_bad_maps_are_named(arguments, message):
+    good = {"form": "theta", "coefficients": [200.0], "max_angle": 1 * u.deg}
+    with pytest.raises(rs.InputError, match=message):
+        rs.RadialMap(**{**good, **arguments})
+
+
+def test_distances_and_representations_do_not_matter(rng):
+    """Rows without a good parallax once vanished, and a cartesian center failed."""
+    center = SkyCoord(10, 20, unit="deg")
+    coord = around(center, 2, 4, rng)
+    plane = rs.TangentPlane(center, 200 * u.mm / u.deg, 10 * u.deg)
+    expected = plane.to_focal_plane(coord)
+    for frame in ("icrs", "galactic", "fk5"):
+        other = coord.transform_to(frame)
+        lon, lat = other.spherical.lon, other.spherical.lat
+        far = SkyCoord(lon, lat, distance=[np.nan, np.inf, 1, 0] * u.pc, frame=frame)
+        np.testing.assert_allclose(plane.to_focal_plane(far).value, expected.value, atol=1e-9)
+    cartesian = SkyCoord(center, representation_type="cartesian")
+    again = rs.TangentPlane(cartesian, 200 * u.mm / u.deg, 10 * u.deg)
+    np.testing.assert_allclose(again.to_focal_plane(coord).value, expected.value, atol=1e-9)
 
 
 def test_center_must_be_one_coordinate():

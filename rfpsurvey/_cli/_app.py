@@ -99,6 +99,7 @@ def print_summary(tile: "rs.Tile") -> None:
         "n_assigned": "  assigned",
         "n_out_of_reach": "  their target out of reach",
         "n_wrong_fiber": "  without the fiber type asked for",
+        "n_unusable": "rows for disabled or stuck positioners",
         "n_parked": "  parked in the way",
         "n_colliding": "  in collision",
         "n_colliding_pairs": "colliding pairs",

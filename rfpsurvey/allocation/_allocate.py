@@ -6,7 +6,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_points_mm
+from rfpsurvey._units import to_generator, to_plain, to_points_mm
 from rfpsurvey.allocation._rules import balanced, lamost
 from rfpsurvey.collision import Arms, place_arms
 from rfpsurvey.errors import InputError, check_choice
@@ -148,7 +148,7 @@ def allocate(
     start = perf_counter()
     reach = focal_plane._reach(points, fiber_type)
     middle = perf_counter()
-    target_of, queues = rule(reach, classes, np.random.default_rng(rng))
+    target_of, queues = rule(reach, classes, to_generator(rng))
     tips, hand, types = _at_tips(focal_plane, points, target_of, fiber_type)
     positioner_of = np.full(len(points), -1)
     used = np.flatnonzero(target_of >= 0)
@@ -164,7 +164,10 @@ def _classes(priority, n):
     """Rank of the priority class of each target, 0 the most important."""
     if priority is None:
         return np.zeros(n, dtype=np.int64)
-    values = np.asarray(priority, dtype=float)
+    try:
+        values = to_plain(priority).astype(float)
+    except ValueError as error:
+        raise InputError(f"priority must be numbers: {error}") from None
     if values.shape != (n,):
         raise InputError(f"priority must have one value a target, shape ({n},), got {values.shape}")
     if np.isnan(values).any():
@@ -178,14 +181,10 @@ def _at_tips(focal_plane, points, target_of, fiber_type):
     used = np.flatnonzero(target_of >= 0)
     tips = np.full((n, 2), np.nan)
     tips[used] = points[target_of[used]]
-    first = np.array([row.split("+")[0] for row in focal_plane.fiber_type])
-    types = np.where(target_of >= 0, first, "")
+    types = np.where(target_of >= 0, focal_plane._first_type, "")
     if fiber_type is not None and focal_plane.fiber_types != ("",):
         wanted = np.asarray(fiber_type, dtype=str)[target_of[used]]
         types = types.astype(f"U{max(len(t) for t in focal_plane.fiber_types)}")
-        types[used] = np.where(wanted == "", first[used], wanted)
-    hand = np.full(n, "right" if focal_plane.positioner.handedness == "both" else focal_plane.positioner.handedness)
-    if focal_plane.positioner.handedness == "both":
-        _, _, right = focal_plane.positioner._solve(tips - focal_plane._xy_mm, 1.0)
-        hand = np.where(right | (target_of < 0), "right", "left")
+        types[used] = np.where(wanted == "", types[used], wanted)
+    hand = np.where(focal_plane._sides(tips) < 0, "left", "right")
     return tips, hand, types

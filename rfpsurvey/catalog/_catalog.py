@@ -16,7 +16,7 @@ from erfa import ErfaWarning
 
 from rfpsurvey import _io
 from rfpsurvey._kernels import sky
-from rfpsurvey._units import to_radian, to_vectors
+from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_vectors
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
@@ -31,8 +31,8 @@ _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type")
 class Catalog:
     """Targets on the sky, a row each, with what an allocator may want to know about them.
 
-    Rows whose coordinates are not finite are dropped, with a warning and a count in ``n_dropped``. What a
-    catalog does not carry stays None and costs nothing.
+    Rows whose coordinates are masked or not finite are dropped, with a warning and a count in ``n_dropped``. What a
+    catalog does not carry stays None and costs nothing. Distances and radial velocities are not kept.
 
     Parameters
     ----------
@@ -81,20 +81,21 @@ class Catalog:
     n_dropped: int = 0
 
     def __post_init__(self):
-        coord = self.coord
-        if isinstance(coord, BaseCoordinateFrame):
-            coord = SkyCoord(coord)
-        if not isinstance(coord, SkyCoord):
-            raise InputError(f"coord must be a SkyCoord, got {type(coord).__name__}")
+        coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
+        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch")
+        coord = to_direction(coord, "coord")
         coord = coord.reshape(1) if coord.isscalar else coord
         if coord.ndim != 1:
             raise InputError(f"coord must have the shape (n,), got {coord.shape}")
         n = len(coord)
-        columns = {"id": np.arange(n) if self.id is None else np.asarray(self.id)}
+        columns = {"id": np.arange(n) if self.id is None else to_labels(self.id, "id")}
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
             if value is not None:
-                columns[name] = np.asarray(value, dtype=float if name == "priority" else str)
+                try:
+                    columns[name] = to_plain(value).astype(float if name == "priority" else str)
+                except ValueError as error:
+                    raise InputError(f"{name} must be numbers: {error}") from None
         for name, value in columns.items():
             if value.shape != (n,):
                 raise InputError(f"{name} must have one value a target, shape ({n},), got {value.shape}")
@@ -106,10 +107,9 @@ class Catalog:
                 f"priority must be a number for every target, "
                 f"but {int(np.isnan(columns['priority']).sum())} of {n} have none"
             )
-        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch")
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
             raise InputError(f"epoch must be one time or shape ({n},), got {epoch.shape}")
-        keep = np.isfinite(coord.spherical.lon.rad) & np.isfinite(coord.spherical.lat.rad)
+        keep = np.isfinite(to_plain(coord.data.lon)) & np.isfinite(to_plain(coord.data.lat))
         n_bad = int(n - keep.sum())
         if n_bad:
             coord = coord[keep]
@@ -137,7 +137,7 @@ class Catalog:
 
     def _take(self, index, **changes):
         """Return the rows picked by ``index``, with some fields replaced."""
-        index = np.arange(len(self))[index]
+        index = np.atleast_1d(np.arange(len(self))[index])
         values = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
         for name in _PER_TARGET:
             if values[name] is not None:
@@ -171,7 +171,8 @@ class Catalog:
         units : dict, optional
             Role to unit for columns that carry none, for example ``{"ra": "deg", "dec": "deg"}``.
         frame : str, optional
-            Frame of the coordinate columns.
+            Frame of the coordinates: ``icrs``, ``fk5`` and ``fk4`` look for right ascension and declination, others
+            for longitude and latitude.
 
         Returns
         -------
@@ -276,7 +277,8 @@ class Catalog:
     def at_epoch(self, time: Time | str | float) -> "Catalog":
         """Move the targets to where they are at another epoch.
 
-        Motion is uniform in space, without parallax; targets without a proper motion stay where they are.
+        Motion is along a straight line in space, without parallax and radial velocity; targets without a proper
+        motion, or with half of one, stay where they are.
 
         Parameters
         ----------
@@ -301,13 +303,15 @@ class Catalog:
                 "the catalog has proper motions but no epoch to count them from; give Catalog(..., epoch=) or an "
                 "epoch column"
             )
+        if not time.isscalar and time.shape != (len(self),):
+            raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")
         icrs = self.coord.icrs
-        motion = [np.nan_to_num(pm.to_value(u.mas / u.yr)) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)]
+        known = np.isfinite(icrs.pm_ra_cosdec) & np.isfinite(icrs.pm_dec)
+        motion = [np.where(known, pm.to_value(u.mas / u.yr), 0) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)]
         still = SkyCoord(icrs.ra, icrs.dec, pm_ra_cosdec=motion[0] * u.mas / u.yr, pm_dec=motion[1] * u.mas / u.yr)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ErfaWarning)  # "distance overridden": none is known
             moved = still.apply_space_motion(dt=(time.tdb - self.epoch.tdb).to(u.yr))
-        known = np.isfinite(icrs.pm_ra_cosdec) & np.isfinite(icrs.pm_dec)
         coord = SkyCoord(
             moved.ra,
             moved.dec,
@@ -331,11 +335,11 @@ class Catalog:
         Catalog
             The targets at most ``radius`` from ``center``, in the same order.
         """
-        return self._take(self._within(center, float(to_radian(radius, "radius"))))
+        return self._take(self._within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))
 
     def _within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
         """Row numbers of the targets inside a circle."""
         mask = np.empty(len(self), dtype=bool)
         half_chord = np.sin(0.5 * min(radius_rad, np.pi))
-        sky.within(self._vectors, to_vectors(center)[0], half_chord**2 * (1 + 1e-15), mask)
+        sky.within(self._vectors, to_vectors(center, "center")[0], half_chord**2 * (1 + 1e-15), mask)
         return np.flatnonzero(mask)

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
+from rfpsurvey._units import to_labels, to_plain
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["ROLES", "Finder"]
@@ -83,20 +84,27 @@ class Finder:
                         return column
         return None
 
+    def unit_of(self, role: str) -> u.UnitBase | None:
+        """Return the unit of the column with this role: its own, or the one that was given; None if there is none."""
+        name = self.name_of(role)
+        own = getattr(self.table[name], "unit", None)
+        own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else u.Unit(own)
+        try:
+            given = u.Unit(self.units[role]) if role in self.units else None
+        except (ValueError, TypeError):
+            raise InputError(f"units of {role} must be a unit, got {self.units[role]!r}") from None
+        if own is not None and given is not None and own != given:
+            raise InputError(f"column {name!r} has the unit {own}, but units says {given}")
+        return own or given
+
     def quantity(self, role: str) -> u.Quantity | None:
         """Return the column as a Quantity in the usual unit of its role, masked values as NaN."""
         name = self.name_of(role)
         if name is None:
             return None
-        column = self.table[name]
-        values = _plain(column)
-        if values.dtype.kind not in "fiub":
-            raise InputError(
-                f"column {name!r} ({role}) must hold numbers in {UNITS[role]}, "
-                f"but holds text such as {str(values[0]) if len(values) else ''!r}"
-            )
-        unit = self.units.get(role) or getattr(column, "unit", None)
-        if unit is None or u.Unit(unit) == u.dimensionless_unscaled:
+        values = self._decimal(role)
+        unit = self.unit_of(role)
+        if unit is None:
             if not self.assume_units:
                 raise InputError(
                     f"column {name!r} has no unit; say which, for example units={{{role!r}: '{UNITS[role]}'}} "
@@ -104,37 +112,45 @@ class Finder:
                 )
             unit = UNITS[role]
         try:
-            return u.Quantity(values.astype(float), unit).to(UNITS[role])
+            return u.Quantity(values, unit).to(UNITS[role])
         except u.UnitConversionError:
             raise InputError(
                 f"column {name!r} ({role}) must have a unit convertible to {UNITS[role]}, got {unit}"
             ) from None
 
+    def _decimal(self, role: str) -> np.ndarray:
+        """Return the column as float64; text that reads as decimal numbers will do."""
+        name = self.name_of(role)
+        values = to_plain(self.table[name])
+        try:
+            if values.dtype.kind == "U":
+                values = np.where(np.char.strip(values) == "", "nan", values)
+            return values.astype(float)
+        except (TypeError, ValueError):
+            what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
+            raise InputError(
+                f"column {name!r} ({role}) must hold {what}, but holds text such as {str(values.flat[0])!r}"
+            ) from None
+
+    def is_text(self, role: str) -> bool:
+        """Tell whether the column holds text that does not read as decimal numbers."""
+        try:
+            self._decimal(role)
+        except InputError:
+            return True
+        return False
+
     def numbers(self, role: str) -> np.ndarray | None:
         """Return the column as float64, masked values as NaN."""
-        name = self.name_of(role)
-        if name is None:
+        if self.name_of(role) is None:
             return None
-        values = _plain(self.table[name])
-        if values.dtype.kind not in "fiub":
-            raise InputError(f"column {name!r} ({role}) must hold numbers, got {values.dtype}")
         sign = -1.0 if self.columns.get(role, "").startswith("-") else 1.0
-        return sign * values.astype(float)
+        return sign * self._decimal(role)
 
     def labels(self, role: str) -> np.ndarray | None:
-        """Return the column as it is (text or integers), masked text as ''."""
+        """Return the column as integers or text, masked text as ''."""
         name = self.name_of(role)
-        if name is None:
-            return None
-        column = self.table[name]
-        if getattr(column, "mask", None) is not None and np.any(column.mask):
-            if column.dtype.kind in "iu":
-                raise InputError(f"column {name!r} ({role}) has {int(np.sum(column.mask))} rows without a value")
-            column = column.filled("")
-        values = np.asarray(column)
-        if values.dtype.kind == "S":
-            values = np.char.decode(values, "utf-8")
-        return values.astype(str) if values.dtype.kind in "OTU" else values
+        return None if name is None else to_labels(self.table[name], f"column {name!r} ({role})")
 
     def missing(self, what: str) -> InputError:
         """Return the error for a column that is needed and not there."""
@@ -148,13 +164,3 @@ class Finder:
 def _ucd(column) -> str:
     meta = getattr(getattr(column, "info", column), "meta", None) or {}
     return str(meta.get("ucd", "")).lower()
-
-
-def _plain(column) -> np.ndarray:
-    """Values without unit; masked numbers as NaN."""
-    values = getattr(column, "value", column)
-    if getattr(column, "mask", None) is not None and np.any(column.mask):
-        mask = np.asarray(column.mask)
-        values = np.array(getattr(values, "unmasked", values), dtype=float)
-        values[mask] = np.nan
-    return np.asarray(getattr(values, "unmasked", values))

@@ -5,11 +5,13 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from scipy.spatial import cKDTree
 
-from rfpsurvey._units import to_radian, to_unit, to_vectors
+from rfpsurvey._units import to_generator, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["synthetic_catalog"]
+
+MOST = 1e9  # targets, beyond which memory is the limit
 
 
 def synthetic_catalog(
@@ -75,13 +77,12 @@ def synthetic_catalog(
     500
     """
     check_choice(kind, _MAKERS, "kind of synthetic catalog")
-    cap = float(to_radian(radius, "radius"))
-    if not 0 < cap <= np.pi:
-        raise InputError(f"radius must be between 0 and 180 deg, got {radius}")
+    cap = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
+    cap = np.deg2rad(min(cap, 180.0))
     if not isinstance(center, SkyCoord) or not center.isscalar:
         raise InputError(f"center must be one SkyCoord, got {center!r}")
     expected = _expected_number(kind, cap, n_targets, density)
-    rng = np.random.default_rng(rng)
+    rng = to_generator(rng)
     options = {"min_separation": min_separation, "cluster_size": cluster_size, "cluster_scale": cluster_scale}
     local = _MAKERS[kind](rng, cap, expected, **options)
     xyz = local @ _basis(center)
@@ -103,9 +104,13 @@ def _expected_number(kind, cap, n_targets, density):
         return None
     else:
         raise InputError(f"a {kind} catalog needs n_targets or density")
-    if not np.isfinite(number) or number < 0:
-        raise InputError(f"the number of targets must be finite and not negative, got {number}")
-    return float(number)
+    try:
+        number = float(number)
+    except (TypeError, ValueError):
+        raise InputError(f"the number of targets must be one number, got {number!r}") from None
+    if not 0 <= number <= MOST:
+        raise InputError(f"the number of targets must be from 0 to {MOST:.0e}, got {number:g}")
+    return number
 
 
 def _area(cap):
@@ -133,9 +138,7 @@ def _poisson(rng, cap, expected, **_):
 def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     if min_separation is None:
         raise InputError("a poisson_disc catalog needs min_separation")
-    separation = float(to_radian(min_separation, "min_separation"))
-    if not 0 < separation < np.pi:
-        raise InputError(f"min_separation must be between 0 and 180 deg, got {min_separation}")
+    separation = to_scalar(min_separation, u.rad, "min_separation", low=0, high=np.pi)
     chord = 2 * np.sin(separation / 2)
     wanted = np.inf if expected is None else round(expected)
     points = np.empty((0, 3))
@@ -173,12 +176,9 @@ def _thin(points, chord):
 def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     if cluster_scale is None:
         raise InputError("a clustered catalog needs cluster_scale")
-    sigma = float(to_radian(cluster_scale, "cluster_scale"))
-    if not (0 < sigma < 0.5 and cluster_size > 0):
-        raise InputError(
-            f"cluster_scale must be between 0 and 28 deg and cluster_size positive, "
-            f"got {cluster_scale} and {cluster_size}"
-        )
+    sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
+    if not 1e-3 <= cluster_size <= MOST:
+        raise InputError(f"cluster_size must be from 0.001 to {MOST:.0e}, got {cluster_size}")
     # clusters centered outside reach in: 6 sigma leaves out 1e-8 of them
     wide = min(cap + 6 * sigma, np.pi)
     parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))

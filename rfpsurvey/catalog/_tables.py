@@ -1,5 +1,7 @@
 """A catalog as a table: coordinates, epochs and kinds from the columns that people use."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
@@ -7,10 +9,12 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey.catalog._columns import Finder
-from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError
+from rfpsurvey.catalog._time import FIRST, LAST, to_time
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 __all__ = ["read_columns"]
+
+EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
 def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> dict:
@@ -24,14 +28,15 @@ def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> 
         kind = np.char.lower(np.where(kind == "", "science", kind))
     elif category is not None:
         kind = _kind_of_category(category)
+    coord = _coordinates(find, frame)
     return {
-        "coord": _coordinates(find, frame),
+        "coord": coord,
         "id": find.labels("id"),
         "priority": find.numbers("priority"),
         "kind": kind,
         "category": category,
         "fiber_type": find.labels("fiber_type"),
-        "epoch": _epoch(find),
+        "epoch": _epoch(find, coord),
         "meta": _plain_meta(table.meta),
     }
 
@@ -40,49 +45,79 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     for column in find.table.columns.values():
         if isinstance(column, SkyCoord):
             return column
-    roles = ("ra", "dec") if find.name_of("ra") and find.name_of("dec") else ("lon", "lat")
+    equatorial = str(frame).lower() in EQUATORIAL
+    roles = ("ra", "dec") if equatorial else ("lon", "lat")
+    lacking = [role for role in roles if find.name_of(role) is None]
+    if lacking:
+        raise find.missing(" and ".join(lacking) + ("" if equatorial else f" of the frame {frame!r}"))
     names = [find.name_of(role) for role in roles]
-    if names[0] is None or names[1] is None or (roles[0] == "lon" and frame == "icrs"):
-        lacking = [role for role in ("ra", "dec") if find.name_of(role) is None]
-        raise find.missing(" and ".join(lacking))
-    texts = [np.asarray(find.table[name]).dtype.kind in "OTUS" for name in names]
-    if all(texts):
+    if all(find.is_text(role) for role in roles):
+        units = [find.unit_of(role) for role in roles]
+        units = (units[0] or (u.hourangle if equatorial else u.deg), units[1] or u.deg)
         try:
-            return SkyCoord(find.labels(roles[0]), find.labels(roles[1]), unit=(u.hourangle, u.deg), frame=frame)
+            return SkyCoord(find.labels(roles[0]), find.labels(roles[1]), unit=units, frame=frame)
         except ValueError as error:
             raise InputError(f"columns {names[0]!r} and {names[1]!r} are not sexagesimal: {error}") from error
     lon, lat = find.quantity(roles[0]), find.quantity(roles[1])
     bad = np.abs(lat) > 90 * u.deg
     if bad.any():
         raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
-    motion = {}
-    if roles[0] == "ra" and find.name_of("pmra") and find.name_of("pmdec"):
-        motion = {"pm_ra_cosdec": find.quantity("pmra"), "pm_dec": find.quantity("pmdec")}
     try:
-        return SkyCoord(lon, lat, frame=frame, **motion)
+        return SkyCoord(lon, lat, frame=frame, **_motion(find, equatorial=equatorial))
     except ValueError as error:
         raise InputError(f"frame {frame!r} cannot be used: {error}") from error
 
 
-def _epoch(find: Finder) -> Time | None:
-    """Epoch from a column, or from the table's meta where it says so."""
+def _motion(find: Finder, *, equatorial: bool) -> dict:
+    """Proper motions as arguments of SkyCoord, where the table has them."""
+    names = [find.name_of(role) for role in ("pmra", "pmdec")]
+    if names == [None, None]:
+        return {}
+    if not equatorial:
+        warnings.warn(
+            f"the proper motions {names} are not those of the frame asked for, and are not used",
+            RfpsurveyWarning,
+            stacklevel=2,
+        )
+        return {}
+    if None in names:
+        raise find.missing("pmra" if names[0] is None else "pmdec")
+    return {"pm_ra_cosdec": find.quantity("pmra"), "pm_dec": find.quantity("pmdec")}
+
+
+def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
+    """Epoch from a column, or from the table's meta where it says so; None where nothing moves by it."""
     name = find.name_of("epoch")
     if name is None:
-        value = find.table.meta.get("ref_epoch", find.table.meta.get("REF_EPOCH"))
-        if value is None:
-            return None
-        word = str(value).split()[0].removeprefix("J")
+        meta = {str(k).lower(): v for k, v in find.table.meta.items()}
+        words = str(meta.get("ref_epoch", "")).split()
         try:
-            return to_time(float(word), "ref_epoch")
-        except ValueError:
+            return to_time(words[0], "ref_epoch") if words else None
+        except InputError:
             return None
-    column = find.table[name]
-    if isinstance(column, Time):
-        return column
-    years = find.numbers("epoch")
-    if np.isnan(years).any() or (years < 1700).any() or (years > 2300).any():
-        raise InputError(f"column {name!r} (epoch) must hold Julian years, got {years.min()} to {years.max()}")
-    return to_time(years[0] if len(years) and (years == years[0]).all() else years, name)
+    if isinstance(find.table[name], Time):
+        return find.table[name]
+    if "s" not in coord.data.differentials:
+        moves = np.zeros(len(coord), dtype=bool)
+    else:
+        moves = np.isfinite(coord.pm_ra_cosdec) & np.isfinite(coord.pm_dec)
+    try:
+        years = find.numbers("epoch")
+    except InputError:
+        if moves.any():
+            raise
+        return None
+    usable = (years > FIRST) & (years < LAST)
+    if (moves & ~usable).any():
+        worst = years[moves & ~usable]
+        raise InputError(
+            f"column {name!r} (epoch) must hold Julian years for targets with a proper motion, "
+            f"but {len(worst)} have none, such as {worst[0]:g}"
+        )
+    if not usable.any():
+        return None
+    years = np.where(usable, years, years[usable][0])
+    return to_time(years[0] if (years == years[0]).all() else years, name)
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:

@@ -8,19 +8,27 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["to_time"]
 
+FIRST, LAST = 1700, 2300
+
 
 def to_time(value: object, name: str) -> Time:
-    """Return a Time from a Time, a Julian year or text."""
+    """Return a Time from a Time, Julian years or text."""
     if isinstance(value, Time):
         return value
     try:
         if isinstance(value, str):
+            text = value.strip()
             try:
-                return Time(float(value), format="jyear", scale="tcb")
+                value = float(text.removeprefix("J"))
             except ValueError:
-                return Time(value)
+                return Time(text)
         if isinstance(value, u.Quantity):
             value = value.to_value(u.yr)
-        return Time(np.asarray(value, dtype=float), format="jyear", scale="tcb")
+        years = np.asarray(value, dtype=float)
+        if not ((years > FIRST) & (years < LAST)).all():
+            raise ValueError
+        return Time(years, format="jyear", scale="tcb")
     except (ValueError, TypeError, u.UnitConversionError) as error:
-        raise InputError(f"{name} must be a Time, a Julian year such as 2026.5 or a date, got {value!r}") from error
+        raise InputError(
+            f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date, got {value!r}"
+        ) from error

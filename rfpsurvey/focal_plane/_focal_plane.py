@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import arms, reach
-from rfpsurvey._units import to_mm, to_points_mm, to_radian
+from rfpsurvey._units import to_labels, to_mm, to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import _tables
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
@@ -84,13 +84,13 @@ class FocalPlane:
         if len(np.unique(xy, axis=0)) < n:
             raise InputError("two positioners have the same center")
         columns = {
-            "id": np.arange(n) if self.id is None else np.asarray(self.id),
+            "id": np.arange(n) if self.id is None else to_labels(self.id, "id"),
             "spectrograph": np.zeros(n, int) if self.spectrograph is None else np.asarray(self.spectrograph),
-            "fiber_type": np.full(n, "") if self.fiber_type is None else np.asarray(self.fiber_type, dtype=str),
+            "fiber_type": np.full(n, "") if self.fiber_type is None else to_plain(self.fiber_type).astype(str),
             "disabled": np.zeros(n, bool) if self.disabled is None else np.asarray(self.disabled, dtype=bool),
         }
         for name, value in columns.items():
-            if len(value) != n or (value.ndim != 1 and name != "spectrograph"):
+            if np.ndim(value) == 0 or len(value) != n or (value.ndim != 1 and name != "spectrograph"):
                 raise InputError(f"{name} must have one value a positioner, shape ({n},), got {value.shape}")
             object.__setattr__(self, name, value)
         if len(np.unique(columns["id"])) < n:
@@ -106,14 +106,17 @@ class FocalPlane:
             value = getattr(self, name)
             if value is not None and not (to_mm(value, name).shape == (n,) and (to_mm(value, name) > 0).all()):
                 raise InputError(f"{name} must be {n} positive lengths, got {value}")
-        if self.stuck is not None and to_radian(self.stuck, "stuck").shape != (n, 2):
-            raise InputError(f"stuck must have the shape ({n}, 2), got {self.stuck.shape}")
+        if self.stuck is not None:
+            angles = to_radian(self.stuck, "stuck")
+            if angles.shape != (n, 2):
+                raise InputError(f"stuck must have the shape ({n}, 2), got {angles.shape}")
+            if (np.isfinite(angles).sum(axis=1) == 1).any():
+                raise InputError("stuck must give both theta and phi of a unit, or neither")
         if self.obstacles is not None:
             circles = to_mm(self.obstacles, "obstacles")
-            if circles.ndim != 2 or circles.shape[1] != 3 or not (circles[:, 2] >= 0).all():
-                raise InputError(
-                    f"obstacles must be rows (x, y, radius) with radius >= 0, got the shape {circles.shape}"
-                )
+            shape_ok = circles.ndim == 2 and circles.shape[1] == 3
+            if not (shape_ok and np.isfinite(circles).all() and (circles[:, 2] >= 0).all()):
+                raise InputError(f"obstacles must be finite rows (x, y, radius) with radius >= 0, got {self.obstacles}")
 
     def __len__(self):
         return len(self.id)
@@ -125,6 +128,11 @@ class FocalPlane:
     def fiber_types(self) -> tuple[str, ...]:
         """Names of the fiber types, in the order in which they first occur."""
         return tuple(dict.fromkeys(t for row in dict.fromkeys(self.fiber_type) for t in row.split("+")))
+
+    @cached_property
+    def _first_type(self):
+        """The fiber that each positioner uses where nothing says which."""
+        return np.array([row.split("+")[0] for row in self.fiber_type])
 
     @property
     def collision_type(self) -> int:
@@ -311,16 +319,30 @@ class FocalPlane:
 
     def _joints_reach(self, pairs, points):
         """Mark the pairs that the joint limits allow with the positioner's handedness."""
-        own, xy = pairs.owner, points[pairs.target]
-        theta, phi, ex, ey = (np.empty(len(own)) for _ in range(4))
-        allowed = np.zeros(len(own), dtype=bool)
+        allowed = np.zeros(len(pairs.owner), dtype=bool)
         for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[self.positioner.handedness]:
-            arms.solve(
-                *xy.T.copy(), *self._xy_mm[own].T.copy(), self._l1_mm[own], self._l2_mm[own],
-                np.full(len(own), side), self.positioner._home_rad[0], theta, phi, ex, ey,
-            )  # fmt: skip
-            allowed |= self.positioner._joints_allowed(theta, phi)
+            allowed |= self._joints_allow(pairs.owner, points[pairs.target], side)
         return allowed
+
+    def _joints_allow(self, own, points, side):
+        """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1, -1)."""
+        theta, phi, ex, ey = (np.empty(len(own)) for _ in range(4))
+        side = np.broadcast_to(np.asarray(side, dtype=float), len(own)).copy()
+        geometry = (*self._xy_mm[own].T.copy(), self._l1_mm[own], self._l2_mm[own])
+        arms.solve(*points.T.copy(), *geometry, side, self.positioner._home_rad[0], theta, phi, ex, ey)
+        return self.positioner._joints_allowed(theta, phi)
+
+    def _sides(self, points):
+        """Elbow of each positioner toward its own point (mm): +1 right, -1 left.
+
+        Where both are allowed by the handedness, the right one unless the joint limits forbid it and not the left.
+        """
+        side = np.full(len(self), -1.0 if self.positioner.handedness == "left" else 1.0)
+        if self.positioner.handedness == "both" and not self.positioner._joints_free:
+            rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+            right, left = (self._joints_allow(rows, points[rows], s) for s in (1.0, -1.0))
+            side[rows[~right & left]] = -1.0
+        return side
 
     @classmethod
     def hexagonal(
@@ -386,12 +408,12 @@ class FocalPlane:
         ----------
         table : Table or QTable
             A row for each positioner, columns ``x`` and ``y`` (with units) and, where wanted, ``id``,
-            ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``theta`` and
-            ``phi`` (pose of a stuck unit, NaN for others). Rows with a finite ``obstacle_radius`` are fixed
+            ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``stuck_theta`` and
+            ``stuck_phi`` (pose of a stuck unit, NaN for others). Rows with a finite ``obstacle_radius`` are fixed
             circles, not positioners.
         positioner : Positioner, optional
-            Geometry common to all. Without it the table needs both arm columns, whose medians are
-            the common lengths, and ``table.meta["clearance"]``, such as ``"2.25 mm"``.
+            Geometry common to all. Without it ``table.meta["positioner"]`` must hold the arguments of a `Positioner`,
+            quantities as text such as ``{"central_arm": "8.25 mm", ...}``.
 
         Returns
         -------

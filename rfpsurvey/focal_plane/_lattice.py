@@ -3,7 +3,7 @@
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_mm
+from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError
 
 __all__ = ["hexagonal_cells"]
@@ -11,9 +11,7 @@ __all__ = ["hexagonal_cells"]
 
 def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=0 * u.mm, vacant=(), rows_along="x"):
     """Return centers in mm, shape (n, 2), and cells (q, k), shape (n, 2), of a hexagonal lattice."""
-    step = float(to_mm(pitch, "pitch"))
-    if not 0 < step < np.inf:
-        raise InputError(f"pitch must be a positive length, got {pitch}")
+    step = to_scalar(pitch, u.mm, "pitch", low=0)
     if (rings is None) == (count is None) and not (rings is None and radius is not None):
         raise InputError(f"give rings or count, or radius alone, got rings={rings}, count={count}, radius={radius}")
     for name, value in (("rings", rings), ("count", count)):
@@ -21,8 +19,8 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
             raise InputError(f"{name} must be a whole number of at least {int(name == 'count')}, got {value}")
     if rows_along not in ("x", "y"):
         raise InputError(f"rows_along must be 'x' or 'y', got {rows_along!r}")
-    hole = float(to_mm(inner_radius, "inner_radius"))
-    edge = np.inf if radius is None else float(to_mm(radius, "radius"))
+    hole = to_scalar(inner_radius, u.mm, "inner_radius", low=0, closed=True)
+    edge = np.inf if radius is None else to_scalar(radius, u.mm, "radius", low=0)
     if rings is not None:
         n = int(rings)
     elif count is not None:

@@ -1,10 +1,12 @@
 """A focal plane as a table: what an instrument team keeps, a row a positioner or obstacle."""
 
+from dataclasses import fields
+
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._units import to_mm
+from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError
 from rfpsurvey.positioner import Positioner
 
@@ -13,61 +15,103 @@ __all__ = ["read_columns", "to_table"]
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
     """Return the arguments of a FocalPlane that a table describes."""
+    if not isinstance(table, Table):
+        raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
-
-    def quantity(name, unit):
-        column = table[name]
-        if getattr(column, "unit", None) is None:
-            raise InputError(f"column {name!r} must have a unit convertible to {unit}, got none")
-        values = u.Quantity(np.ma.filled(np.ma.asarray(getattr(column, "value", column)), np.nan), column.unit)
-        if not values.unit.is_equivalent(unit):
-            raise InputError(f"column {name!r} must have a unit convertible to {unit}, got {column.unit}")
-        return values
-
     for name in ("x", "y"):
         if name not in names:
             raise InputError(f"there is no column {name!r}; the columns are: {', '.join(names) or 'none'}")
-    xy = np.column_stack([quantity("x", u.mm).to(u.mm), quantity("y", u.mm).to(u.mm)])
-    radius = quantity("obstacle_radius", u.mm) if "obstacle_radius" in names else np.full(len(xy), np.nan) * u.mm
+    xy = np.column_stack([_quantity(table, "x", u.mm), _quantity(table, "y", u.mm)])
+    radius = np.full(len(xy), np.nan) * u.mm
+    if "obstacle_radius" in names:
+        radius = _quantity(table, "obstacle_radius", u.mm)
     unit = ~np.isfinite(radius)
-    columns = {n: np.asarray(table[n])[unit] for n in ("id", "spectrograph", "fiber_type", "disabled") if n in names}
+    columns = {}
+    for name in ("id", "spectrograph", "fiber_type", "disabled"):
+        if name in names:
+            columns[name] = to_plain(table[name][unit])
     for name in ("central_arm", "eccentric_arm"):
         if name in names:
-            columns[name] = quantity(name, u.mm)[unit]
-    if "theta" in names and "phi" in names:
-        columns["stuck"] = np.column_stack([quantity("theta", u.deg), quantity("phi", u.deg)])[unit]
+            columns[name] = _quantity(table, name, u.mm)[unit]
+    if "stuck_theta" in names and "stuck_phi" in names:
+        angles = [_quantity(table, name, u.deg)[unit] for name in ("stuck_theta", "stuck_phi")]
+        columns["stuck"] = np.column_stack(angles)
     if not unit.all():
         columns["obstacles"] = np.column_stack([xy[~unit], radius[~unit]])
     if positioner is None:
-        if not {"central_arm", "eccentric_arm"} <= set(names) or "clearance" not in table.meta:
-            raise InputError(
-                "without a positioner the table must have the columns central_arm and eccentric_arm "
-                "and its meta must have a clearance"
-            )
-        positioner = Positioner(
-            np.median(columns["central_arm"]),
-            np.median(columns["eccentric_arm"]),
-            to_mm(table.meta["clearance"], "clearance") * u.mm,
-        )
+        positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
 
 
 def to_table(plane) -> QTable:
-    """Return the columns of a focal plane."""
+    """Return the columns of a focal plane, and its positioner in the meta."""
     n, m = len(plane), len(plane._obstacles_mm)
     circles = plane._obstacles_mm
-    x, y = np.vstack([plane._xy_mm, circles[:, :2]]).T
-    is_text = plane.id.dtype.kind in "US"
-    spare = [f"obstacle-{k}" for k in range(m)] if is_text else plane.id.max(initial=0) + 1 + np.arange(m)
-    table = QTable({"id": np.concatenate([plane.id, np.asarray(spare, dtype=None if is_text else plane.id.dtype)])})
-    table["x"], table["y"] = x * u.mm, y * u.mm
-    table["spectrograph"] = np.concatenate([plane.spectrograph, np.zeros((m, *plane.spectrograph.shape[1:]), int)])
+    table = QTable({"id": np.concatenate([plane.id, _spare_names(plane.id, m)])})
+    table["x"], table["y"] = np.vstack([plane._xy_mm, circles[:, :2]]).T * u.mm
+    width = plane.spectrograph.shape[1:]
+    table["spectrograph"] = np.concatenate([plane.spectrograph, np.zeros((m, *width), int)])
     table["fiber_type"] = np.concatenate([plane.fiber_type, np.full(m, "")])
-    table["central_arm"] = np.append(plane._l1_mm, np.full(m, np.nan)) * u.mm
-    table["eccentric_arm"] = np.append(plane._l2_mm, np.full(m, np.nan)) * u.mm
     table["disabled"] = np.append(plane.disabled, np.zeros(m, bool))
-    for k, name in enumerate(("theta", "phi")):
-        table[name] = np.append(np.rad2deg(plane._stuck_rad[:, k]), np.full(m, np.nan)) * u.deg
+    lengths = {"central_arm": plane._l1_mm, "eccentric_arm": plane._l2_mm}
+    angles = {"stuck_theta": plane._stuck_rad[:, 0], "stuck_phi": plane._stuck_rad[:, 1]}
+    for name, values in lengths.items():
+        table[name] = np.append(values, np.full(m, np.nan)) * u.mm
+    for name, values in angles.items():
+        table[name] = np.rad2deg(np.append(values, np.full(m, np.nan))) * u.deg
     table["obstacle_radius"] = np.append(np.full(n, np.nan), circles[:, 2]) * u.mm
-    table.meta["clearance"] = str(plane.positioner.clearance)
+    table.meta["positioner"] = _positioner_to_meta(plane.positioner)
     return table
+
+
+def _quantity(table, name, unit):
+    column = table[name]
+    if getattr(column, "unit", None) is None:
+        raise InputError(f"column {name!r} must have a unit convertible to {unit}, got none")
+    if not column.unit.is_equivalent(unit):
+        raise InputError(f"column {name!r} must have a unit convertible to {unit}, got {column.unit}")
+    return u.Quantity(to_plain(column).astype(float), column.unit).to(unit)
+
+
+def _spare_names(ids, m):
+    """Names for obstacles that no positioner has."""
+    if ids.dtype.kind == "i":
+        return ids.max() + 1 + np.arange(m)
+    taken, prefix = set(ids.tolist()), "obstacle-"
+    while any(f"{prefix}{k}" in taken for k in range(m)):
+        prefix += "-"
+    return np.array([f"{prefix}{k}" for k in range(m)], dtype=str)
+
+
+def _positioner_to_meta(positioner) -> dict:
+    """Arguments of a Positioner as plain text, exact to the last bit."""
+
+    def text(value):
+        if isinstance(value, u.Quantity):
+            return f"{float(value.value)!r} {value.unit}" if value.isscalar else [text(v) for v in value]
+        return {k: text(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+    values = {f.name: getattr(positioner, f.name) for f in fields(positioner)}
+    return {name: text(value) for name, value in values.items() if value is not None}
+
+
+def _positioner_from_meta(meta) -> Positioner:
+    if not isinstance(meta, dict):
+        raise InputError(
+            "without a positioner the meta of the table must have an entry 'positioner' with its arguments, "
+            f"such as {{'central_arm': '8.25 mm', ...}}, got {meta!r}"
+        )
+    names = {f.name for f in fields(Positioner)}
+    unknown = [name for name in meta if name not in names]
+    if unknown:
+        raise InputError(f"the positioner in the table's meta has unknown entries: {', '.join(unknown)}")
+
+    def quantity(value):
+        if isinstance(value, list):
+            return u.Quantity([u.Quantity(v) for v in value])
+        return {k: quantity(v) for k, v in value.items()} if isinstance(value, dict) else u.Quantity(value)
+
+    try:
+        return Positioner(**{n: v if n in ("handedness", "arm_model") else quantity(v) for n, v in meta.items()})
+    except TypeError as error:
+        raise InputError(f"the positioner in the table's meta cannot be read: {error}") from None

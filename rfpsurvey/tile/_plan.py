@@ -8,12 +8,13 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
+from rfpsurvey._units import to_direction, to_generator
 from rfpsurvey.allocation import allocate
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.collision import find_collisions
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.tile._tile import Tile, build_tile
+from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
 __all__ = ["plan_tile"]
 
@@ -32,6 +33,7 @@ def plan_tile(
     """Assign the targets of one field to fibers and find the arms that collide there.
 
     Only targets of the kind ``science`` are assigned; sky positions and standard stars are counted and set aside.
+    Where each fiber type has its own radial map, a target without a fiber type is one for the first type.
 
     Parameters
     ----------
@@ -75,11 +77,12 @@ def plan_tile(
     """
     seconds = {}
     start = perf_counter()
-    instrument = Instrument.preset(instrument) if isinstance(instrument, str) else instrument
+    instrument = as_instrument(instrument)
     catalog = _as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     plane = instrument.projection(center, position_angle)
+    center = to_direction(center, "center")
     if epoch is not None:
         catalog = catalog.at_epoch(epoch)
     rows = catalog._within(center, instrument.field_radius.to_value(u.rad) * (1 + 1e-9))
@@ -93,8 +96,7 @@ def plan_tile(
     start = perf_counter()
     science = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]
     needs = None if catalog.fiber_type is None else catalog.fiber_type[science]
-    # an instrument with one unnamed fiber type serves every target
-    needs = None if instrument.focal_plane.fiber_types == ("",) else needs
+    needs = _needs(instrument, needs, len(science))
     xy = plane._project(catalog._vectors[science], needs)
     seconds["projection"] = perf_counter() - start
     priority = None if catalog.priority is None else catalog.priority[science]
@@ -137,6 +139,17 @@ def plan_tile(
     )  # fmt: skip
 
 
+def _needs(instrument: Instrument, types: np.ndarray | None, n: int) -> np.ndarray | None:
+    """Fiber type that each target needs; None where any will do."""
+    if instrument.focal_plane.fiber_types == ("",):
+        return None  # one unnamed fiber type serves every target
+    if isinstance(instrument.distortion, dict):
+        # each type has its own image of the sky: a target without a type is one for the first
+        first = next(iter(instrument.distortion))
+        return np.full(n, first) if types is None else np.where(types == "", first, types)
+    return types
+
+
 def _as_catalog(catalog) -> Catalog:
     if isinstance(catalog, Catalog):
         return catalog
@@ -145,12 +158,14 @@ def _as_catalog(catalog) -> Catalog:
 
 def _generator(rng):
     """Return a Generator and what to record so that it can be made again."""
+    generator = to_generator(rng)
     if isinstance(rng, np.random.Generator):
         state = rng.bit_generator.state
         return rng, f"{state['bit_generator']} {state.get('state')}"
     if rng is None:
-        rng = int(np.random.SeedSequence().entropy)
-    return np.random.default_rng(rng), int(rng)
+        seed = int(np.random.SeedSequence().entropy)
+        return np.random.default_rng(seed), seed
+    return generator, int(rng) if isinstance(rng, int | np.integer) else str(rng)
 
 
 def _where(center: SkyCoord, position_angle: u.Quantity) -> dict:

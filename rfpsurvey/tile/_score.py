@@ -8,12 +8,13 @@ from astropy.coordinates import FK5, SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
+from rfpsurvey._units import to_direction, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.tile._plan import _epoch_text, _where
-from rfpsurvey.tile._tile import Tile, build_tile
+from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
 __all__ = ["score_tile"]
 
@@ -69,7 +70,8 @@ def score_tile(
     Returns
     -------
     Tile
-        As `plan_tile` returns it; the summary has ``n_out_of_reach`` and ``n_wrong_fiber`` too.
+        As `plan_tile` returns it; the summary has ``n_out_of_reach``, ``n_wrong_fiber`` (positioners without the
+        fiber type asked for) and ``n_unusable`` (rows for disabled or stuck positioners, not scored) too.
 
     Raises
     ------
@@ -86,7 +88,7 @@ def score_tile(
     2
     """
     start = perf_counter()
-    instrument = Instrument.preset(instrument) if isinstance(instrument, str) else instrument
+    instrument = as_instrument(instrument)
     if not isinstance(table, Table):
         raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     plane = instrument.focal_plane
@@ -100,8 +102,10 @@ def score_tile(
     if positions is None:
         positions = "focal_plane" if None not in xy_names else "sky"
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
-    needs = find.labels("fiber_type") if plane.fiber_types != ("",) else None
-    plane._accepts(needs, len(part))
+    # a target without a fiber type is seen by the first fiber of its positioner
+    asked = find.labels("fiber_type") if plane.fiber_types != ("",) else None
+    plane._accepts(asked, len(part))
+    fibers = plane._first_type[who] if asked is None else np.where(asked == "", plane._first_type[who], asked)
     ids = _target_ids(find, name)
     parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": bool(parked_obstacles)}
     if positions == "sky":
@@ -109,12 +113,12 @@ def score_tile(
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = _center(part) if center is None else center
+        center = _center(part) if center is None else to_direction(center, "center")
         if equinox is not None:
             center = center.transform_to(FK5(equinox=equinox))
         if position_angle is None:
             position_angle = _field_value(part, "position angle") * u.deg
-        xy = instrument.projection(center, position_angle)._project(catalog._vectors, needs)
+        xy = instrument.projection(center, position_angle)._project(catalog._vectors, fibers)
         icrs = catalog.coord.icrs
         sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
         parameters.update(_where(center, position_angle), epoch=_epoch_text(catalog.epoch))
@@ -130,11 +134,9 @@ def score_tile(
     n = len(plane)
     tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
     tips[who], target_of[who] = xy, np.arange(len(who))
-    types = np.array([row.split("+")[0] for row in plane.fiber_type], dtype="U32")
-    wrong = 0
-    if needs is not None:
-        types[who] = np.where(needs == "", types[who], needs)
-        wrong = sum(t not in row.split("+") for t, row in zip(types[who], plane.fiber_type[who], strict=True))
+    types = plane._first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
+    types[who] = fibers
+    wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
     report = find_collisions(plane, posed)
     summary = {
@@ -142,6 +144,7 @@ def score_tile(
         "n_rows_ignored": len(table) - len(part),
         "n_out_of_reach": int(posed.clipped.sum()),
         "n_wrong_fiber": int(wrong),
+        "n_unusable": int((~plane._usable[who]).sum()),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
@@ -153,17 +156,14 @@ def _positioners(find: Finder, plane):
     name = find.name_of("positioner")
     if name is None:
         raise find.missing("positioner")
-    values = np.asarray(find.labels("positioner"))
-    keep = np.ones(len(values), dtype=bool)
-    if "assigned" in find.table.colnames:
-        keep &= np.asarray(find.table["assigned"]).astype(int) != 0
-    has_target = find.table["target_id"] if "target_id" in find.table.colnames else None
-    if has_target is not None:  # a tile of ours: idle positioners have no target
-        keep &= ~np.ma.getmaskarray(np.ma.asarray(has_target))
-    keep &= (values != "") if values.dtype.kind == "U" else (values >= 0)
-    rows = np.flatnonzero(keep)
+    values = to_plain(find.table[name])
+    if values.dtype.kind == "f":  # integers in a column with blanks
+        values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
+    names = np.char.strip(values.astype(str))
     index = {str(i): k for k, i in enumerate(plane.id)}
-    names = [str(v) for v in values[rows]]
+    # blank, and -1 where no positioner is called so, mean that the row assigns none
+    rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))
+    names = names[rows].tolist()
     unknown = [v for v in names if v not in index]
     if unknown:
         raise InputError(
@@ -179,6 +179,18 @@ def _positioners(find: Finder, plane):
             f"a table of several fields is scored one field at a time, for example with --select COLUMN=VALUE"
         )
     return rows, who, name
+
+
+def _assigned(table) -> np.ndarray:
+    """Mark the rows that assign a fiber: all, unless a column says otherwise."""
+    if "in_collision" in table.colnames and "status" in table.colnames:  # a tile of ours
+        return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
+    if "assigned" not in table.colnames:
+        return np.ones(len(table), dtype=bool)
+    flags = to_plain(table["assigned"])
+    if flags.dtype.kind not in "biuf":
+        raise InputError(f"column 'assigned' must hold numbers or truth values, got text such as {flags.flat[0]!r}")
+    return np.nan_to_num(flags.astype(float)) != 0
 
 
 def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The result for one tile: a row for each positioner, a summary, and where it comes from."""
 
+import json
 import os
 import sys
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
 
-__all__ = ["Tile", "build_tile"]
+__all__ = ["Tile", "as_instrument", "build_tile"]
 
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 
@@ -135,7 +136,9 @@ class Tile:
         if not isinstance(other, Tile):
             return NotImplemented
         a, b = self.table, other.table
-        return a.colnames == b.colnames and a.meta == b.meta and all(_same(a[c], b[c]) for c in a.colnames)
+        # as text, in which NaN equals NaN
+        same_meta = json.dumps(a.meta, sort_keys=True) == json.dumps(b.meta, sort_keys=True)
+        return a.colnames == b.colnames and same_meta and all(_same(a[c], b[c]) for c in a.colnames)
 
     __hash__ = None
 
@@ -199,7 +202,7 @@ def build_tile(
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,
     }
-    table.meta = {
+    meta = {
         "summary": summary,
         "provenance": {
             "software": _versions(),
@@ -216,16 +219,24 @@ def build_tile(
             "obstacles_mm": plane._obstacles_mm.tolist(),
         },
     }
+    table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold
     return Tile(table)
+
+
+def as_instrument(instrument: Instrument | str) -> Instrument:
+    """Return an instrument from itself or from the name of a preset."""
+    if isinstance(instrument, str):
+        return Instrument.preset(instrument)
+    if not isinstance(instrument, Instrument):
+        raise InputError(f"instrument must be an Instrument or the name of a preset, got {instrument!r}")
+    return instrument
 
 
 def _target_column(ids, has_target) -> MaskedColumn:
     """Ids with a mask; the fill value is no id of a target, so that files keep all."""
-    if ids.dtype.kind in "iu":
-        spare = np.iinfo(ids.dtype).max if ids.dtype.kind == "u" else -1
-        if np.any(ids[has_target] == spare):
-            spare = np.iinfo(ids.dtype).min
-        values = np.where(has_target, ids, np.array(spare, dtype=ids.dtype))
+    if ids.dtype.kind == "i":
+        spare = np.iinfo(np.int64).min if np.any(ids[has_target] == -1) else -1
+        values = np.where(has_target, ids, np.int64(spare))
         return MaskedColumn(values, mask=~has_target, fill_value=spare)
     values = np.where(has_target, ids.astype(str), "")
     return MaskedColumn(values, mask=~has_target, fill_value="")

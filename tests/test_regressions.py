@@ -1,0 +1,297 @@
+"""What once went wrong, each with the sentence that says what it was."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import Column, MaskedColumn, QTable, Table
+from astropy.utils.masked import Masked
+
+import rfpsurvey as rs
+from rfpsurvey.collision import place_arms
+
+MM = u.mm
+CENTER = SkyCoord(95, 23, unit="deg")
+
+
+@pytest.fixture(scope="module")
+def small():
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * MM)
+    return rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
+
+
+def few(n=20, **columns):
+    angle, radius = np.linspace(0, 340, n), np.linspace(0.02, 0.4, n)
+    return rs.Catalog(CENTER.directional_offset_by(angle * u.deg, radius * u.deg), **columns)
+
+
+@pytest.mark.parametrize("suffix", [".fits", ".ecsv"])
+@pytest.mark.parametrize(
+    "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]
+)
+def test_scoring_a_written_tile_counts_idle_positioners_as_idle(small, tmp_path, suffix, ids):
+    """Blank ids of a FITS table are not masked, and parked arms were taken for assigned ones; uint64 was unreadable."""
+    tile = rs.plan_tile(few(id=ids), small, CENTER)
+    path = tmp_path / f"tile{suffix}"
+    tile.write(path)
+    assert rs.Tile.read(path) == tile
+    for table in (rs.Tile.read(path).table, QTable.read(path)):
+        score = rs.score_tile(table, small)
+        for key in ("n_assigned", "n_parked", "n_colliding", "collision_rate_assigned"):
+            assert score.summary[key] == tile.summary[key]
+
+
+def test_a_table_with_both_frames_is_read_in_the_one_asked_for():
+    """Right ascension was taken for galactic longitude where a table has both."""
+    c = SkyCoord(266.4, -28.9, unit="deg")
+    table = QTable({"ra": [c.ra], "dec": [c.dec], "l": [c.galactic.l], "b": [c.galactic.b]})
+    for frame in ("icrs", "galactic"):
+        assert rs.Catalog.from_table(table, frame=frame).coord.icrs.separation(c)[0].arcsec < 1e-6
+    with pytest.raises(rs.InputError, match="there is no column for lon and lat of the frame 'galactic'"):
+        rs.Catalog.from_table(table["ra", "dec"], frame="galactic")
+
+
+def test_decimal_text_is_not_sexagesimal():
+    """Degrees held as text were read as hours."""
+    for table, units in (
+        (Table({"ra": ["95.5"], "dec": ["23.0"]}), {"ra": "deg", "dec": "deg"}),
+        (Table({"ra": Column(["95.5"], unit="deg"), "dec": Column(["23.0"], unit="deg")}), {}),
+    ):
+        assert rs.Catalog.from_table(table, units=units).coord.ra[0].deg == pytest.approx(95.5)
+    with pytest.raises(rs.InputError, match="column 'ra' has no unit"):
+        rs.Catalog.from_table(Table({"ra": ["95.5"], "dec": ["23.0"]}))
+    table = Table({"l": ["12:00:00"], "b": ["0:30:00"]})
+    assert rs.Catalog.from_table(table, frame="galactic").coord.l[0].deg == pytest.approx(12)
+
+
+def test_a_unit_that_contradicts_the_column_is_an_error():
+    """It silently replaced the column's own."""
+    table = QTable({"ra": [95.5] * u.deg, "dec": [23] * u.deg})
+    with pytest.raises(rs.InputError, match="column 'ra' has the unit deg, but units says rad"):
+        rs.Catalog.from_table(table, units={"ra": "rad"})
+    with pytest.raises(rs.InputError, match="units of ra must be a unit, got 'foo'"):
+        rs.Catalog.from_table(table, units={"ra": "foo"})
+
+
+def test_both_hands_with_arm_lengths_of_their_own():
+    """The elbow was chosen with the common arm lengths, against the joint limits."""
+    unit = rs.Positioner(5 * MM, 5 * MM, 1 * MM, handedness="both", phi_range=[0, 180] * u.deg)
+    plane = rs.FocalPlane([[0, 0]] * MM, unit, central_arm=[8] * MM, eccentric_arm=[8] * MM)
+    allocation = rs.allocate([[12, 0]] * MM, plane)
+    assert allocation.handedness.tolist() == ["right"]
+    assert np.rad2deg(allocation.place_arms(plane).phi[0]) == pytest.approx(82.8, abs=0.1)
+
+
+def test_scoring_chooses_the_elbows_that_planning_chose(small):
+    """Elbows of two-handed positioners were set right without a look at the joint limits."""
+    unit = replace(small.focal_plane.positioner, handedness="both", theta_range=[0, 200] * u.deg)
+    instrument = replace(small, focal_plane=replace(small.focal_plane, positioner=unit))
+    tile = rs.plan_tile(few(60), instrument, CENTER)
+    score = rs.score_tile(tile.table, instrument)
+    np.testing.assert_allclose(score.table["theta"].value, tile.table["theta"].value, atol=1e-9)
+    assert (tile.table["phi"].value < 0).any()
+    theta = np.mod(tile.table["theta"].value, 360)
+    assert theta[np.isfinite(theta)].max() <= 200
+
+
+def test_joint_limits_are_looked_at_when_scoring(small):
+    """Poses that the joints forbid passed as assigned."""
+    unit = replace(small.focal_plane.positioner, theta_range=[0, 90] * u.deg)
+    plane = replace(small.focal_plane, positioner=unit)
+    x, y = plane.xy[0]
+    plan = QTable({"positioner": [0], "x": [x - 14 * MM], "y": [y]})
+    tile = rs.score_tile(plan, replace(small, focal_plane=plane))
+    assert tile.summary["n_out_of_reach"] == 1
+    assert tile.table["status"][0] == "out_of_reach"
+    tips = np.full((37, 2), np.nan) * MM
+    tips[0] = x - 14 * MM, y
+    with pytest.raises(rs.InputError, match="1 tips are beyond the joint limits, the first that of positioner 0"):
+        rs.find_collisions(plane, tips)
+
+
+def test_a_unit_without_a_target_turns_its_arm_as_its_own_fiber_does():
+    """Stuck units took the arm angle of the first fiber type of the instrument."""
+    unit = rs.Positioner(
+        7 * MM, 12 * MM, 1 * MM, arm_model="capsule", arm_length=11 * MM, arm_angle={"A": 10 * u.deg, "B": -10 * u.deg}
+    )
+    plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, unit, fiber_type=["B", "A"], stuck=[[0, 0], [0, 0]] * u.deg)
+    arms = place_arms(plane, np.full((2, 2), np.nan) * MM)
+    assert arms.segments[0, 3] < 0 < arms.segments[1, 3]
+
+
+def test_targets_without_a_type_go_to_the_first_type_where_maps_differ(small):
+    """They were projected with the first map and then given to fibers of the other type."""
+    maps = {
+        "A": rs.RadialMap("theta", [349.0], max_angle=2 * u.deg),
+        "B": rs.RadialMap("theta", [330.0], max_angle=2 * u.deg),
+    }
+    plane = rs.FocalPlane([[0, 0], [110, 0]] * MM, small.focal_plane.positioner, fiber_type=["A", "B"])
+    instrument = rs.Instrument("two", plane, distortion=maps)
+    coord = CENTER.directional_offset_by([90, 90] * u.deg, [0.01, 110 / 349] * u.deg)
+    tile = rs.plan_tile(rs.Catalog(coord), instrument, CENTER)
+    assert tile.table["status"].tolist() == ["assigned", "parked"]
+
+
+def test_masked_values_count_as_missing(small):
+    """Values under a mask were used."""
+    with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
+        assert len(rs.Catalog(SkyCoord(Masked([5, 1] * u.deg, mask=[True, False]), [0, 0] * u.deg))) == 1
+    tips = Masked([[3, 0]] * MM, mask=[[True, True]])
+    plane = rs.FocalPlane([[0, 0]] * MM, small.focal_plane.positioner)
+    assert not rs.find_collisions(plane, tips).assigned.any()
+    with pytest.raises(rs.InputError, match="priority must be a number for every target"):
+        few(2, priority=np.ma.array([1.0, 2.0], mask=[True, False]))
+    x, y = small.focal_plane.xy[:2].T
+    plan = QTable({"positioner": [0, 1], "x": x, "y": y, "assigned": MaskedColumn([1, 1], mask=[True, False])})
+    assert rs.score_tile(plan, small).summary["n_assigned"] == 1
+    plan = QTable({"positioner": MaskedColumn([0, 1], mask=[True, False]), "x": x, "y": y})
+    assert rs.score_tile(plan, small).summary["n_assigned"] == 1
+
+
+def test_rows_for_units_that_cannot_be_used_are_counted(small):
+    """They vanished, and with NaN rates the tile did not equal itself."""
+    plane = replace(small.focal_plane, disabled=np.arange(37) == 0)
+    x, y = plane.xy[:1].T
+    tile = rs.score_tile(QTable({"positioner": [0], "x": x, "y": y}), replace(small, focal_plane=plane))
+    assert tile.summary["n_unusable"] == 1
+    assert np.isnan(tile.summary["collision_rate_assigned"])
+    assert tile == rs.Tile(tile.table.copy())
+
+
+def test_a_focal_plane_keeps_its_physics_in_a_table(presets, tmp_path):
+    """Only the clearance came back."""
+    plane = presets["sdss_apo"].focal_plane
+    plane.to_table().write(tmp_path / "plane.ecsv")
+    back = rs.FocalPlane.from_table(QTable.read(tmp_path / "plane.ecsv"))
+    for name in (
+        "min_separation",
+        "step",
+        "displacement",
+        "home",
+        "arm_length",
+        "arm_model",
+        "handedness",
+        "clearance",
+    ):
+        np.testing.assert_array_equal(getattr(back.positioner, name), getattr(plane.positioner, name))
+    assert back.positioner.arm_angle == plane.positioner.arm_angle
+    np.testing.assert_array_equal(back.id, plane.id)
+    np.testing.assert_array_equal(back.obstacles, plane.obstacles)
+
+
+def test_a_focal_plane_from_fits_has_text_ids(small, tmp_path):
+    """They were bytes."""
+    plane = replace(small.focal_plane, id=[f"p{k}" for k in range(37)])
+    table = plane.to_table()
+    table.meta.clear()
+    table.write(tmp_path / "plane.fits")
+    back = rs.FocalPlane.from_table(QTable.read(tmp_path / "plane.fits"), plane.positioner)
+    assert back.id.tolist() == plane.id.tolist()
+
+
+def test_a_tile_does_not_make_every_unit_stuck(small):
+    """Its columns theta and phi were taken for those of stuck units."""
+    tile = rs.plan_tile(few(), small, CENTER)
+    assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner)._usable.all()
+
+
+def test_catalogs_with_velocities_and_odd_representations(small):
+    """Radial velocities alone, cartesian coordinates and distances raised errors of other packages."""
+    still = few(3)
+    coord = still.coord
+    for odd in (
+        SkyCoord(coord.ra, coord.dec, radial_velocity=[5, 6, 7] * u.km / u.s),
+        SkyCoord(coord, representation_type="cartesian"),
+        SkyCoord(coord.galactic.l, coord.galactic.b, distance=[1, np.inf, np.nan] * u.pc, frame="galactic"),
+    ):
+        catalog = rs.Catalog(odd, epoch=2016.0)
+        assert catalog.at_epoch(2026) is catalog
+        assert len(catalog.to_table()) == 3
+        assert rs.plan_tile(catalog, small, CENTER, epoch=2026).summary["n_assigned"] == 3
+    assert rs.plan_tile(still, small, SkyCoord(CENTER, representation_type="cartesian")).summary["n_assigned"] == 3
+    assert len(still[1]) == 1
+
+
+def test_epochs_matter_only_where_something_moves():
+    """One unusable epoch made a catalog unreadable, proper motions or not."""
+    deg, pm = u.deg, u.mas / u.yr
+    base = {"ra": [1, 2] * deg, "dec": [1, 2] * deg}
+    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": [0.0, np.nan]})).epoch is None
+    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["J2000", "?"]})).epoch is None
+    moving = {**base, "pmra": [5, np.nan] * pm, "pmdec": [5, np.nan] * pm, "ref_epoch": [2015.5, 0.0]}
+    assert rs.Catalog.from_table(QTable(moving)).epoch.jyear == pytest.approx(2015.5)
+    assert rs.Catalog.from_table(QTable(base, meta={"ref_epoch": ""})).epoch is None
+    with pytest.raises(rs.InputError, match="time must be one time or shape"):
+        rs.Catalog.from_table(QTable(moving)).at_epoch([2016, 2017, 2018] * u.yr)
+
+
+def test_proper_motions_of_another_frame_are_not_used_without_a_word():
+    """They were dropped silently."""
+    table = QTable({"l": [1] * u.deg, "b": [2] * u.deg, "pmra": [1] * u.mas / u.yr, "pmdec": [1] * u.mas / u.yr})
+    with pytest.warns(rs.RfpsurveyWarning, match="are not those of the frame asked for"):
+        assert not rs.Catalog.from_table(table, frame="galactic").has_proper_motion
+
+
+def test_ids_are_clean_text(small, tmp_path):
+    """Blanks around ids and newlines in them did not survive files."""
+    tile = rs.plan_tile(few(3, id=[" a", "b\nc", "d "]), small, CENTER)
+    assert sorted(tile.table["target_id"].compressed()) == ["a", "b c", "d"]
+    for suffix in (".fits", ".ecsv"):
+        tile.write(tmp_path / f"t{suffix}")
+        assert rs.Tile.read(tmp_path / f"t{suffix}") == tile
+
+
+def test_meta_of_any_kind_can_be_written(small, tmp_path):
+    """A numpy value in the meta of a catalog made writing fail after all the work."""
+    catalog = few(3, meta={"value": np.float32(1.5), "array": np.arange(3)})
+    tile = rs.plan_tile(catalog, small, CENTER)
+    catalog.write(tmp_path / "c.fits")
+    tile.write(tmp_path / "t.fits")
+    assert rs.Tile.read(tmp_path / "t.fits") == tile
+    table = QTable({"x": [1]}, meta={"RFPSURVY": "{"})
+    table.write(tmp_path / "damaged.fits")
+    with pytest.raises(rs.InputError, match="the header card RFPSURVY is damaged"):
+        rs.Catalog.read(tmp_path / "damaged.fits")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: rs.plan_tile(few(), 5, CENTER), "instrument must be an Instrument or the name of a preset, got 5"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, rng="x"), "rng must be a seed of at least 0, a numpy Generator"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, rng=-1), "rng must be a seed of at least 0"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=[1, 2] * u.deg), "rotation must be one value"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=np.nan * u.deg), "rotation must be one finite value"),
+        (lambda s: few().within(CENTER, -1 * u.deg), "radius must be one finite value of at least 0 rad"),
+        (lambda s: few().at_epoch(57388), "a Julian year from 1700 to 2300"),
+        (lambda s: few(2, priority=["a", "b"]), "priority must be numbers"),
+        (
+            lambda s: s.projection(CENTER).to_focal_plane(SkyCoord([[1, 2]], [[1, 2]], unit="deg")),
+            r"coord must have the shape",
+        ),
+        (lambda s: rs.find_collisions(s.focal_plane, s.focal_plane.xy, theta=np.zeros(37) * u.deg), "not both"),
+        (
+            lambda s: rs.find_collisions(
+                s.focal_plane, place_arms(rs.FocalPlane([[0, 0]] * MM, s.focal_plane.positioner), [[1, 0]] * MM)
+            ),
+            "the arms are those of 1 positioners, not of 37",
+        ),
+        (lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg), "stuck must give both theta"),
+        (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
+        (lambda s: replace(s.focal_plane, id=3), "id must have one value a positioner"),
+        (
+            lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets="ten"),
+            "the number of targets must be one",
+        ),
+        (lambda s: rs.synthetic_catalog("uniform", CENTER, [1, 2] * u.deg, n_targets=1), "radius must be one value"),
+        (lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=1e30), "from 0 to 1e.09"),
+        (lambda s: rs.FocalPlane.hexagonal(s.focal_plane.positioner, radius=np.nan * MM, pitch=8 * MM), "radius must"),
+    ],
+)
+def test_bad_input_is_a_sentence(small, call, message):
+    """These ended in exceptions of other packages, or in nonsense."""
+    with pytest.raises(rs.InputError, match=message):
+        call(small)
