@@ -1,0 +1,29 @@
+"""Pictures, compared with those in ``baseline`` under the pinned matplotlib of ``tox -e figures``.
+
+After a wanted change, look at the new pictures and keep them:
+``tox -e figures -- --mpl-generate-path=tests/figures/baseline``.
+"""
+
+import astropy.units as u
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord(95, 23, unit="deg")
+
+
+def tile(instrument, **options):
+    sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=700, rng=1)
+    return rs.plan_tile(sky, instrument, CENTER, **options)
+
+
+@pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 36}, tolerance=1)
+def test_focal_plane_with_unequal_arms():
+    return rs.plot_focal_plane(tile("sdss_apo")).figure
+
+
+@pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 36}, tolerance=1)
+def test_part_of_a_focal_plane_with_equal_arms():
+    region = [[-120, -120], [120, 120]] * u.mm
+    return rs.plot_focal_plane(tile("lamost", allocator="balanced"), region=region).figure
