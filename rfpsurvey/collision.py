@@ -84,7 +84,7 @@ class CollisionReport:
         for i, j in self.pairs.tolist():
             partners[i].append(j)
             partners[j].append(i)
-        return [sorted(p) for p in partners]
+        return partners  # ascending, because the pairs are sorted
 
     def __repr__(self):
         return (

@@ -1,7 +1,6 @@
 """All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 
 import astropy.units as u
@@ -10,12 +9,12 @@ from astropy.table import QTable, Table
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from rfpsurvey._kernels import arms, reach
+from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_labels, to_mm, to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import _tables
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
-from rfpsurvey.focal_plane._reach import Reach
+from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["FocalPlane"]
@@ -207,15 +206,7 @@ class FocalPlane:
 
     @cached_property
     def _grid(self):
-        """Positioners sorted into cells of about one reach: x0, y0, size, nx, ny, start, order."""
-        low, high = self._xy_mm.min(axis=0), self._xy_mm.max(axis=0)
-        # no more than a few cells a positioner, however far apart they stand
-        size = max(self._outer_mm.max(), np.sqrt(np.prod(high - low) / (4 * len(self))), (high - low).max() / 4096)
-        nx, ny = (int(n) for n in (high - low) // size + 1)
-        start, order = np.zeros(nx * ny + 1, dtype=np.int64), np.empty(len(self), dtype=np.int64)
-        x, y = self._xy_mm.T.copy()
-        reach.fill_grid(x, y, low[0], low[1], size, nx, ny, start, order)
-        return float(low[0]), float(low[1]), float(size), nx, ny, start, order
+        return make_grid(self._xy_mm, self._outer_mm.max())
 
     @cached_property
     def _neighbors(self):
@@ -271,78 +262,11 @@ class FocalPlane:
 
     def _reach(self, points: np.ndarray, fiber_type=None) -> Reach:
         """Reachable pairs of targets in mm."""
-        accepts = self._accepts(fiber_type, len(points))
-        x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-        cx, cy = self._xy_mm.T.copy()
-        indptr = np.empty(len(points) + 1, dtype=np.int64)
-        room = 2 * len(points) + 1024
-        while True:
-            owner, r2, code = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
-            positioners = (cx, cy, self._inner_mm, self._outer_mm, self._offers)
-            n = reach.reachable_pairs(x, y, accepts, *positioners, *self._grid, indptr, owner, r2, code)
-            if n <= room:
-                break
-            room = n
-        pairs = Reach(indptr, owner[:n], r2[:n], len(self))
-        edge = np.flatnonzero(code[:n] == reach.BORDERLINE)
-        if len(edge):
-            keep = np.ones(n, dtype=bool)
-            target = pairs.target
-            keep[edge] = [self._in_annulus_exactly(owner[k], points[target[k]]) for k in edge]
-            pairs = pairs.where(keep)
-        if not self.positioner._joints_free:
-            pairs = pairs.where(self._joints_reach(pairs, points))
-        return pairs
+        return find_reach(self, points, accepted_types(self, fiber_type, len(points)))
 
-    def _accepts(self, fiber_type, n):
-        """Bit mask of the fiber types that may observe each target."""
-        if fiber_type is None or self.fiber_types == ("",):
-            return np.full(n, -1, dtype=np.int64)
-        types = np.asarray(fiber_type, dtype=str)
-        if types.shape != (n,):
-            raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
-        names, inverse = np.unique(types, return_inverse=True)
-        unknown = [str(t) for t in names if t and t not in self.fiber_types]
-        if unknown:
-            raise InputError(
-                f"fiber_type must be one of {', '.join(self.fiber_types)} or empty, got {', '.join(unknown)}"
-            )
-        masks = [1 << self.fiber_types.index(t) if t else -1 for t in names]
-        return np.array(masks, dtype=np.int64)[inverse.reshape(-1)]
-
-    def _in_annulus_exactly(self, i, point):
-        """Rational arithmetic on the floats as they are."""
-        r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, self._xy_mm[i], strict=True))
-        l1, l2 = Fraction(self._l1_mm[i]), Fraction(self._l2_mm[i])
-        inner = 0 if self._equal_arms[i] else abs(l1 - l2)
-        return inner**2 <= r2 <= (l1 + l2) ** 2
-
-    def _joints_reach(self, pairs, points):
-        """Mark the pairs that the joint limits allow with the positioner's handedness."""
-        allowed = np.zeros(len(pairs.owner), dtype=bool)
-        for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[self.positioner.handedness]:
-            allowed |= self._joints_allow(pairs.owner, points[pairs.target], side)
-        return allowed
-
-    def _joints_allow(self, own, points, side):
-        """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1, -1)."""
-        theta, phi, ex, ey = (np.empty(len(own)) for _ in range(4))
-        side = np.broadcast_to(np.asarray(side, dtype=float), len(own)).copy()
-        geometry = (*self._xy_mm[own].T.copy(), self._l1_mm[own], self._l2_mm[own])
-        arms.solve(*points.T.copy(), *geometry, side, self.positioner._home_rad[0], theta, phi, ex, ey)
-        return self.positioner._joints_allowed(theta, phi)
-
-    def _sides(self, points):
-        """Elbow of each positioner toward its own point (mm): +1 right, -1 left.
-
-        Where both are allowed by the handedness, the right one unless the joint limits forbid it and not the left.
-        """
-        side = np.full(len(self), -1.0 if self.positioner.handedness == "left" else 1.0)
-        if self.positioner.handedness == "both" and not self.positioner._joints_free:
-            rows = np.flatnonzero(np.isfinite(points).all(axis=1))
-            right, left = (self._joints_allow(rows, points[rows], s) for s in (1.0, -1.0))
-            side[rows[~right & left]] = -1.0
-        return side
+    def _sides(self, points: np.ndarray) -> np.ndarray:
+        """Elbow of each positioner toward its own point in mm: +1 right, -1 left."""
+        return sides(self, points)
 
     @classmethod
     def hexagonal(

@@ -1,13 +1,15 @@
-"""Reachable pairs of targets and positioners."""
+"""Reachable pairs of targets and positioners, exact at the edges, within the joint limits."""
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import reach
+from rfpsurvey._kernels import arms, reach
+from rfpsurvey.errors import InputError
 
-__all__ = ["Reach"]
+__all__ = ["Reach", "accepted_types", "find_reach", "make_grid", "sides"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,3 +45,87 @@ class Reach:
         target, source = np.empty_like(self.owner), np.empty_like(self.owner)
         reach.transpose(self.indptr, self.owner, self.n_positioners, indptr, target, source)
         return indptr, target, self.r2[source]
+
+
+def make_grid(xy, cell):
+    """Sort positioners into square cells: x0, y0, size, nx, ny, start, order."""
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    # no more than a few cells a positioner, however far apart they stand
+    size = max(cell, np.sqrt(np.prod(high - low) / (4 * len(xy))), (high - low).max() / 4096)
+    nx, ny = (int(n) for n in (high - low) // size + 1)
+    start, order = np.zeros(nx * ny + 1, dtype=np.int64), np.empty(len(xy), dtype=np.int64)
+    x, y = xy.T.copy()
+    reach.fill_grid(x, y, low[0], low[1], size, nx, ny, start, order)
+    return float(low[0]), float(low[1]), float(size), nx, ny, start, order
+
+
+def accepted_types(plane, fiber_type, n) -> np.ndarray:
+    """Return the bit mask of the fiber types that may observe each of ``n`` targets."""
+    if fiber_type is None or plane.fiber_types == ("",):
+        return np.full(n, -1, dtype=np.int64)
+    types = np.asarray(fiber_type, dtype=str)
+    if types.shape != (n,):
+        raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
+    names, inverse = np.unique(types, return_inverse=True)
+    unknown = [str(t) for t in names if t and t not in plane.fiber_types]
+    if unknown:
+        raise InputError(f"fiber_type must be one of {', '.join(plane.fiber_types)} or empty, got {', '.join(unknown)}")
+    masks = [1 << plane.fiber_types.index(t) if t else -1 for t in names]
+    return np.array(masks, dtype=np.int64)[inverse.reshape(-1)]
+
+
+def find_reach(plane, points, accepts) -> Reach:
+    """Return the reachable pairs of targets in mm; ``accepts`` as `accepted_types` makes it."""
+    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+    cx, cy = plane._xy_mm.T.copy()
+    indptr = np.empty(len(points) + 1, dtype=np.int64)
+    room = 2 * len(points) + 1024
+    while True:
+        owner, r2, code = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
+        positioners = (cx, cy, plane._inner_mm, plane._outer_mm, plane._offers)
+        n = reach.reachable_pairs(x, y, accepts, *positioners, *plane._grid, indptr, owner, r2, code)
+        if n <= room:
+            break
+        room = n
+    pairs = Reach(indptr, owner[:n], r2[:n], len(plane))
+    edge = np.flatnonzero(code[:n] == reach.BORDERLINE)
+    if len(edge):
+        keep = np.ones(n, dtype=bool)
+        target = pairs.target
+        keep[edge] = [_in_annulus_exactly(plane, owner[k], points[target[k]]) for k in edge]
+        pairs = pairs.where(keep)
+    if not plane.positioner._joints_free:
+        allowed = np.zeros(len(pairs.owner), dtype=bool)
+        for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]:
+            allowed |= _joints_allow(plane, pairs.owner, points[pairs.target], side)
+        pairs = pairs.where(allowed)
+    return pairs
+
+
+def sides(plane, points) -> np.ndarray:
+    """Return the elbow of each positioner toward its own point (mm): +1 right, -1 left.
+
+    Where both are allowed by the handedness, the right one unless the joint limits forbid it and not the left.
+    """
+    side = np.full(len(plane), -1.0 if plane.positioner.handedness == "left" else 1.0)
+    if plane.positioner.handedness == "both" and not plane.positioner._joints_free:
+        rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+        right, left = (_joints_allow(plane, rows, points[rows], s) for s in (1.0, -1.0))
+        side[rows[~right & left]] = -1.0
+    return side
+
+
+def _in_annulus_exactly(plane, i, point):
+    """Rational arithmetic on the floats as they are."""
+    r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, plane._xy_mm[i], strict=True))
+    l1, l2 = Fraction(plane._l1_mm[i]), Fraction(plane._l2_mm[i])
+    inner = 0 if plane._equal_arms[i] else abs(l1 - l2)
+    return inner**2 <= r2 <= (l1 + l2) ** 2
+
+
+def _joints_allow(plane, own, points, side):
+    """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
+    theta, phi, ex, ey = (np.empty(len(own)) for _ in range(4))
+    geometry = (*plane._xy_mm[own].T.copy(), plane._l1_mm[own], plane._l2_mm[own], np.full(len(own), side))
+    arms.solve(*points.T.copy(), *geometry, plane.positioner._home_rad[0], theta, phi, ex, ey)
+    return plane.positioner._joints_allowed(theta, phi)

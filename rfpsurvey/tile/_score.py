@@ -12,6 +12,7 @@ from rfpsurvey._units import to_direction, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.tile._plan import _epoch_text, _where
 from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
@@ -104,7 +105,7 @@ def score_tile(
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
     # a target without a fiber type is seen by the first fiber of its positioner
     asked = find.labels("fiber_type") if plane.fiber_types != ("",) else None
-    plane._accepts(asked, len(part))
+    accepted_types(plane, asked, len(part))
     fibers = plane._first_type[who] if asked is None else np.where(asked == "", plane._first_type[who], asked)
     ids = _target_ids(find, name)
     parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": bool(parked_obstacles)}

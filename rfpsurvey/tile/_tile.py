@@ -5,6 +5,7 @@ import os
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 import astropy.units as u
@@ -188,7 +189,7 @@ def build_tile(
     table["elbow_x"], table["elbow_y"] = posed.elbow.T * u.mm
     table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
     table["in_collision"] = report.in_collision
-    table["colliding_with"] = [" ".join(names[p]) for p in report.colliding_with]
+    table["colliding_with"] = [" ".join(names[p]) if p else "" for p in report.colliding_with]
     table["clearance"] = (nearest_distance(posed) - plane.positioner._separation_mm) * u.mm
     positioner = plane.positioner
     summary = {
@@ -249,6 +250,7 @@ def _spectrograph(plane, fiber_type):
     return plane.spectrograph[np.arange(len(plane)), column]
 
 
+@cache
 def _versions() -> dict:
     found = {"python": sys.version.split()[0]}
     for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
