@@ -35,13 +35,14 @@ nitpick_ignore_regex = [
 
 
 def write_help(app):
-    """Keep what ``--help`` says of each command, for the page of commands to include."""
+    """Keep what commands print, for pages to include."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
-    for command in ("plan", "score", "instruments"):
-        call = [sys.executable, "-m", "rfpsurvey", command, "--help"]
+    calls = {f"help_{command}": [command, "--help"] for command in ("plan", "score", "instruments")}
+    for name, arguments in {**calls, "instruments": ["instruments"]}.items():
+        call = [sys.executable, "-m", "rfpsurvey", *arguments]
         text = subprocess.run(call, capture_output=True, text=True, check=True).stdout
-        (folder / f"help_{command}.txt").write_text(text)
+        (folder / f"{name}.txt").write_text(text)
 
 
 def setup(app):

@@ -1,5 +1,6 @@
 import sys
 import textwrap
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -200,3 +201,18 @@ def test_unknown_names_list_the_choices(tmp_path):
         rs.Instrument.preset("lamst")
     with pytest.raises(rs.InputError, match="cannot be read as TOML"):
         rs.Instrument.read(tmp_path / "missing.toml")
+
+
+def test_the_description_in_the_documentation_works(tmp_path):
+    page = (Path(__file__).parent.parent / "docs" / "instruments.rst").read_text()
+    block = page.split(".. code-block:: toml\n")[1].split("\n``rfpsurvey plan")[0]
+    path = tmp_path / "mine.toml"
+    path.write_text(textwrap.dedent(block))
+    mine = rs.Instrument.read(path)
+    assert len(mine.focal_plane) == 469
+    (tmp_path / "wider.toml").write_text('inherits = "mine"\nname = "wider"\n[layout]\nrings.value = 2\n')
+    with pytest.raises(rs.InputError, match="lacks or misuses 'status'"):
+        rs.Instrument.read(tmp_path / "wider.toml")
+    rings = 'rings = { value = 2, status = "assumed", source = "a smaller one" }\n'
+    (tmp_path / "wider.toml").write_text(f'inherits = "mine"\nname = "wider"\n[layout]\n{rings}')
+    assert len(rs.Instrument.read(tmp_path / "wider.toml").focal_plane) == 19

@@ -1,5 +1,6 @@
 """Plan one tile: catalog, projection, reach, allocation, arms, collisions, score."""
 
+import logging
 from time import perf_counter
 
 import astropy.units as u
@@ -17,6 +18,8 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
 __all__ = ["plan_tile"]
+
+log = logging.getLogger("rfpsurvey")
 
 
 def plan_tile(
@@ -124,6 +127,7 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
+    log.info("planned a tile of %s: %s", instrument.name, summary)
     parameters = {
         **_where(center, position_angle),
         "epoch": _epoch_text(catalog.epoch),
