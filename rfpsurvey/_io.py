@@ -10,11 +10,12 @@ import os
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["check_output", "output_path", "read_table", "suffix_of", "write_table"]
+__all__ = ["check_output", "output_path", "read_table", "suffix_of", "to_path", "write_table"]
 
 FORMATS = {
     ".fits": "fits",
@@ -27,36 +28,54 @@ FORMATS = {
     ".parquet": "parquet",
 }
 WRITABLE = (".fits", ".ecsv")
+ZIPPED = (".gz", ".bz2", ".xz")
 META_KEY = "RFPSURVY"
+
+
+def to_path(path: object) -> Path:
+    """Return a Path from text or a path."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise InputError(f"a path must be text or a path, got {path!r}") from None
 
 
 def suffix_of(path: Path) -> str:
     """Return the ending that tells the format; ``.gz`` is looked through."""
     suffixes = [s.lower() for s in path.suffixes]
-    if suffixes and suffixes[-1] in (".gz", ".bz2", ".xz"):
+    if suffixes and suffixes[-1] in ZIPPED:
         suffixes.pop()
     return suffixes[-1] if suffixes else ""
 
 
 def read_table(path: str | os.PathLike) -> QTable:
     """Read a table in any of `FORMATS`."""
-    path = Path(path)
+    path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
         raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (or with .gz)")
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
-    options = {"mask_invalid": False, "character_as_bytes": False} if FORMATS[suffix] == "fits" else {}
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    options = {
+        "fits": {"mask_invalid": False, "character_as_bytes": False},
+        "ascii.csv": {"comment": "#"},
+    }.get(FORMATS[suffix], {})
     try:
         # CSV carries no units: a plain Table, whose text columns stay text
         cls = Table if FORMATS[suffix] == "ascii.csv" else QTable
         table = QTable(cls.read(path, format=FORMATS[suffix], **options))
     except ImportError as error:
-        raise InputError(f"{path}: reading this format needs another package: {error}") from error
+        hint = " (pip install 'rfpsurvey[parquet]')" if FORMATS[suffix] == "parquet" else ""
+        raise InputError(f"{path}: reading this format needs another package: {error}{hint}") from error
     except Exception as error:  # readers of seven formats raise what they like
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {reason}") from error
-    table.convert_bytestring_to_unicode()
+    first = table.colnames[0] if table.colnames else ""
+    if first.lstrip("\ufeff") != first:  # the mark that spreadsheets put before a CSV file
+        table.rename_column(first, first.lstrip("\ufeff").strip('"'))
+    for name in table.colnames:
+        if getattr(table[name], "dtype", np.dtype(float)).kind == "S":
+            table[name] = np.char.decode(np.asarray(table[name]), "utf-8")
     if META_KEY in table.meta:
         try:
             table.meta = json.loads(table.meta[META_KEY])
@@ -67,7 +86,7 @@ def read_table(path: str | os.PathLike) -> QTable:
 
 def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = False, cards: dict | None = None) -> None:
     """Write FITS or ECSV; ``cards`` are further FITS header cards."""
-    path = Path(path)
+    path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
         if suffix_of(path) == ".fits":
             table = table.copy()
@@ -84,13 +103,16 @@ def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = Fal
 
 def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
     """Return the path if an output may go there, with one of these endings (before any .gz)."""
-    path = Path(path)
-    if suffix_of(path) not in endings:
+    path = to_path(path)
+    zipped = path.suffix.lower() in ZIPPED
+    if suffix_of(path) not in endings or (zipped and (path.suffix.lower() != ".gz" or endings is not WRITABLE)):
         raise InputError(f"{path}: the name of this output must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     if path.is_dir():
         raise InputError(f"{path} is a folder; an output must be a file")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {path.parent} cannot be written to")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)")
     return path
@@ -102,8 +124,11 @@ def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite:
     path = check_output(path, endings, overwrite=overwrite)
     temporary = path.with_name(f".{os.getpid()}-{path.name}")
     try:
-        yield temporary
-        os.replace(temporary, path)
+        try:
+            yield temporary
+            os.replace(temporary, path)
+        except OSError as error:
+            raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()

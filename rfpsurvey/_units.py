@@ -15,8 +15,8 @@ from astropy.utils.masked import Masked
 from rfpsurvey.errors import InputError
 
 __all__ = [
-    "to_direction", "to_generator", "to_labels", "to_mm", "to_plain", "to_points_mm", "to_radian", "to_scalar",
-    "to_unit", "to_vectors",
+    "to_direction", "to_flags", "to_generator", "to_labels", "to_mm", "to_plain", "to_points_mm", "to_radian",
+    "to_scalar", "to_unit", "to_vectors",
 ]  # fmt: skip
 
 
@@ -90,9 +90,11 @@ def to_direction(coord: object, name: str = "coord") -> SkyCoord:
     return SkyCoord(coord.frame.realize_frame(place, **kind))
 
 
-def to_vectors(coord: object, name: str = "coord") -> np.ndarray:
+def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:
     """Return directions as ICRS unit vectors, shape (n, 3); distances do not matter."""
     direction = to_direction(coord, name)
+    if one and not direction.isscalar:
+        raise InputError(f"{name} must be one direction, got the shape {direction.shape}")
     if direction.ndim > 1:
         raise InputError(f"{name} must have the shape (n,), got {direction.shape}")
     direction = SkyCoord(direction.frame.realize_frame(direction.data.without_differentials()))
@@ -120,8 +122,24 @@ def to_plain(column: object) -> np.ndarray:
     return values
 
 
+def to_flags(value: object, name: str) -> np.ndarray:
+    """Return truth values from booleans, numbers or the words true and false; masked ones are False."""
+    values = to_plain(value)
+    if values.dtype.kind == "U":
+        words = np.char.lower(np.char.strip(values))
+        yes, no = np.isin(words, ("true", "t", "yes", "1")), np.isin(words, ("false", "f", "no", "0", ""))
+        if not (yes | no).all():
+            strange = str(words[~(yes | no)].flat[0])
+            raise InputError(f"{name} must hold truth values or numbers, got text such as {strange!r}")
+        return yes
+    return np.nan_to_num(values.astype(float)) != 0
+
+
 def to_labels(value: object, name: str) -> np.ndarray:
     """Return names as an array of int64 or of text without blanks around it."""
+    blank = np.asarray(getattr(value, "mask", False))
+    if blank.any() and np.asarray(value).dtype.kind in "iu":
+        raise InputError(f"{name} must be integers or text for every row, but {int(blank.sum())} rows have none")
     values = to_plain(value)
     if values.dtype.kind in "iu" and (values.size == 0 or values.max() < 2**63):
         return values.astype(np.int64)

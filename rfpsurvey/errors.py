@@ -19,6 +19,6 @@ def check_choice(name: object, choices: Iterable[str], what: str) -> str:
     choices = sorted(choices)
     if isinstance(name, str) and name in choices:
         return name
-    close = get_close_matches(str(name), choices, n=1)
+    close = get_close_matches(str(name).lower(), choices, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""
     raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}.{hint}")

@@ -88,7 +88,7 @@ class Positioner:
 
     def __post_init__(self):
         for name in ("central_arm", "eccentric_arm"):
-            to_scalar(getattr(self, name), u.mm, name, low=0)
+            to_scalar(getattr(self, name), u.mm, name, low=0, high=1e6)
         for name in ("clearance", "displacement", "arm_length"):
             if getattr(self, name) is not None:
                 to_scalar(getattr(self, name), u.mm, name, low=0, closed=True)

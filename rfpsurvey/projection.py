@@ -80,7 +80,11 @@ class RadialMap:
         limit = to_scalar(self.max_angle, u.rad, "max_angle", low=0, high=np.pi / 2)
         to_scalar(self.unit_angle, u.rad, "unit_angle", low=0)
         for name in ("unit_tangent", "factor"):
-            to_scalar(u.Quantity(getattr(self, name)), u.dimensionless_unscaled, name, low=0)
+            try:
+                number = u.Quantity(getattr(self, name))
+            except TypeError:
+                raise InputError(f"{name} must be a number, got {getattr(self, name)!r}") from None
+            to_scalar(number, u.dimensionless_unscaled, name, low=0)
         if (self.form == "sine") != (self.radius is not None):
             raise InputError(f"the form 'sine' and no other needs a radius, got {self.radius} with {self.form!r}")
         if self.radius is not None:
@@ -208,7 +212,7 @@ class TangentPlane:
                 f"plate_scale {scale} is not that of the distortion ({next(iter(maps)).plate_scale}); give one of them"
             )
         object.__setattr__(self, "plate_scale", scale)
-        to_scalar(self.rotation, u.rad, "rotation")
+        to_scalar(self.rotation, u.deg, "rotation", low=-3600, high=3600)
 
     @classmethod
     def from_focal_length(

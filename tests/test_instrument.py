@@ -183,7 +183,7 @@ def test_other_packages_add_instruments(tmp_path, monkeypatch):
         (DESCRIPTION.replace("value = 0.3", "value = -1"), "central_arm must be one finite value above 0 mm"),
         (DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'), "plate_scale must have a unit convertible to"),
         (DESCRIPTION.replace('unit = "cm"', 'unit = "centimetre"'), "centimetre"),
-        (DESCRIPTION.replace("pitch = ", "pich = "), "pitch must be a Quantity"),
+        (DESCRIPTION.replace("pitch = ", "pich = "), "unknown entry of .layout. 'pich'.* Did you mean 'pitch'"),
     ],
 )
 def test_bad_descriptions_are_named(tmp_path, content, message):

@@ -251,7 +251,7 @@ def test_a_failed_write_leaves_the_old_file(small, sky, tmp_path, monkeypatch):
     tile.write(path)
     before = path.read_bytes()
     monkeypatch.setattr(QTable, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(rs.InputError, match="cannot be written: disk full"):
         tile.write(path, overwrite=True)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["tile.ecsv"]

@@ -341,5 +341,5 @@ class Catalog:
         """Row numbers of the targets inside a circle."""
         mask = np.empty(len(self), dtype=bool)
         half_chord = np.sin(0.5 * min(radius_rad, np.pi))
-        sky.within(self._vectors, to_vectors(center, "center")[0], half_chord**2 * (1 + 1e-15), mask)
+        sky.within(self._vectors, to_vectors(center, "center", one=True)[0], half_chord**2 * (1 + 1e-15), mask)
         return np.flatnonzero(mask)

@@ -59,8 +59,13 @@ class Finder:
     """May a missing unit be taken as the usual one (formats that cannot carry units)?"""
 
     def __post_init__(self):
-        for role in self.columns:
+        for given, what in ((self.columns, "columns"), (self.units, "units")):
+            if not isinstance(given, dict):
+                raise InputError(f"{what} must be a dict from role to {what[:-1]}, got {given!r}")
+        for role, name in self.columns.items():
             check_choice(role, ROLES, "column role")
+            if not isinstance(name, str):
+                raise InputError(f"columns must name a column for {role}, got {name!r}")
         for role in self.units:
             check_choice(role, UNITS, "column role with a unit")
 
@@ -128,8 +133,9 @@ class Finder:
             return values.astype(float)
         except (TypeError, ValueError):
             what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
+            row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not _is_decimal(v))
             raise InputError(
-                f"column {name!r} ({role}) must hold {what}, but holds text such as {str(values.flat[0])!r}"
+                f"column {name!r} ({role}) must hold {what}, but holds text such as {text!r} (row {row + 1})"
             ) from None
 
     def is_text(self, role: str) -> bool:
@@ -159,6 +165,14 @@ class Finder:
     def listing(self) -> str:
         """Return a phrase that names the columns."""
         return f"the columns are: {', '.join(self.table.colnames) or 'none'}"
+
+
+def _is_decimal(text) -> bool:
+    try:
+        float(text)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _ucd(column) -> str:

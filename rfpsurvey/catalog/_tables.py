@@ -4,13 +4,13 @@ import warnings
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import SkyCoord, frame_transform_graph
 from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 
 __all__ = ["read_columns"]
 
@@ -45,7 +45,9 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     for column in find.table.columns.values():
         if isinstance(column, SkyCoord):
             return column
-    equatorial = str(frame).lower() in EQUATORIAL
+    frame = str(frame).lower()
+    check_choice(frame, frame_transform_graph.get_names(), "frame")
+    equatorial = frame in EQUATORIAL
     roles = ("ra", "dec") if equatorial else ("lon", "lat")
     lacking = [role for role in roles if find.name_of(role) is None]
     if lacking:
@@ -62,8 +64,9 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     bad = np.abs(lat) > 90 * u.deg
     if bad.any():
         raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
+    motion = _motion(find, equatorial=equatorial)
     try:
-        return SkyCoord(lon, lat, frame=frame, **_motion(find, equatorial=equatorial))
+        return SkyCoord(lon, lat, frame=frame, **motion)
     except ValueError as error:
         raise InputError(f"frame {frame!r} cannot be used: {error}") from error
 
@@ -96,7 +99,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
         except InputError:
             return None
     if isinstance(find.table[name], Time):
-        return find.table[name]
+        return find.table[name] if find.table[name].ndim == 1 else None
     if "s" not in coord.data.differentials:
         moves = np.zeros(len(coord), dtype=bool)
     else:

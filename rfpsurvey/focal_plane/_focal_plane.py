@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import arms
-from rfpsurvey._units import to_labels, to_mm, to_plain, to_points_mm, to_radian
+from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import _tables
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
@@ -86,7 +86,7 @@ class FocalPlane:
             "id": np.arange(n) if self.id is None else to_labels(self.id, "id"),
             "spectrograph": np.zeros(n, int) if self.spectrograph is None else np.asarray(self.spectrograph),
             "fiber_type": np.full(n, "") if self.fiber_type is None else to_plain(self.fiber_type).astype(str),
-            "disabled": np.zeros(n, bool) if self.disabled is None else np.asarray(self.disabled, dtype=bool),
+            "disabled": np.zeros(n, bool) if self.disabled is None else to_flags(self.disabled, "disabled"),
         }
         for name, value in columns.items():
             if np.ndim(value) == 0 or len(value) != n or (value.ndim != 1 and name != "spectrograph"):

@@ -11,12 +11,15 @@ __all__ = ["hexagonal_cells"]
 
 def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=0 * u.mm, vacant=(), rows_along="x"):
     """Return centers in mm, shape (n, 2), and cells (q, k), shape (n, 2), of a hexagonal lattice."""
-    step = to_scalar(pitch, u.mm, "pitch", low=0)
+    step = to_scalar(pitch, u.mm, "pitch", low=0, high=1e6)
     if (rings is None) == (count is None) and not (rings is None and radius is not None):
         raise InputError(f"give rings or count, or radius alone, got rings={rings}, count={count}, radius={radius}")
     for name, value in (("rings", rings), ("count", count)):
-        if value is not None and (int(value) != value or value < (name == "count")):
-            raise InputError(f"{name} must be a whole number of at least {int(name == 'count')}, got {value}")
+        least, most = (1, 1_000_000) if name == "count" else (0, 500)
+        if value is not None and not (
+            isinstance(value, int | float | np.integer) and least <= value <= most and value % 1 == 0
+        ):
+            raise InputError(f"{name} must be a whole number from {least} to {most}, got {value!r}")
     if rows_along not in ("x", "y"):
         raise InputError(f"rows_along must be 'x' or 'y', got {rows_along!r}")
     hole = to_scalar(inner_radius, u.mm, "inner_radius", low=0, closed=True)

@@ -1,11 +1,13 @@
 """Descriptions of instruments: TOML files in which every figure has a status and a source."""
 
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._io import read_table
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.positioner import Positioner
@@ -16,23 +18,48 @@ __all__ = ["build", "load"]
 STATUSES = ("published", "derived", "assumed")
 
 
-def load(path: Path) -> dict:
+KEYS = {
+    "": {
+        "schema", "name", "title", "layout_is", "notes", "inherits", "sources", "positioner", "layout", "optics",
+        "observing",
+    },
+    "layout": {
+        "table", "rings", "count", "pitch", "inner_radius", "rows_along", "vacant_cells", "fiducial_cells",
+        "fiducial_radius", "names", "fiber_types", "first_type_only_cells", "spectrographs", "spectrograph_shape",
+    },
+    "optics": {"plate_scale", "max_angle", "factor", "radial_map"},
+}  # fmt: skip
+
+
+def load(path: Path, heirs: tuple = ()) -> dict:
     """Read a description; ``inherits`` names another one whose figures it starts from."""
+    if path in heirs:
+        raise InputError(f"{path} inherits from itself")
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path} cannot be read as TOML: {error}") from error
+        raise InputError(f"{path} cannot be read as TOML: {getattr(error, 'strerror', None) or error}") from error
     parent = content.pop("inherits", None)
     if parent is not None:
-        base = load(path.with_name(f"{parent}.toml"))
+        base = load(path.with_name(f"{parent}.toml"), (*heirs, path))
         for key, value in content.items():
             base[key] = {**base[key], **value} if isinstance(value, dict) and key in base else value
         return base
     return content
 
 
-def build(content: dict) -> dict:
-    """Return the arguments of the Instrument that a description describes."""
+def build(content: dict, folder: Path) -> dict:
+    """Return the arguments of the Instrument that a description describes; tables are looked for in ``folder``."""
+    known = {**KEYS, "positioner": {f.name for f in fields(Positioner)}}
+    for section, names in known.items():
+        for name in content.get(section, {}) if section else content:
+            check_choice(name, names, f"entry of [{section}]" if section else "section or entry")
+    for name in ("name", "title", "notes"):
+        if not isinstance(content.get(name, ""), str) or (name == "name" and not content.get(name)):
+            raise InputError(f"{name} must be text, got {content.get(name)!r}")
+    lacking = {"central_arm", "eccentric_arm", "clearance"} - set(content.get("positioner", {}))
+    if lacking:
+        raise InputError(f"[positioner] lacks {', '.join(sorted(lacking))}")
     sources = content.get("sources", {})
     values = {}
     for section in ("positioner", "layout", "optics", "observing"):
@@ -49,14 +76,12 @@ def build(content: dict) -> dict:
         value = entry["value"]
         return value * u.Unit(entry["unit"]) if "unit" in entry else value
 
-    arm_keys = ("central_arm", "eccentric_arm", "clearance", "step", "handedness", "theta_range", "phi_range", "home",
-                "displacement", "arm_model", "arm_length")  # fmt: skip
-    options = {k: get(f"positioner.{k}") for k in arm_keys if f"positioner.{k}" in values}
+    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k != "arm_angle"}
     angle = values.get("positioner.arm_angle")
     if angle is not None:
         by_type = {t: v * u.Unit(angle["unit"]) for t, v in angle["value"].items()}
         options["arm_angle"] = by_type
-    focal_plane = _layout(Positioner(**options), get)
+    focal_plane = _layout(Positioner(**options), get, folder)
     maps = {
         t: RadialMap(
             m["form"], tuple(m["coefficients"]), max_angle=get("optics.max_angle"),
@@ -79,8 +104,12 @@ def build(content: dict) -> dict:
     }
 
 
-def _layout(positioner: Positioner, get) -> FocalPlane:
-    """Build the lattice that the section ``layout`` describes."""
+def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
+    """Build the table or lattice of positioners that the section ``layout`` describes."""
+    if get("layout.table") is not None:
+        return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
+    if get("layout.pitch") is None:
+        raise InputError("[layout] must have a table, or a pitch with rings or count")
     fiducials = get("layout.fiducial_cells", [])
     shape = {
         "pitch": get("layout.pitch"),
@@ -124,6 +153,8 @@ def _hole_names(cells, rings):
 def _groups(xy, n_groups, shape):
     """Split positioners into contiguous groups of equal size: wedges, or blocks by halving."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
+    if not 1 <= n_groups <= len(xy):
+        raise InputError(f"spectrographs must be from 1 to the number of positioners, got {n_groups}")
     group = np.empty(len(xy), dtype=int)
     if shape == "wedges":
         order = np.lexsort((np.hypot(*xy.T), np.round(np.mod(np.arctan2(xy[:, 1], xy[:, 0]), 2 * np.pi), 9)))

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import entry_points
 from importlib.resources import files
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
+from rfpsurvey._io import to_path
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
@@ -79,7 +80,8 @@ class Instrument:
         if isinstance(self.distortion, dict):
             for name in self.distortion:
                 check_choice(name, self.focal_plane.fiber_types, "fiber type of the distortion")
-        if not 0 < self.targets_per_fiber < np.inf:
+        number = self.targets_per_fiber
+        if not isinstance(number, int | float) or not 0 < number < np.inf:
             raise InputError(f"targets_per_fiber must be a positive number, got {self.targets_per_fiber}")
         plane = self.projection(SkyCoord(0 * u.deg, 0 * u.deg))  # raises where the optics are incomplete
         object.__setattr__(self, "plate_scale", plane.plate_scale)
@@ -168,11 +170,11 @@ class Instrument:
         InputError
             If the file is not there or is not a description of an instrument.
         """
-        path = Path(path)
+        path = to_path(path)
         try:
-            return cls(**_description.build(_description.load(path)))
+            return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+            raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{path}: the description of the instrument lacks or misuses {error}") from error
 
@@ -192,8 +194,11 @@ class Instrument:
     def _provenance(self) -> dict:
         """Return what a result records about the instrument."""
         plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
-        digest = hashlib.sha256(repr(sorted(self.values.items())).encode())
-        digest.update(self.focal_plane._xy_mm.tobytes())
+        plane = self.focal_plane
+        parts = (self.values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
+        digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
+        for column in (plane._xy_mm, plane._l1_mm, plane._l2_mm, plane.disabled, plane._stuck_rad, plane._obstacles_mm):
+            digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}
 
 
@@ -224,6 +229,15 @@ def _shipped() -> dict[str, Path]:
 
 def _plugins() -> dict:
     return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+
+
+def _text(value) -> str:
+    """Say everything about a value, in full."""
+    if is_dataclass(value):
+        return _text({f.name: getattr(value, f.name) for f in fields(value)})
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}: {_text(v)}" for k, v in sorted(value.items())) + "}"
+    return value.to_string(precision=17) if isinstance(value, u.Quantity) else repr(value)
 
 
 def _short(value) -> str:
