@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._units import to_mm
 from rfpsurvey.errors import InputError
 from rfpsurvey.tile import Tile
 
@@ -65,9 +66,9 @@ def plot_focal_plane(
     if ax is None:
         ax = Figure(figsize=(9, 9), layout="constrained").add_subplot()
     table, geometry = tile.table, tile.table.meta["geometry"]
-    centers, elbows, tips = (
+    centers, elbows, tips, ends = (
         np.column_stack([table[f"{name}x"].to_value(u.mm), table[f"{name}y"].to_value(u.mm)])
-        for name in ("", "elbow_", "tip_")
+        for name in ("", "elbow_", "tip_", "arm_")
     )
     assigned = np.isin(table["status"], ("assigned", "out_of_reach"))
     colliding = np.asarray(table["in_collision"])
@@ -81,22 +82,23 @@ def plot_focal_plane(
 
     handles = []
     patrol = {"facecolors": "none", "linewidths": 0.4}
-    outer, inner = geometry["outer_radius_mm"], geometry["inner_radius_mm"]
+    outer, inner = (np.broadcast_to(geometry[f"{e}_radius_mm"], len(table)) for e in ("outer", "inner"))
     for rows, color, label in (
         (assigned, PATROL, "patrol area"),
         (~assigned, IDLE, "patrol area, no target"),
     ):
-        circles(centers[rows], outer, edgecolors=color, zorder=1, **patrol)
+        circles(centers[rows], outer[rows], edgecolors=color, zorder=1, **patrol)
         if rows.any():
             handles.append(
                 Line2D([], [], color=color, marker="o", markerfacecolor="none", linestyle="none", label=label)
             )
-        if inner > 0:
-            circles(centers[rows], inner, edgecolors=color, zorder=1, linestyles=":", **patrol)
+        if inner.any():
+            circles(centers[rows], inner[rows], edgecolors=color, zorder=1, linestyles=":", **patrol)
     obstacles = np.array(geometry["obstacles_mm"]).reshape(-1, 3)
     if len(obstacles):
         circles(obstacles[:, :2], obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
         handles.append(Line2D([], [], color=OBSTACLE, marker="o", linestyle="none", label="obstacle"))
+    half = geometry["min_separation_mm"] / 2
     groups = (
         (present & ~assigned & ~colliding, IDLE, "arm, no target", 3),
         (present & assigned & ~colliding, ARM, "arm", 4),
@@ -111,11 +113,11 @@ def plot_focal_plane(
         style = {"linewidths": 1.0, "capstyle": "round", **kwargs}
         ax.add_collection(LineCollection(arms, colors=color, zorder=zorder, **style))
         # the space that an arm keeps free, to scale
-        bodies = [_capsule(a, b, geometry["min_separation_mm"] / 2) for a, b in arms]
+        bodies = [_capsule(a, b, half) for a, b in zip(elbows[rows], ends[rows], strict=True)]
         ax.add_collection(PolyCollection(bodies, facecolors=color, edgecolors="none", alpha=0.2, zorder=zorder - 0.5))
         handles.append(Line2D([], [], color=color, label=label))
-        circles(tips[rows], 0.06 * outer, facecolors=color, zorder=zorder)
-    _frame(ax, centers, outer, region)
+        circles(tips[rows], 0.06 * outer[rows], facecolors=color, zorder=zorder)
+    _frame(ax, centers, outer.max(), region)
     summary = tile.summary
     ax.set_title(
         f"{tile.provenance['instrument']['name']}: {summary['n_assigned']} of {summary['n_positioners']} assigned, "
@@ -136,9 +138,9 @@ def _frame(ax, centers, outer, region):
     if region is None:
         low, high = centers.min(axis=0) - 1.1 * outer, centers.max(axis=0) + 1.1 * outer
     else:
-        corners = u.Quantity(region).to_value(u.mm)
-        if corners.shape != (2, 2):
-            raise InputError(f"region must be two corners ((x0, y0), (x1, y1)), got the shape {corners.shape}")
+        corners = to_mm(region, "region")
+        if corners.shape != (2, 2) or not np.isfinite(corners).all():
+            raise InputError(f"region must be two finite corners ((x0, y0), (x1, y1)), got {region}")
         low, high = corners.min(axis=0), corners.max(axis=0)
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])

@@ -85,10 +85,18 @@ def test_score(run, tmp_path):
     x, y = rs.Instrument.preset("lamost").focal_plane.xy[:3].T
     path = tmp_path / "plan.ecsv"
     QTable({"positioner": [0, 1, 2], "field": [1, 1, 2], "x": x + 5 * u.mm, "y": y}).write(path)
-    code, out, _ = run("score", path, "--select", "field=1", "--output", tmp_path / "out.ecsv")
+    assert "--instrument must say what the assignment was made for" in sentence(*run("score", path)[::2])
+    code, out, _ = run(
+        "score", path, "--instrument", "lamost", "--select", "field=1", "--output", tmp_path / "out.ecsv"
+    )
     assert code == 0
     assert rs.Tile.read(tmp_path / "out.ecsv").summary["n_assigned"] == 2
     assert "allocator scored" in out
+    # a tile of ours knows its instrument
+    code, out, _ = run("score", tmp_path / "out.ecsv")
+    assert code == 0
+    assert out.startswith("lamost")
+    assert "the tile was made for lamost" in sentence(*run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2])
     assert "leaves no row" in sentence(*run("score", path, "--select", "field=3")[::2])
     assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
     assert "must have the form NAME=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
@@ -172,3 +180,50 @@ def test_overwrite(run, tmp_path):
 def test_usage_errors_exit_with_2(run):
     assert run("plan", "--nonsense")[0] == 2
     assert run("nonsense")[0] == 2
+
+
+@pytest.mark.parametrize("center", ["95 23", "95.0,23.0", "9.5e1 2.3e1", "06:20:00 +23:00:00", "06 20 00 +23 00 00"])
+def test_centers_in_any_spelling(center):
+    coord = _cli._app.parse_center(center)
+    assert (coord.ra.deg, coord.dec.deg) == pytest.approx((95, 23))
+
+
+def test_without_a_center_the_middle_of_the_catalog_is_taken(run, tycho):
+    code, out, _ = run("plan", tycho, "--instrument", "moons")
+    assert code == 0
+    assert "center 94.88" in out
+
+
+def test_a_spreadsheets_csv(run, tmp_path):
+    """With the mark at its beginning and a comment."""
+    rows = "\n".join(f"s{k},{10 + 0.01 * k},20.0" for k in range(10))
+    (tmp_path / "s.csv").write_text("\ufeffid,ra,dec\n# a comment\n" + rows + "\n", encoding="utf-8")
+    code, out, _ = run("plan", tmp_path / "s.csv", "--center", "10 20", "--instrument", "lamost")
+    assert code == 0
+    assert "targets in the catalog                    10" in out
+
+
+def test_a_closed_pipe_loses_no_file(tmp_path):
+    command = f"{sys.executable} -u -m rfpsurvey plan --instrument moons --output {tmp_path / 'a.fits'} | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert rs.Tile.read(tmp_path / "a.fits").summary["n_positioners"] == 1001
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--equinox", "foo"], "equinox must be a Time, a Julian year"),
+        (["--frame", "foo", "{good}"], "unknown frame 'foo'"),
+        (["--pa", "1e17"], "rotation must be one finite value above -3600 deg"),
+        (["--plot", "{folder}/x.png.gz"], "must end in .png or .pdf or .svg"),
+        (["--output", "{folder}/x.ecsv.bz2"], "must end in .fits or .ecsv"),
+        (["{folder}/dir.fits"], "this is a folder"),
+        (["--instrument", "LAMOST"], "Did you mean 'lamost'"),
+    ],
+)
+def test_more_bad_input_is_one_sentence(run, tmp_path, arguments, message):
+    (tmp_path / "dir.fits").mkdir()
+    QTable({"ra": [10.0] * u.deg, "dec": [20.0] * u.deg}).write(tmp_path / "good.ecsv")
+    code, _, err = run("plan", *[a.format(folder=tmp_path, good=tmp_path / "good.ecsv") for a in arguments])
+    assert message in sentence(code, err)

@@ -43,9 +43,13 @@ def test_every_arm_is_drawn_once_in_its_color(tile):
 def test_shades_are_half_the_safe_distance_wide(tile):
     ax = rs.plot_focal_plane(tile)
     body = artists(ax, PolyCollection, COLLISION)[0].get_paths()[0].vertices
-    arm = np.array(artists(ax, LineCollection, COLLISION)[1].get_segments()[0])
-    gap = np.linalg.norm(body - arm[0], axis=1).min()
-    assert gap == pytest.approx(4.0782 / 2, abs=1e-4)
+    row = np.flatnonzero(tile.table["in_collision"])[0]
+    for name in ("elbow", "arm"):
+        end = [tile.table[f"{name}_{axis}"][row].value for axis in "xy"]
+        assert np.linalg.norm(body - end, axis=1).min() == pytest.approx(4.0782 / 2, abs=1e-4)
+    # the capsule of SDSS-V ends 14.7276 mm from the elbow, short of the fiber
+    t = tile.table[row]
+    assert np.hypot(t["arm_x"] - t["elbow_x"], t["arm_y"] - t["elbow_y"]).value == pytest.approx(14.7276)
 
 
 def test_unassigned_positioners_are_gray_and_obstacles_are_there(tile, presets):
@@ -67,5 +71,5 @@ def test_axes_region_and_style_can_be_given(tile):
     assert ax.get_ylim() == (-40, 40)
     with pytest.raises(rs.InputError, match="tile must be a Tile"):
         rs.plot_focal_plane("tile")
-    with pytest.raises(rs.InputError, match="region must be two corners"):
+    with pytest.raises(rs.InputError, match="region must be two finite corners"):
         rs.plot_focal_plane(tile, region=[1, 2] * u.mm)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Column, MaskedColumn, QTable, Table
+from astropy.time import Time
 from astropy.utils.masked import Masked
 
 import rfpsurvey as rs
@@ -28,6 +29,7 @@ def few(n=20, **columns):
     return rs.Catalog(CENTER.directional_offset_by(angle * u.deg, radius * u.deg), **columns)
 
 
+@pytest.mark.filterwarnings("ignore:.*share their id with another")
 @pytest.mark.parametrize("suffix", [".fits", ".ecsv"])
 @pytest.mark.parametrize(
     "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]
@@ -97,6 +99,7 @@ def test_scoring_chooses_the_elbows_that_planning_chose(small):
     assert theta[np.isfinite(theta)].max() <= 200
 
 
+@pytest.mark.filterwarnings("ignore:.*out of reach of their positioners")
 def test_joint_limits_are_looked_at_when_scoring(small):
     """Poses that the joints forbid passed as assigned."""
     unit = replace(small.focal_plane.positioner, theta_range=[0, 90] * u.deg)
@@ -198,6 +201,7 @@ def test_a_tile_does_not_make_every_unit_stuck(small):
     assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner)._usable.all()
 
 
+@pytest.mark.filterwarnings("ignore:without proper motions the epoch changes nothing")
 def test_catalogs_with_velocities_and_odd_representations(small):
     """Radial velocities alone, cartesian coordinates and distances raised errors of other packages."""
     still = few(3)
@@ -295,3 +299,98 @@ def test_bad_input_is_a_sentence(small, call, message):
     """These ended in exceptions of other packages, or in nonsense."""
     with pytest.raises(rs.InputError, match=message):
         call(small)
+
+
+def test_the_field_of_a_table_has_units(presets):
+    """Position angles in radians and centers in hours were read as degrees."""
+    plane = presets["lamost"].focal_plane
+    xy = plane.xy[:1] + [3, 4] * MM
+    sky = presets["lamost"].projection(CENTER, 40 * u.deg).to_sky(xy)
+    plan = QTable({"positioner": [0], "ra": sky.ra, "dec": sky.dec})
+    for angle, hours in ((40 * u.deg, 95 * u.deg), (np.deg2rad(40) * u.rad, 95 / 15 * u.hourangle)):
+        plan["position_angle"], plan["racen"], plan["deccen"] = angle, hours, 23 * u.deg
+        assert rs.score_tile(plan, presets["lamost"]).summary["n_out_of_reach"] == 0
+    plan["racen"] = ["abc"]
+    with pytest.raises(rs.InputError, match="racen of the field must be an angle"):
+        rs.score_tile(plan, presets["lamost"])
+
+
+def test_our_own_tile_knows_its_field(small):
+    """The center was asked for although the tile holds it."""
+    tile = rs.plan_tile(few(), small, CENTER, position_angle=30 * u.deg)
+    score = rs.score_tile(tile.table, small, positions="sky")
+    np.testing.assert_allclose(score.table["tip_x"].value, tile.table["tip_x"].value, atol=1e-6)
+
+
+def test_text_flags_are_read():
+    """The text False disabled a positioner."""
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
+    plane = rs.FocalPlane([[0, 0], [30, 0]] * MM, unit, disabled=["False", "true"])
+    assert plane.disabled.tolist() == [False, True]
+    with pytest.raises(rs.InputError, match="disabled must hold truth values or numbers, got text such as 'maybe'"):
+        rs.FocalPlane([[0, 0]] * MM, unit, disabled=["maybe"])
+
+
+def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
+    """A plan for another field scored as free of collisions without a word."""
+    x, y = small.focal_plane.xy[:2].T
+    plan = QTable({"positioner": [0, 1], "x": x + 40 * MM, "y": y})
+    with pytest.warns(rs.RfpsurveyWarning, match="2 of 2 targets are out of reach"):
+        rs.score_tile(plan, small)
+    plan["x"] = x
+    with pytest.warns(rs.RfpsurveyWarning, match="center, equinox not used"):
+        rs.score_tile(plan, small, center=CENTER, equinox="J2020")
+    with pytest.warns(rs.RfpsurveyWarning, match="without proper motions the epoch changes nothing"):
+        rs.plan_tile(few(), small, CENTER, epoch=2030)
+    with pytest.warns(rs.RfpsurveyWarning, match="1 targets in the field share their id"):
+        rs.plan_tile(few(2, id=[7, 7]), small, CENTER)
+
+
+def test_collisions_with_obstacles_are_named(small):
+    """The column that names partners was empty."""
+    plane = replace(small.focal_plane, obstacles=[[200, 0, 3], [8, 0, 3]] * MM)
+    tile = rs.plan_tile(few(), replace(small, focal_plane=plane), CENTER)
+    assert "obstacle-1" in " ".join(tile.table["colliding_with"]).split()
+    assert tile.summary["n_obstacle_collisions"] > 0
+
+
+def test_tables_with_mixed_columns_are_read(tmp_path):
+    """A column of coordinates or times made reading a file fail."""
+    coord = SkyCoord([95, 96] * u.deg, [23, 24] * u.deg)
+    QTable({"target": coord, "when": Time([2016, 2017], format="jyear")}).write(tmp_path / "t.ecsv")
+    catalog = rs.Catalog.read(tmp_path / "t.ecsv")
+    np.testing.assert_allclose(catalog.coord.ra.deg, [95, 96])
+
+
+def test_mistakes_in_a_description_are_named(tmp_path):
+    """Unknown keys were ignored; inheriting from itself never ended."""
+    (tmp_path / "a.toml").write_text('inherits = "a"\nname = "a"\n')
+    with pytest.raises(rs.InputError, match="inherits from itself"):
+        rs.Instrument.read(tmp_path / "a.toml")
+    (tmp_path / "b.toml").write_text('name = "b"\n[positionr]\n')
+    with pytest.raises(rs.InputError, match="unknown section or entry 'positionr'.* Did you mean 'positioner'"):
+        rs.Instrument.read(tmp_path / "b.toml")
+
+
+def test_a_circle_has_one_center():
+    """The first of many was taken."""
+    with pytest.raises(rs.InputError, match="center must be one direction, got the shape"):
+        few().within(few().coord, 1 * u.deg)
+
+
+def test_a_description_points_to_a_table_of_positions(small, tmp_path):
+    """Real layouts could not be used from the command line."""
+    small.focal_plane.to_table().write(tmp_path / "positions.ecsv")
+    rest = 'status = "assumed", source = "a test of mine" }\n'
+    arms = "".join(
+        f'{name} = {{ value = {value}, unit = "mm", {rest}'
+        for name, value in (("central_arm", 8.25), ("eccentric_arm", 8.25), ("clearance", 2.0))
+    )
+    (tmp_path / "mine.toml").write_text(
+        f'name = "mine"\nlayout_is = "as built"\n[positioner]\n{arms}'
+        f'[layout]\ntable = {{ value = "positions.ecsv", {rest}'
+        f'[optics]\nplate_scale = {{ value = 200, unit = "mm / deg", {rest}'
+    )
+    mine = rs.Instrument.read(tmp_path / "mine.toml")
+    assert len(mine.focal_plane) == 37
+    assert mine.focal_plane.positioner.clearance == 2 * MM

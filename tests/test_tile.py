@@ -14,7 +14,7 @@ MM = u.mm
 CENTER = SkyCoord(95, 23, unit="deg")
 COLUMNS = (
     "id spectrograph x y status target_id ra dec fiber_type theta phi elbow_x elbow_y tip_x tip_y in_collision "
-    "colliding_with clearance"
+    "colliding_with clearance arm_x arm_y"
 ).split()
 
 
@@ -220,7 +220,7 @@ def test_a_field_without_targets_is_named(small, catalog, message):
 def test_bad_input_is_named(small, sky, presets, tmp_path):
     with pytest.raises(rs.InputError, match="unknown allocator 'best'; choose one of: balanced, lamost"):
         rs.plan_tile(sky, small, CENTER, allocator="best")
-    with pytest.raises(rs.InputError, match="center must be one SkyCoord"):
+    with pytest.raises(rs.InputError, match="center must be a SkyCoord, got"):
         rs.plan_tile(sky, small, (95, 23))
     with pytest.raises(rs.InputError, match="rotation must be a Quantity"):
         rs.plan_tile(sky, small, CENTER, position_angle=5)

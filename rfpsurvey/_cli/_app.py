@@ -1,5 +1,7 @@
 """The application, and what all commands share."""
 
+import os
+import signal
 import sys
 import warnings
 from pathlib import Path
@@ -10,11 +12,12 @@ import typer
 import rfpsurvey as rs
 
 __all__ = [
-    "app", "check_outputs", "finish", "load_instrument", "main", "parse_center", "parse_pairs", "read_table",
-    "select_rows",
+    "app", "check_outputs", "degree", "finish", "instrument_of", "load_instrument", "main", "parse_center",
+    "parse_pairs", "read_assignment", "targets_and_center", "units_of",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
+DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
 app = typer.Typer(
     help="Assign targets to theta-phi fiber positioners and score the collisions of their arms.",
@@ -47,27 +50,45 @@ def main() -> None:
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
     warnings.simplefilter("always", rs.RfpsurveyWarning)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # let outputs that are half written be removed
     try:
         app()
+    except BrokenPipeError:  # the reader of the output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
     except (rs.InputError, OSError) as error:
         print(f"rfpsurvey: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
 
 
-def parse_center(text: str, equinox: str | None = None):
-    """Return a SkyCoord from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
-    from astropy.coordinates import FK5, SkyCoord
+def degree():
+    """Return astropy's unit, imported late."""
+    import astropy.units as u
 
+    return u.deg
+
+
+def parse_center(text: str):
+    """Return a SkyCoord from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
+    from astropy.coordinates import SkyCoord
+
+    words = text.replace(",", " ").split()
     try:
-        numbers = len(text.split()) == 2 and all(
-            part.lstrip("+-").replace(".", "", 1).isdigit() for part in text.split()
-        )
-        center = SkyCoord(text, unit="deg") if numbers else SkyCoord(text)
-        return center if equinox is None else center.transform_to(FK5(equinox=equinox))
+        if len(words) == 2 and all(_is_number(word) for word in words):
+            return SkyCoord(float(words[0]), float(words[1]), unit="deg")
+        return SkyCoord(" ".join(words), unit=("hourangle", "deg"))
     except Exception as error:  # astropy's parsers raise what they like
         raise rs.InputError(
             f"--center must be coordinates such as '06h20m00s +23d00m00s' or '95.0 23.0', got {text!r} ({error})"
         ) from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
@@ -86,6 +107,37 @@ def load_instrument(name: str) -> "rs.Instrument":
     return rs.Instrument.read(name) if name.endswith(".toml") else rs.Instrument.preset(name)
 
 
+def instrument_of(table, name: str | None) -> "rs.Instrument":
+    """Return the instrument asked for, or that of a tile of ours."""
+    provenance = table.meta.get("provenance")
+    own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
+    if name is None and own is None:
+        known = ", ".join(rs.available_instruments())
+        raise rs.InputError(f"--instrument must say what the assignment was made for: {known}, or a TOML file")
+    instrument = load_instrument(name or own)
+    if own is not None and own != instrument.name:
+        raise rs.InputError(f"the tile was made for {own}, and cannot be scored for {instrument.name}")
+    return instrument
+
+
+def targets_and_center(path, center, model, seed, column, unit, frame):
+    """Return the catalog of a file, or a synthetic one, and the field center."""
+    from astropy.coordinates import SkyCoord
+
+    field = None if center is None else parse_center(center)
+    if path is None:
+        field = parse_center(DEFAULT_CENTER) if field is None else field
+        return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
+    names, units = parse_pairs(column, "--column"), parse_pairs(unit, "--unit")
+    targets = rs.Catalog.read(path, columns=names, units=units, frame=frame)
+    if field is None and len(targets) == 0:
+        field = parse_center(DEFAULT_CENTER)
+    elif field is None:
+        x, y, z = targets._vectors.mean(axis=0)
+        field = SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
+    return targets, field
+
+
 def print_summary(tile: "rs.Tile") -> None:
     """Print what came out, a line a figure."""
     labels = {
@@ -101,6 +153,7 @@ def print_summary(tile: "rs.Tile") -> None:
         "n_wrong_fiber": "  without the fiber type asked for",
         "n_unusable": "rows for disabled or stuck positioners",
         "n_parked": "  parked in the way",
+        "n_idle": "  idle, giving way",
         "n_colliding": "  in collision",
         "n_colliding_pairs": "colliding pairs",
         "n_obstacle_collisions": "collisions with obstacles",
@@ -109,6 +162,10 @@ def print_summary(tile: "rs.Tile") -> None:
     }
     name, values = tile.provenance["instrument"]["name"], tile.provenance["parameters"]
     print(f"{name}, allocator {values['allocator']}")
+    if "ra_deg" in values:
+        turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
+        where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
+        print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
     for key, label in labels.items():
         value = tile.summary.get(key, 0)
         if value or key in ("n_colliding", "n_colliding_pairs", "collision_rate"):
@@ -117,22 +174,27 @@ def print_summary(tile: "rs.Tile") -> None:
     print(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  " + ", ".join(f"{k} {v:.3f}" for k, v in seconds.items()))
 
 
-def read_table(path: Path):
-    """Read a table of any format."""
-    from rfpsurvey._io import read_table as read
+def read_assignment(path: Path, select: list[str] | None):
+    """Read a table, and keep the rows whose columns have the given values, compared as text."""
+    from rfpsurvey._io import read_table
 
-    return read(path)
-
-
-def select_rows(table, wanted: dict[str, str]):
-    """Return the rows whose columns have the given values, compared as text."""
-    for name, value in wanted.items():
+    table = read_table(path)
+    for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
             raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {', '.join(table.colnames)}")
-        table = table[[str(v) == value for v in table[name]]]
+        table = table[[str(getattr(v, "value", v)) == value for v in table[name]]]
         if len(table) == 0:
             raise rs.InputError(f"--select {name}={value} leaves no row")
+    table.meta.update(file=path.name, select=", ".join(select or []))
     return table
+
+
+def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
+    """Return the units that were given, after the usual ones of a CSV file, which carries none."""
+    from rfpsurvey.catalog import UNITS
+
+    usual = {role: str(u) for role, u in UNITS.items()} if path.suffix.lower() == ".csv" else {}
+    return {**usual, **parse_pairs(unit, "--unit")}
 
 
 def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
@@ -146,14 +208,15 @@ def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) ->
 
 
 def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
-    """Print the summary; write the table and the picture where asked."""
+    """Write the table and the picture where asked, and print the summary."""
     from rfpsurvey._io import output_path
 
-    print_summary(tile)
     if output is not None:
         tile.write(output, overwrite=overwrite)
-        print(f"wrote {output}")
     if plot is not None:
         with output_path(plot, PICTURES, overwrite=overwrite) as temporary:
             rs.plot_focal_plane(tile).figure.savefig(temporary, dpi=200, format=plot.suffix[1:].lower())
-        print(f"wrote {plot}")
+    print_summary(tile)
+    for path in (output, plot):
+        if path is not None:
+            print(f"wrote {path}")

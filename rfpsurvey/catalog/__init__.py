@@ -1,7 +1,8 @@
 """Targets: real catalogs from files and tables, and synthetic ones."""
 
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.catalog._columns import UNITS, Finder
 from rfpsurvey.catalog._synthetic import synthetic_catalog
+from rfpsurvey.catalog._time import to_time
 
-__all__ = ["Catalog", "Finder", "synthetic_catalog"]
+__all__ = ["UNITS", "Catalog", "Finder", "synthetic_catalog", "to_time"]

@@ -1,19 +1,20 @@
 """Plan one tile: catalog, projection, reach, allocation, arms, collisions, score."""
 
 import logging
+import warnings
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import FK5, SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_direction, to_generator
 from rfpsurvey.allocation import allocate
-from rfpsurvey.catalog import Catalog
+from rfpsurvey.catalog import Catalog, to_time
 from rfpsurvey.collision import find_collisions
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
@@ -28,6 +29,7 @@ def plan_tile(
     center: SkyCoord,
     *,
     position_angle: u.Quantity = 0 * u.deg,
+    equinox: str | None = None,
     epoch: Time | str | float | None = None,
     allocator: str = "lamost",
     parked_obstacles: bool = True,
@@ -48,6 +50,8 @@ def plan_tile(
         Field center; north is that of its frame.
     position_angle : Quantity, optional
         Angle from north toward east by which +y of the focal plane is turned.
+    equinox : str, optional
+        Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
     epoch : Time, str or float, optional
         Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
     allocator : {"lamost", "balanced"}, optional
@@ -84,9 +88,11 @@ def plan_tile(
     catalog = _as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    center = north_of_date(center, equinox)
     plane = instrument.projection(center, position_angle)
-    center = to_direction(center, "center")
     if epoch is not None:
+        if not catalog.has_proper_motion:
+            warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
         catalog = catalog.at_epoch(epoch)
     rows = catalog._within(center, instrument.field_radius.to_value(u.rad) * (1 + 1e-9))
     if len(rows) == 0:
@@ -98,6 +104,9 @@ def plan_tile(
     seconds["select"] = perf_counter() - start
     start = perf_counter()
     science = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]
+    n_twice = len(science) - len(np.unique(catalog.id[science]))
+    if n_twice:
+        warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)
     needs = None if catalog.fiber_type is None else catalog.fiber_type[science]
     needs = _needs(instrument, needs, len(science))
     xy = plane._project(catalog._vectors[science], needs)
@@ -143,6 +152,16 @@ def plan_tile(
     )  # fmt: skip
 
 
+def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
+    """Return the center as a plain direction, in a frame whose north is that of the equinox where one is given."""
+    center = to_direction(center, "center")
+    if not center.isscalar:
+        raise InputError(f"center must be one direction, got the shape {center.shape}")
+    if equinox is None:
+        return center
+    return center.transform_to(FK5(equinox=to_time(str(equinox), "equinox")))
+
+
 def _needs(instrument: Instrument, types: np.ndarray | None, n: int) -> np.ndarray | None:
     """Fiber type that each target needs; None where any will do."""
     if instrument.focal_plane.fiber_types == ("",):
@@ -178,7 +197,7 @@ def _where(center: SkyCoord, position_angle: u.Quantity) -> dict:
         "ra_deg": float(icrs.ra.deg),
         "dec_deg": float(icrs.dec.deg),
         "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
-        "north_of": str(center.frame.name) + (f" {center.equinox}" if hasattr(center, "equinox") else ""),
+        "north_of": center.frame.name + (f" J{center.equinox.jyear:.3f}" if center.frame.name == "fk5" else ""),
     }
 
 

@@ -1,20 +1,21 @@
 """Score an assignment that another planner made."""
 
+import warnings
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import FK5, SkyCoord
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._units import to_direction, to_plain
+from rfpsurvey._units import to_flags, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.tile._plan import _epoch_text, _where
+from rfpsurvey.tile._plan import _epoch_text, _where, north_of_date
 from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
 __all__ = ["score_tile"]
@@ -25,6 +26,8 @@ FIELD = {
     "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
     "position angle": ("position_angle", "field_pa", "pa", "posang"),
 }
+# the same in a tile of ours
+OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
 def score_tile(
@@ -84,8 +87,10 @@ def score_tile(
     >>> import astropy.units as u
     >>> from astropy.table import QTable
     >>> import rfpsurvey as rs
-    >>> plan = QTable({"positioner": [0, 1], "x": [-20, 8] * u.mm, "y": [-840, -838] * u.mm})
-    >>> rs.score_tile(plan, "lamost").summary["n_assigned"]
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> x, y = lamost.focal_plane.xy[:2].T
+    >>> plan = QTable({"positioner": [0, 1], "x": x + 5 * u.mm, "y": y})
+    >>> rs.score_tile(plan, lamost).summary["n_assigned"]
     2
     """
     start = perf_counter()
@@ -114,9 +119,7 @@ def score_tile(
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = _center(part) if center is None else to_direction(center, "center")
-        if equinox is not None:
-            center = center.transform_to(FK5(equinox=equinox))
+        center = north_of_date(_center(part) if center is None else center, equinox)
         if position_angle is None:
             position_angle = _field_value(part, "position angle") * u.deg
         xy = instrument.projection(center, position_angle)._project(catalog._vectors, fibers)
@@ -126,6 +129,14 @@ def score_tile(
     else:
         if None in xy_names:
             raise find.missing("x and y")
+        given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
+        unused = [name for name, value in given.items() if value is not None]
+        if unused:
+            warnings.warn(
+                f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')",
+                RfpsurveyWarning,
+                stacklevel=2,
+            )
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
@@ -139,11 +150,21 @@ def score_tile(
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
+    if "in_collision" in part.colnames:  # a tile of ours: arms that were stretched before
+        posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
+    n_out = int(posed.clipped.sum())
+    if 2 * n_out > len(part):
+        warnings.warn(
+            f"{n_out} of {len(part)} targets are out of reach of their positioners: check instrument, field center, "
+            f"position angle and units",
+            RfpsurveyWarning,
+            stacklevel=2,
+        )
     report = find_collisions(plane, posed)
     summary = {
         "n_targets": len(part),
         "n_rows_ignored": len(table) - len(part),
-        "n_out_of_reach": int(posed.clipped.sum()),
+        "n_out_of_reach": n_out,
         "n_wrong_fiber": int(wrong),
         "n_unusable": int((~plane._usable[who]).sum()),
         "seconds": {"total": round(perf_counter() - start, 6)},
@@ -158,6 +179,8 @@ def _positioners(find: Finder, plane):
     if name is None:
         raise find.missing("positioner")
     values = to_plain(find.table[name])
+    if values.ndim != 1:
+        raise InputError(f"column {name!r} must have one value a row, got the shape {values.shape}")
     if values.dtype.kind == "f":  # integers in a column with blanks
         values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
     names = np.char.strip(values.astype(str))
@@ -188,10 +211,7 @@ def _assigned(table) -> np.ndarray:
         return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
     if "assigned" not in table.colnames:
         return np.ones(len(table), dtype=bool)
-    flags = to_plain(table["assigned"])
-    if flags.dtype.kind not in "biuf":
-        raise InputError(f"column 'assigned' must hold numbers or truth values, got text such as {flags.flat[0]!r}")
-    return np.nan_to_num(flags.astype(float)) != 0
+    return to_flags(table["assigned"], "column 'assigned'")
 
 
 def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
@@ -212,13 +232,24 @@ def _center(table) -> SkyCoord:
     return SkyCoord(_field_value(table, "ra") * u.deg, _field_value(table, "dec") * u.deg)
 
 
+def _degrees(value, name: str) -> np.ndarray:
+    """Return angles in degrees; numbers without a unit are degrees already."""
+    try:
+        angles = u.Quantity(to_plain(value).astype(float), getattr(value, "unit", None) or u.deg).to_value(u.deg)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} of the field must be an angle, got {value!r}: {error}") from None
+    if not np.isfinite(angles).all() or (np.abs(angles) > 90 if "dec" in name else np.abs(angles) > 360).any():
+        raise InputError(f"{name} of the field must be an angle in range, got {value}")
+    return angles
+
+
 def _field_value(table, what: str) -> float:
     """Return the field's one value from a column or the meta."""
     lower = {c.lower(): c for c in table.colnames}
     meta = {str(k).lower(): v for k, v in table.meta.items()}
     for name in FIELD[what]:
         if name in lower:
-            values = np.unique(u.Quantity(table[lower[name]]).value)
+            values = np.unique(_degrees(table[lower[name]], lower[name]))
             if len(values) > 1:
                 raise InputError(
                     f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one at "
@@ -226,7 +257,10 @@ def _field_value(table, what: str) -> float:
                 )
             return float(values[0])
         if name in meta:
-            return float(meta[name])
+            return float(_degrees(meta[name], name))
+    own = (meta.get("provenance") or {}).get("parameters", {}) if isinstance(meta.get("provenance"), dict) else {}
+    if own.get("north_of") == "icrs" and OWN[what] in own:
+        return float(own[OWN[what]])
     raise InputError(
         f"the {what} of the field must be given, or be in a column or meta entry {' or '.join(FIELD[what][:2])}"
     )

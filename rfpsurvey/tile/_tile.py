@@ -34,8 +34,9 @@ class Tile:
         (``assigned``; ``out_of_reach``: assigned elsewhere, but the arm cannot get there; ``parked``: idle at home
         and in the way; ``idle``: gives way; ``disabled``; ``stuck``), ``target_id`` (masked
         without a target), ``ra``, ``dec`` (ICRS), ``fiber_type``, ``theta``, ``phi``, ``elbow_x``,
-        ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with`` (ids, separated by spaces),
-        ``clearance`` (distance to the nearest other arm minus D). Numbers that do not apply are NaN.
+        ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with`` (ids, and ``obstacle-3`` for a circle,
+        separated by spaces), ``clearance`` (distance to the nearest other arm minus D), ``arm_x``, ``arm_y`` (end
+        of the segment from the elbow that can collide). Numbers that do not apply are NaN.
         Its ``meta`` holds ``summary``, ``provenance`` and ``geometry``.
 
     Raises
@@ -58,6 +59,8 @@ class Tile:
     table: QTable
 
     def __post_init__(self):
+        if not isinstance(self.table, QTable):
+            raise InputError(f"table must be a QTable, got {type(self.table).__name__}")
         lacking = [name for name in ("summary", "provenance", "geometry") if name not in self.table.meta]
         if lacking or "in_collision" not in self.table.colnames:
             raise InputError("the table is not that of a tile: it lacks " + (", ".join(lacking) or "in_collision"))
@@ -189,14 +192,18 @@ def build_tile(
     table["elbow_x"], table["elbow_y"] = posed.elbow.T * u.mm
     table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
     table["in_collision"] = report.in_collision
-    table["colliding_with"] = [" ".join(names[p]) if p else "" for p in report.colliding_with]
+    partners = [list(names[p]) if p else p for p in report.colliding_with]
+    for i, j in report.obstacle_pairs.tolist():
+        partners[i].append(f"obstacle-{j}")
+    table["colliding_with"] = [" ".join(p) for p in partners]
     table["clearance"] = (nearest_distance(posed) - plane.positioner._separation_mm) * u.mm
-    positioner = plane.positioner
+    table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
     summary = {
         **summary,
         "n_positioners": n,
         "n_assigned": int(has_target.sum()),
         "n_parked": int(posed.parked.sum()),
+        "n_idle": int((status == "idle").sum()),
         "n_colliding": int(report.in_collision.sum()),
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
@@ -214,9 +221,9 @@ def build_tile(
             "parameters": parameters,
         },
         "geometry": {
-            "inner_radius_mm": positioner.inner_radius.value,
-            "outer_radius_mm": positioner.outer_radius.value,
-            "min_separation_mm": float(positioner._separation_mm),
+            "inner_radius_mm": _one_or_all(plane._inner_mm),
+            "outer_radius_mm": _one_or_all(plane._outer_mm),
+            "min_separation_mm": float(plane.positioner._separation_mm),
             "obstacles_mm": plane._obstacles_mm.tolist(),
         },
     }
@@ -241,6 +248,11 @@ def _target_column(ids, has_target) -> MaskedColumn:
         return MaskedColumn(values, mask=~has_target, fill_value=spare)
     values = np.where(has_target, ids.astype(str), "")
     return MaskedColumn(values, mask=~has_target, fill_value="")
+
+
+def _one_or_all(values):
+    """One number where all are the same, else a list."""
+    return float(values[0]) if (values == values[0]).all() else values.tolist()
 
 
 def _spectrograph(plane, fiber_type):

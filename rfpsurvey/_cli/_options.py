@@ -1,0 +1,18 @@
+"""Options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+InstrumentOption = Annotated[str, typer.Option(help="Preset, or the path of a TOML file.")]
+EquinoxOption = Annotated[
+    str | None, typer.Option(help="Measure the position angle from the north of this date, as J2026.0.")
+]
+EpochOption = Annotated[str | None, typer.Option(help="Move targets to this epoch, as 2026.5 or 2026-07-01.")]
+ColumnOption = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, as id=star; priority=-rank flips it.")]
+UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without one, as ra=deg.")]
+ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
+OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
+PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
+OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")]
