@@ -22,11 +22,6 @@ __all__ = [
 
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     """Return ``value`` as a fresh float64 array in ``unit``, masked values as NaN; ``name`` is for the error."""
-    if isinstance(value, str):
-        try:
-            value = u.Quantity(value)
-        except (TypeError, ValueError):
-            raise InputError(f"{name} must be a quantity such as '5 {unit}', got {value!r}") from None
     if not isinstance(value, u.Quantity):
         raise InputError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {_short(value)} without a unit"

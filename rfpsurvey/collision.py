@@ -138,7 +138,7 @@ def find_collisions(
         Fiber in use, for arm models that depend on it.
     parked_obstacles : bool, optional
         Do equal-arm positioners without a target stand at home, as obstacles that count? Those with unequal arms
-        are followers that give way, and are ignored.
+        are followers that give way, and are ignored. An allocation has an option of its own, which is then used.
     method : {"exact"}, optional
         How distances are found.
 
@@ -167,13 +167,14 @@ def find_collisions(
     <CollisionReport: 1 pairs, 0 with obstacles, 2 of 2 positioners>
     """
     function = METHODS[check_choice(method, METHODS, "collision method")]
+    ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
+    if ready and not (theta is phi is handedness is fiber_type is None):
+        raise InputError("an Allocation or Arms bring their own poses; give no theta, phi, handedness or fiber_type")
     if isinstance(tips, Arms):
         posed = tips
         if len(posed.segments) != len(focal_plane):
             raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(focal_plane)}")
     elif hasattr(tips, "target_of_positioner"):
-        if theta is not None or phi is not None or handedness is not None or fiber_type is not None:
-            raise InputError("an Allocation brings its own arms; give no theta, phi, handedness or fiber_type")
         posed = tips.place_arms(focal_plane)
     else:
         posed = place_arms(

@@ -35,14 +35,15 @@ class Positioner:
     step : Quantity, optional
         Angle of one step of the motors, for the displacement within a step.
     handedness : {"right", "left", "both"}, optional
-        ``right``: phi in [0, 180] deg; ``left``: its mirror image; ``both``: either, as the allocator likes.
+        ``right``: phi in [0, 180] deg; ``left``: its mirror image; ``both``: right, or left where the
+        joint limits forbid right.
     theta_range, phi_range : Quantity, shape (2,), optional
         Joint limits, up to whole turns. None: unlimited.
     home : Quantity, shape (2,), optional
         theta and phi of a positioner without a target, within the joint limits. None: theta = 0 and phi = 180 deg
         (folded), or the nearest angles that the limits allow.
     displacement : Quantity, optional
-        Largest displacement of the arm in one step, where it is not (l1 + l2) sin(2 step).
+        Largest displacement of the arm in one step, instead of (l1 + l2) sin(2 step); ``step`` then does not matter.
     arm_model : {"elbow_to_tip", "capsule"}, optional
         What can collide: the segment from the elbow to the fiber, or a segment of its own.
     arm_length : Quantity, optional
@@ -175,7 +176,8 @@ class Positioner:
         Returns
         -------
         theta, phi : Quantity, shape (n,)
-            In deg; theta in (-180, 180], phi in [0, 180] ("right") or [-180, 0]. NaN out of reach.
+            In deg; theta in [-180, 180] (that of home at the center), phi in [0, 180] ("right") or [-180, 0]. NaN out
+            of reach.
         """
         points = to_points_mm(xy, "xy")
         choice = check_choice(handedness or self.handedness, HANDEDNESS, "handedness")

@@ -278,3 +278,39 @@ def test_frames_other_than_icrs_keep_their_proper_motions():
         moved = rs.Catalog(c.transform_to(frame), epoch=2000.0).at_epoch(2100.0)
         expected = rs.Catalog(c, epoch=2000.0).at_epoch(2100.0)
         assert moved.coord.separation(expected.coord).to_value(u.mas).max() < 1
+
+
+def test_columns_stay_beside_their_rows_when_others_are_dropped():
+    t = table(id=[1, 2, 3], priority=[1, 2, 3], ref_epoch=[2015.0, 2016.0, 2017.0] * u.yr)
+    t["category"] = ["science", "sky", "std_boss"]
+    t["pmra"], t["pmdec"] = [1, 2, 3] * PM, [4, 5, 6] * PM
+    t["dec"][0] = np.nan
+    with pytest.warns(rs.RfpsurveyWarning):
+        catalog = rs.Catalog.from_table(t)
+    assert catalog.id.tolist() == [2, 3]
+    assert catalog.priority.tolist() == [2, 3]
+    assert catalog.kind.tolist() == ["sky", "standard"]
+    np.testing.assert_allclose(catalog.epoch.jyear, [2016, 2017])
+    np.testing.assert_allclose(catalog.coord.pm_dec.value, [5, 6])
+
+
+def test_small_print_of_columns():
+    """Sexagesimal positions keep their motions; a minus flips; words are read without case; obstime is an epoch."""
+    t = QTable({"ra": ["06:20:00"], "dec": ["+23:00:00"], "pmra": [5.0] * PM, "pmdec": [6.0] * PM, "kind": ["SKY"]})
+    catalog = rs.Catalog.from_table(t)
+    assert catalog.coord.pm_ra_cosdec[0] == 5 * PM
+    assert catalog.kind.tolist() == ["sky"]
+    flipped = rs.Catalog.from_table(t, columns={"pmra": "-pmra"})
+    assert flipped.coord.pm_ra_cosdec[0] == -5 * PM
+    with pytest.raises(rs.InputError, match="a leading minus is for numbers, not for id"):
+        rs.Catalog.from_table(t, columns={"id": "-kind"})
+    dated = SkyCoord([1] * DEG, [2] * DEG, obstime=Time("J2010.5"))
+    assert rs.Catalog(dated).epoch.jyear == pytest.approx(2010.5)
+    half = table(pmra=[9000, 9000, 0] * PM, pmdec=[0, np.nan, 0] * PM, ref_epoch=[2016, 2016, 2016] * u.yr)
+    shift = rs.Catalog.from_table(half).at_epoch(2026).coord.separation(SkyCoord(half["ra"], half["dec"]))
+    np.testing.assert_allclose(shift.to_value(u.arcsec), [90, 0, 0], atol=0.1)
+    two = QTable({"a": SkyCoord([1] * DEG, [2] * DEG), "b": SkyCoord([3] * DEG, [4] * DEG)})
+    with pytest.raises(rs.InputError, match="several columns of coordinates, a, b"):
+        rs.Catalog.from_table(two)
+    both = QTable({"guide": SkyCoord([1] * DEG, [2] * DEG), "ra": [5.0] * DEG, "dec": [6.0] * DEG})
+    assert rs.Catalog.from_table(both, columns={"ra": "ra", "dec": "dec"}).coord.ra[0].deg == 5

@@ -3,6 +3,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -79,12 +80,53 @@ def test_crossing_arms_have_distance_zero():
 
 
 def test_the_limit_is_strict():
-    """Arms at just D do not collide; a hair nearer they do."""
+    """Arms at just D do not collide; a hair nearer they do. The centers are well within reach of each other."""
     unit = rs.Positioner(4 * MM, 4 * MM, 2.25 * MM)
     for gap, n in ((4.5, 0), (4.5 - 2**-40, 1)):
-        plane = rs.FocalPlane([[0, 0], [16 + gap, 0]] * MM, unit)
-        report = rs.find_collisions(plane, [[8, 0], [8 + gap, 0]] * MM)
+        plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
+        assert len(plane.neighbor_pairs()) == 1
+        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)  # stretched, parallel, the gap apart
         assert len(report.pairs) == n
+        obstacle = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[6, gap, 2.25]] * MM)
+        assert len(rs.find_collisions(obstacle, [[8, 0]] * MM).obstacle_pairs) == n
+
+
+def test_obstacles_are_measured_along_the_whole_arm(rng):
+    """Against shapely: circles beside the middle of an arm, before and behind it."""
+    unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM)
+    circles = np.column_stack([rng.uniform(-25, 25, (60, 2)), rng.uniform(0, 3, 60)])
+    plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=circles * MM)
+    for _ in range(20):
+        tips = random_tips(plane, rng)
+        report = rs.find_collisions(plane, tips)
+        arm = shapely.linestrings(place_arms(plane, tips).segments.reshape(-1, 2, 2))
+        gap = shapely.distance(arm, shapely.points(circles[:, :2])) - circles[:, 2]
+        assert report.obstacle_pairs[:, 1].tolist() == np.flatnonzero(gap < 2).tolist()
+        np.testing.assert_allclose(report.obstacle_distances.value, np.maximum(gap[gap < 2], 0), atol=1e-12)
+
+
+def test_collinear_arms_do_not_cross():
+    """All four turns vanish for two segments on one line, however far apart."""
+    assert collisions.segments_squared(np.array([0.0, 0, 1, 0]), np.array([5.0, 0, 9, 0])) == 16
+    assert collisions.segments_squared(np.array([0.0, 0, 6, 0]), np.array([5.0, 0, 9, 0])) == 0
+
+
+def test_a_long_capsule_has_more_neighbors():
+    unit = rs.Positioner(4 * MM, 4 * MM, 1 * MM, arm_model="capsule", arm_length=10 * MM, arm_angle=30 * u.deg)
+    plane = rs.FocalPlane([[0, 0], [28, 0]] * MM, unit)  # 2 (4 + 10) + 2 = 30 mm
+    assert len(plane.neighbor_pairs()) == 1
+    arms = place_arms(plane, [[8, 0], [20, 0]] * MM)
+    turn = np.deg2rad(30)
+    np.testing.assert_allclose(arms.segments[0], [4, 0, 4 + 10 * np.cos(turn), 10 * np.sin(turn)], atol=1e-9)
+
+
+def test_clipped_arms_point_to_their_target():
+    for target, r in (([30, 40], 22.4), ([1.5, 2.0], 7.6)):
+        plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(7.4 * MM, 15 * MM, 2 * MM))
+        arms = place_arms(plane, [target] * MM, clip=True)
+        np.testing.assert_allclose(arms.tip[0], [0.6 * r, 0.8 * r], atol=1e-7)
+        assert np.hypot(*arms.elbow[0]) == pytest.approx(7.4)
+        assert np.hypot(*(arms.tip[0] - arms.elbow[0])) == pytest.approx(15)
 
 
 def test_a_larger_clearance_never_removes_a_pair(rng):

@@ -208,3 +208,24 @@ def test_bad_input_is_named(arguments, message):
     good = {"xy": [[0, 0], [30, 0]] * MM, "positioner": robot()}
     with pytest.raises(rs.InputError, match=message):
         rs.FocalPlane(**{**good, **arguments})
+
+
+def test_fiber_types_are_names_between_plus_signs():
+    """Doubled names set the bit of another type, and blanks made types of their own."""
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), fiber_type=["A + A", "B"])
+    assert plane.fiber_types == ("A", "B")
+    got = plane.reachable([[10, 0], [10, 0]] * MM, ["A", "B"]).toarray()
+    np.testing.assert_array_equal(got, [[True, False], [False, True]])
+    with pytest.raises(rs.InputError, match="fiber_type must name a type for every positioner, or for none"):
+        rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), fiber_type=["A", ""])
+    with pytest.raises(rs.InputError, match="central_arm must be 2 positive lengths"):
+        rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), central_arm=[np.inf, 1] * MM)
+
+
+def test_nearest_cells_with_equal_radius_are_taken_by_angle():
+    """The first ring has six cells at one radius: the ones next to +x, counter-clockwise, come first."""
+    plane = rs.FocalPlane.hexagonal(robot(), count=4, pitch=10 * MM)
+    angle = np.sort(np.rad2deg(np.arctan2(*plane.xy.value[np.hypot(*plane.xy.value.T) > 1].T[::-1])))
+    np.testing.assert_allclose(angle, [0, 60, 120])
+    with pytest.raises(rs.InputError, match="rows_along must be 'x' or 'y'"):
+        rs.FocalPlane.hexagonal(robot(), count=4, pitch=10 * MM, rows_along="z")

@@ -216,3 +216,9 @@ def test_the_description_in_the_documentation_works(tmp_path):
     rings = 'rings = { value = 2, status = "assumed", source = "a smaller one" }\n'
     (tmp_path / "wider.toml").write_text(f'inherits = "mine"\nname = "wider"\n[layout]\n{rings}')
     assert len(rs.Instrument.read(tmp_path / "wider.toml").focal_plane) == 19
+
+
+def test_every_fiber_type_needs_a_map(presets):
+    sdss = presets["sdss_apo"]
+    with pytest.raises(rs.InputError, match="must have a map for the fiber type 'APOGEE'"):
+        rs.Instrument("half", sdss.focal_plane, distortion={"BOSS": sdss.distortion["BOSS"]})

@@ -203,3 +203,26 @@ def test_center_must_be_one_coordinate():
         rs.TangentPlane((0, 0), 1 * u.mm / u.deg)
     with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
         rs.TangentPlane(SkyCoord(0, 0, unit="deg"), 1 * u.mm / u.deg).to_focal_plane([1, 2])
+
+
+@pytest.mark.parametrize("form", MAPS)
+def test_the_center_of_a_distorted_field_has_an_image(form):
+    center = SkyCoord(10, 20, unit="deg")
+    plane = rs.TangentPlane(center, distortion=MAPS[form])
+    np.testing.assert_allclose(plane.to_focal_plane(center).value, [[0, 0]], atol=1e-9)
+    assert plane.to_sky([[0, 0]] * u.mm).separation(center)[0].to_value(ARCSEC) < 1e-8
+    assert np.isnan(MAPS[form].to_radius([-0.1] * u.deg).value).all()
+
+
+def test_units_of_a_map_and_rotation_of_a_focal_length():
+    in_deg = rs.RadialMap("theta", [200.0, 3.0], max_angle=1 * u.deg)
+    in_arcmin = rs.RadialMap("theta", [200.0 / 60, 3.0 / 60**3], max_angle=1 * u.deg, unit_angle=1 * u.arcmin)
+    for angle in (0.1, 0.7, 1.0):
+        assert in_arcmin.to_radius(angle * u.deg).value == pytest.approx(in_deg.to_radius(angle * u.deg).value)
+    with pytest.raises(rs.InputError, match="must rise"):  # turns over at tan(theta) = 0.577, theta = 30 deg
+        rs.RadialMap("tan_theta", [1, -1], max_angle=30.1 * u.deg)
+    rs.RadialMap("tan_theta", [1, -1], max_angle=29.9 * u.deg)
+    center = SkyCoord(1, 2, unit="deg")
+    turned = rs.TangentPlane.from_focal_length(center, 20 * u.m, 90 * u.deg)
+    east = turned.to_focal_plane(center.directional_offset_by(90 * u.deg, 1 * u.deg))
+    np.testing.assert_allclose(east.value, [[0, 20000 * np.tan(np.deg2rad(1))]], atol=1e-8)

@@ -255,3 +255,57 @@ def test_a_failed_write_leaves_the_old_file(small, sky, tmp_path, monkeypatch):
         tile.write(path, overwrite=True)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["tile.ecsv"]
+
+
+def test_targets_of_other_kinds_before_and_between(small):
+    """Row numbers of science targets are not those of the catalog."""
+    coord = CENTER.directional_offset_by([0, 90, 200, 300] * u.deg, [0.05, 0.2, 0.3, 5] * u.deg)
+    catalog = rs.Catalog(coord, id=["sky", "star", "standard", "far"], kind=["sky", "science", "standard", "sky"])
+    tile = rs.plan_tile(catalog, small, CENTER)
+    row = tile.table[tile.table["status"] == "assigned"]
+    assert row["target_id"].tolist() == ["star"]
+    assert row["ra"][0] == coord.ra[1]
+    assert tile.summary["n_targets"] == 4
+    assert tile.summary["n_in_field"] == 3
+    assert tile.summary["n_set_aside"] == 2
+
+
+def test_parked_positioners_can_be_left_out(small):
+    coord = CENTER.directional_offset_by([0, 90] * u.deg, [0.05, 0.2] * u.deg)
+    with_parked, without = (rs.plan_tile(coord, small, CENTER, parked_obstacles=p) for p in (True, False))
+    assert with_parked.summary["n_parked"] == 35
+    assert without.summary["n_parked"] == 0
+    assert without.summary["n_idle"] == 35
+    for tile, parked in ((with_parked, True), (without, False)):
+        score = rs.score_tile(tile.table, small, parked_obstacles=parked)
+        assert score.summary["n_parked"] == tile.summary["n_parked"]
+
+
+def test_fast_stars_from_outside_the_field_come_in(small):
+    """A star half a degree outside, moving 180 arcsec a year for ten years, is in the field by then."""
+    start = CENTER.directional_offset_by(90 * u.deg, 0.5 * u.deg)
+    coord = SkyCoord([start.ra], [start.dec], pm_ra_cosdec=[-180e3] * u.mas / u.yr, pm_dec=[0] * u.mas / u.yr)
+    tile = rs.plan_tile(rs.Catalog(coord, epoch=2016.0), small, CENTER, epoch=2026.0)
+    assert tile.summary["n_assigned"] == 1
+
+
+def test_stuck_units_in_collision_are_not_counted_as_colliding(small):
+    n = len(small.focal_plane)
+    stuck = np.full((n, 2), np.nan)
+    stuck[18] = [0, 0]  # the central one, stretched toward +x
+    plane = replace(small.focal_plane, stuck=stuck * u.deg)
+    target = small.projection(CENTER).to_sky([[14, 1]] * MM)
+    tile = rs.plan_tile(target, replace(small, focal_plane=plane), CENTER, parked_obstacles=False)
+    assert tile.table["in_collision"].sum() == 2
+    assert tile.summary["n_colliding"] == 1
+    assert tile.summary["collision_rate"] == 1
+
+
+def test_scores_follow_the_epoch(small):
+    coord = SkyCoord([95] * u.deg, [23] * u.deg, pm_ra_cosdec=[360e3] * u.mas / u.yr, pm_dec=[0] * u.mas / u.yr)
+    plan = rs.Catalog(coord, epoch=2016.0).to_table()
+    plan["positioner"] = [18]
+    still, moved = (
+        rs.score_tile(plan, small, center=CENTER, position_angle=0 * u.deg, epoch=e) for e in (None, 2016.1)
+    )
+    assert (moved.table["tip_x"] - still.table["tip_x"])[18].to_value(MM) == pytest.approx(2, rel=1e-4)

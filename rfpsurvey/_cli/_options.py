@@ -16,3 +16,16 @@ ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners sta
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
 OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")]
+
+PLAN_EXAMPLES = """\b
+Examples:
+  rfpsurvey plan
+  rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
+  rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
+"""
+
+SCORE_EXAMPLES = """\b
+Examples:
+  rfpsurvey score plan.ecsv --instrument sdss_apo
+  rfpsurvey score designs.ecsv --instrument sdss_lco --select design_id=503246 --equinox J2022.0
+"""

@@ -8,15 +8,8 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 
-EXAMPLES = """\b
-Examples:
-  rfpsurvey plan
-  rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
-  rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
-"""
 
-
-@_app.app.command(epilog=EXAMPLES)
+@_app.app.command(epilog=_options.PLAN_EXAMPLES)
 def plan(
     catalog: Annotated[
         Path | None, typer.Argument(help="FITS, ECSV, CSV, VOTable or Parquet. None: a synthetic Poisson catalog.")

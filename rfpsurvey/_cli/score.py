@@ -8,14 +8,8 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 
-EXAMPLES = """\b
-Examples:
-  rfpsurvey score plan.ecsv --instrument sdss_apo
-  rfpsurvey score designs.ecsv --instrument sdss_lco --select design_id=503246 --equinox J2022.0
-"""
 
-
-@_app.app.command(epilog=EXAMPLES)
+@_app.app.command(epilog=_options.SCORE_EXAMPLES)
 def score(
     assignment: Annotated[Path, typer.Argument(help="Table: positioner (or hole) and position of each target.")],
     instrument: Annotated[

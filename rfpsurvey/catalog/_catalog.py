@@ -124,6 +124,7 @@ class Catalog:
         for name, value in {**columns, "coord": coord, "epoch": epoch}.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
+        object.__setattr__(self, "meta", dict(self.meta))
 
     def __len__(self):
         return len(self.coord)
@@ -146,6 +147,11 @@ class Catalog:
         if self.epoch is not None and not self.epoch.isscalar:
             values["epoch"] = self.epoch[index]
         return Catalog(**{**values, **changes})
+
+    @cached_property
+    def _has_twins(self) -> bool:
+        """Whether two targets have the same id."""
+        return len(np.unique(self.id)) < len(self)
 
     @cached_property
     def _vectors(self) -> np.ndarray:
@@ -336,6 +342,17 @@ class Catalog:
             The targets at most ``radius`` from ``center``, in the same order.
         """
         return self._take(self._within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))
+
+    def _near(self, center: SkyCoord, radius_rad: float, time: object) -> "Catalog":
+        """Return the targets that may be inside a circle at another epoch."""
+        if not self.has_proper_motion or self.epoch is None:
+            return self
+        icrs = self.coord.icrs
+        speed = np.nan_to_num(np.hypot(icrs.pm_ra_cosdec, icrs.pm_dec).to_value(u.rad / u.yr))
+        years = np.abs((to_time(time, "epoch").tdb - self.epoch.tdb).to_value(u.yr))
+        # twice the way: distances on the sphere and straight lines in space
+        margin = 2 * float(np.max(speed * years, initial=0.0))
+        return self._take(self._within(center, radius_rad + margin))
 
     def _within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
         """Row numbers of the targets inside a circle."""

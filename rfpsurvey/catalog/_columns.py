@@ -130,7 +130,8 @@ class Finder:
         try:
             if values.dtype.kind == "U":
                 values = np.where(np.char.strip(values) == "", "nan", values)
-            return values.astype(float)
+            sign = -1.0 if self.columns.get(role, "").startswith("-") else 1.0
+            return sign * values.astype(float)
         except (TypeError, ValueError):
             what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
             row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not _is_decimal(v))
@@ -150,12 +151,13 @@ class Finder:
         """Return the column as float64, masked values as NaN."""
         if self.name_of(role) is None:
             return None
-        sign = -1.0 if self.columns.get(role, "").startswith("-") else 1.0
-        return sign * self._decimal(role)
+        return self._decimal(role)
 
     def labels(self, role: str) -> np.ndarray | None:
         """Return the column as integers or text, masked text as ''."""
         name = self.name_of(role)
+        if self.columns.get(role, "").startswith("-"):
+            raise InputError(f"columns: a leading minus is for numbers, not for {role} ({self.columns[role]})")
         return None if name is None else to_labels(self.table[name], f"column {name!r} ({role})")
 
     def missing(self, what: str) -> InputError:

@@ -42,9 +42,11 @@ def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> 
 
 
 def _coordinates(find: Finder, frame: str) -> SkyCoord:
-    for column in find.table.columns.values():
-        if isinstance(column, SkyCoord):
-            return column
+    mixed = [name for name in find.table.colnames if isinstance(find.table[name], SkyCoord)]
+    if mixed and not {"ra", "dec", "lon", "lat"} & set(find.columns):
+        if len(mixed) > 1:
+            raise InputError(f"the table has several columns of coordinates, {', '.join(mixed)}; keep one of them")
+        return find.table[mixed[0]]
     frame = str(frame).lower()
     check_choice(frame, frame_transform_graph.get_names(), "frame")
     equatorial = frame in EQUATORIAL
@@ -53,18 +55,18 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     if lacking:
         raise find.missing(" and ".join(lacking) + ("" if equatorial else f" of the frame {frame!r}"))
     names = [find.name_of(role) for role in roles]
+    motion = _motion(find, equatorial=equatorial)
     if all(find.is_text(role) for role in roles):
         units = [find.unit_of(role) for role in roles]
         units = (units[0] or (u.hourangle if equatorial else u.deg), units[1] or u.deg)
         try:
-            return SkyCoord(find.labels(roles[0]), find.labels(roles[1]), unit=units, frame=frame)
+            return SkyCoord(find.labels(roles[0]), find.labels(roles[1]), unit=units, frame=frame, **motion)
         except ValueError as error:
             raise InputError(f"columns {names[0]!r} and {names[1]!r} are not sexagesimal: {error}") from error
     lon, lat = find.quantity(roles[0]), find.quantity(roles[1])
     bad = np.abs(lat) > 90 * u.deg
     if bad.any():
         raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
-    motion = _motion(find, equatorial=equatorial)
     try:
         return SkyCoord(lon, lat, frame=frame, **motion)
     except ValueError as error:

@@ -95,6 +95,12 @@ class FocalPlane:
         if len(np.unique(columns["id"])) < n:
             names, counts = np.unique(columns["id"], return_counts=True)
             raise InputError(f"id must be unique, but {names[counts > 1][0]!r} occurs more than once")
+        names = ["+".join(part.strip() for part in row.split("+")) for row in columns["fiber_type"].tolist()]
+        object.__setattr__(self, "fiber_type", np.array(names))
+        if len(self.fiber_types) > 1 and "" in self.fiber_types:
+            raise InputError("fiber_type must name a type for every positioner, or for none")
+        if len(self.fiber_types) > 62:
+            raise InputError(f"fiber_type must have at most 62 types, got {len(self.fiber_types)}")
         width = columns["spectrograph"].shape[1:]
         if width not in ((), (len(self.fiber_types),)):
             raise InputError(
@@ -103,8 +109,10 @@ class FocalPlane:
             )
         for name in ("central_arm", "eccentric_arm"):
             value = getattr(self, name)
-            if value is not None and not (to_mm(value, name).shape == (n,) and (to_mm(value, name) > 0).all()):
-                raise InputError(f"{name} must be {n} positive lengths, got {value}")
+            if value is not None:
+                lengths = to_mm(value, name)
+                if lengths.shape != (n,) or not ((lengths > 0) & (lengths < 1e6)).all():
+                    raise InputError(f"{name} must be {n} positive lengths, got {value}")
         if self.stuck is not None:
             angles = to_radian(self.stuck, "stuck")
             if angles.shape != (n, 2):
@@ -201,7 +209,10 @@ class FocalPlane:
     @cached_property
     def _offers(self):
         """Bit mask of the fiber types of each positioner; none for those that take no target."""
-        masks = {row: sum(1 << self.fiber_types.index(t) for t in row.split("+")) for row in np.unique(self.fiber_type)}
+        masks = dict.fromkeys(np.unique(self.fiber_type).tolist(), 0)
+        for row in masks:
+            for name in row.split("+"):
+                masks[row] |= 1 << self.fiber_types.index(name)
         return np.where(self._usable, [masks[row] for row in self.fiber_type], 0)
 
     @cached_property

@@ -80,6 +80,9 @@ class Instrument:
         if isinstance(self.distortion, dict):
             for name in self.distortion:
                 check_choice(name, self.focal_plane.fiber_types, "fiber type of the distortion")
+            for name in self.focal_plane.fiber_types:
+                if name not in self.distortion:
+                    raise InputError(f"the distortion must have a map for the fiber type {name!r}")
         number = self.targets_per_fiber
         if not isinstance(number, int | float) or not 0 < number < np.inf:
             raise InputError(f"targets_per_fiber must be a positive number, got {self.targets_per_fiber}")

@@ -90,13 +90,15 @@ def plan_tile(
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = north_of_date(center, equinox)
     plane = instrument.projection(center, position_angle)
+    n_targets, everything = len(catalog), catalog
+    radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if epoch is not None:
         if not catalog.has_proper_motion:
             warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
-        catalog = catalog.at_epoch(epoch)
-    rows = catalog._within(center, instrument.field_radius.to_value(u.rad) * (1 + 1e-9))
+        catalog = catalog._near(center, radius, epoch).at_epoch(epoch)
+    rows = catalog._within(center, radius)
     if len(rows) == 0:
-        nearest = catalog.coord.icrs.separation(center.icrs).min().deg
+        nearest = everything.coord.icrs.separation(center.icrs).min().deg
         raise InputError(
             f"no target lies within {instrument.field_radius:.4g} of the field center "
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
@@ -104,7 +106,7 @@ def plan_tile(
     seconds["select"] = perf_counter() - start
     start = perf_counter()
     science = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]
-    n_twice = len(science) - len(np.unique(catalog.id[science]))
+    n_twice = len(science) - len(np.unique(catalog.id[science])) if catalog._has_twins else 0
     if n_twice:
         warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)
     needs = None if catalog.fiber_type is None else catalog.fiber_type[science]
@@ -129,7 +131,7 @@ def plan_tile(
     seconds["collisions"] = perf_counter() - start
     target_of = allocation.target_of_positioner
     summary = {
-        "n_targets": len(catalog) + catalog.n_dropped,
+        "n_targets": n_targets + catalog.n_dropped,
         "n_dropped": catalog.n_dropped,
         "n_in_field": len(rows),
         "n_set_aside": len(rows) - len(science),
@@ -140,15 +142,19 @@ def plan_tile(
     parameters = {
         **_where(center, position_angle),
         "epoch": _epoch_text(catalog.epoch),
+        "epoch_asked": None if epoch is None else str(epoch),
         "allocator": allocator,
         "parked_obstacles": bool(parked_obstacles),
         "rng": seed,
     }
-    rows_of = np.where(target_of >= 0, science[target_of], -1)
-    icrs = catalog.coord.icrs
+    used = np.flatnonzero(target_of >= 0)
+    rows = science[target_of[used]]
+    icrs = catalog.coord[rows].icrs
+    row_of = np.full(len(target_of), -1)
+    row_of[used] = np.arange(len(used))
     return build_tile(
-        instrument, catalog.id, np.array([icrs.ra.deg, icrs.dec.deg]), rows_of, allocation.fiber_type, posed, report,
-        summary, parameters, catalog.meta,
+        instrument, catalog.id[rows], np.array([icrs.ra.deg, icrs.dec.deg]), row_of, allocation.fiber_type, posed,
+        report, summary, parameters, catalog.meta,
     )  # fmt: skip
 
 

@@ -204,7 +204,7 @@ def build_tile(
         "n_assigned": int(has_target.sum()),
         "n_parked": int(posed.parked.sum()),
         "n_idle": int((status == "idle").sum()),
-        "n_colliding": int(report.in_collision.sum()),
+        "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
