@@ -207,10 +207,11 @@ def test_center_must_be_one_coordinate():
 
 @pytest.mark.parametrize("form", MAPS)
 def test_the_center_of_a_distorted_field_has_an_image(form):
-    center = SkyCoord(10, 20, unit="deg")
-    plane = rs.TangentPlane(center, distortion=MAPS[form])
-    np.testing.assert_allclose(plane.to_focal_plane(center).value, [[0, 0]], atol=1e-9)
-    assert plane.to_sky([[0, 0]] * u.mm).separation(center)[0].to_value(ARCSEC) < 1e-8
+    for place in ((10, 20), (0, 0)):  # at (0, 0) the field angle is zero to the last bit
+        center = SkyCoord(*place, unit="deg")
+        plane = rs.TangentPlane(center, distortion=MAPS[form])
+        np.testing.assert_allclose(plane.to_focal_plane(center).value, [[0, 0]], atol=1e-9)
+        assert plane.to_sky([[0, 0]] * u.mm).separation(center)[0].to_value(ARCSEC) < 1e-8
     assert np.isnan(MAPS[form].to_radius([-0.1] * u.deg).value).all()
 
 
