@@ -93,10 +93,13 @@ def nominate(
     for t in range(positioner_of_target.size):
         positioner_of_target[t] = -1
         nominee_of[t] = -1
-    for c in range(n_ranks):
+    c = 0
+    while c < n_ranks:
+        upcoming = n_ranks
         nominated = True
         while nominated:
             nominated = False
+            upcoming = n_ranks
             for i in range(n):
                 if target_of_positioner[i] >= 0:
                     continue
@@ -106,7 +109,10 @@ def nominate(
                 ):
                     k += 1
                 cursor[i] = k
-                if k == indptr[i + 1] or rank[target[k]] != c:
+                if k == indptr[i + 1]:
+                    continue
+                if rank[target[k]] != c:
+                    upcoming = min(upcoming, rank[target[k]])
                     continue
                 nominated = True
                 t = target[k]
@@ -132,3 +138,4 @@ def nominate(
                 positioner_of_target[t] = i
                 for m in range(t_indptr[t], t_indptr[t + 1]):
                     free_reach[t_owner[m]] -= 1
+        c = upcoming  # the next class that any free positioner can see
