@@ -150,7 +150,7 @@ def find_collisions(
     Raises
     ------
     InputError
-        If a tip lies outside its patrol area or a shape does not fit.
+        If a tip lies outside its patrol area or beyond the joint limits, or a shape does not fit.
 
     References
     ----------

@@ -394,3 +394,10 @@ def test_a_description_points_to_a_table_of_positions(small, tmp_path):
     mine = rs.Instrument.read(tmp_path / "mine.toml")
     assert len(mine.focal_plane) == 37
     assert mine.focal_plane.positioner.clearance == 2 * MM
+
+
+def test_a_column_in_collision_does_not_make_a_table_ours(small):
+    """A planner's own column of that name, without a status, ended in a KeyError."""
+    x, y = small.focal_plane.xy[:1].T
+    plan = QTable({"positioner": [0], "x": x, "y": y, "in_collision": [False]})
+    assert rs.score_tile(plan, small).summary["n_assigned"] == 1

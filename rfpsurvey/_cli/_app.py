@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey._io import WRITABLE, check_output, output_path, read_table
+from rfpsurvey.catalog import UNITS
 
 __all__ = [
-    "app", "check_outputs", "degree", "finish", "instrument_of", "load_instrument", "main", "parse_center",
+    "app", "check_outputs", "finish", "instrument_of", "load_instrument", "main", "parse_center",
     "parse_pairs", "read_assignment", "targets_and_center", "units_of",
 ]  # fmt: skip
 
@@ -61,17 +64,8 @@ def main() -> None:
         sys.exit(2)
 
 
-def degree():
-    """Return astropy's unit, imported late."""
-    import astropy.units as u
-
-    return u.deg
-
-
 def parse_center(text: str):
     """Return a SkyCoord from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
-    from astropy.coordinates import SkyCoord
-
     words = text.replace(",", " ").split()
     try:
         if len(words) == 2 and all(_is_number(word) for word in words):
@@ -122,8 +116,6 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
 
 def targets_and_center(path, center, model, seed, column, unit, frame):
     """Return the catalog of a file, or a synthetic one, and the field center."""
-    from astropy.coordinates import SkyCoord
-
     field = None if center is None else parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -176,8 +168,6 @@ def print_summary(tile: "rs.Tile") -> None:
 
 def read_assignment(path: Path, select: list[str] | None):
     """Read a table, and keep the rows whose columns have the given values, compared as text."""
-    from rfpsurvey._io import read_table
-
     table = read_table(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
@@ -191,16 +181,12 @@ def read_assignment(path: Path, select: list[str] | None):
 
 def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
     """Return the units that were given, after the usual ones of a CSV file, which carries none."""
-    from rfpsurvey.catalog import UNITS
-
     usual = {role: str(u) for role, u in UNITS.items()} if path.suffix.lower() == ".csv" else {}
     return {**usual, **parse_pairs(unit, "--unit")}
 
 
 def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
     """Refuse an output that cannot be written before any work is done."""
-    from rfpsurvey._io import WRITABLE, check_output
-
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
     if plot is not None:
@@ -209,8 +195,6 @@ def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) ->
 
 def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
     """Write the table and the picture where asked, and print the summary."""
-    from rfpsurvey._io import output_path
-
     if output is not None:
         tile.write(output, overwrite=overwrite)
     if plot is not None:

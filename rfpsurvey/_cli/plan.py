@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
+import astropy.units as u
 import typer
 
 import rfpsurvey as rs
@@ -33,6 +34,6 @@ def plan(
     _app.check_outputs(output, plot, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
-    options = {"position_angle": pa * _app.degree(), "equinox": equinox, "epoch": epoch, "parked_obstacles": parked}
+    options = {"position_angle": pa * u.deg, "equinox": equinox, "epoch": epoch, "parked_obstacles": parked}
     tile = rs.plan_tile(targets, model, field, allocator=allocator, rng=seed, **options)
     _app.finish(tile, output, plot, overwrite=overwrite)

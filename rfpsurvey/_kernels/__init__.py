@@ -1,4 +1,4 @@
-"""Compiled code: scalars and arrays in, arrays out; no checks, no raising, no random state, no globals.
+"""Compiled code: scalars and arrays in, arrays out; no checks, no raising, no random state, no globals but constants.
 
 Lengths are in mm and angles in radians. Points are rows (x, y); segments are rows (x0, y0, x1, y1).
 """

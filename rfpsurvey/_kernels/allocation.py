@@ -117,13 +117,11 @@ def nominate(
                 nominated = True
                 t = target[k]
                 rival = nominee_of[t]
+                # a later positioner wins only if it is strictly better: ties go to the lowest index
                 if (
                     rival < 0
                     or free_reach[i] < free_reach[rival]
-                    or (
-                        free_reach[i] == free_reach[rival]
-                        and (r2[k] < nominee_r2[t] or (r2[k] == nominee_r2[t] and i < rival))
-                    )
+                    or (free_reach[i] == free_reach[rival] and r2[k] < nominee_r2[t])
                 ):
                     nominee_of[t] = i
                     nominee_r2[t] = r2[k]

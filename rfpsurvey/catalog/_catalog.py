@@ -5,7 +5,6 @@ import warnings
 from dataclasses import dataclass, field
 from dataclasses import fields as dataclass_fields
 from functools import cached_property
-from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -229,7 +228,7 @@ class Catalog:
         InputError
             If the file is not there, cannot be read, or lacks a column.
         """
-        path = Path(path)
+        path = _io.to_path(path)
         table = _io.read_table(path)
         try:
             catalog = cls._from_table(table, columns, units, frame, assume_units=_io.suffix_of(path) == ".csv")

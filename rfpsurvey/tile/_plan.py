@@ -6,16 +6,17 @@ from time import perf_counter
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import FK5, SkyCoord
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._units import to_direction, to_generator
+from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import allocate
-from rfpsurvey.catalog import Catalog, to_time
+from rfpsurvey.catalog import Catalog
 from rfpsurvey.collision import find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.tile._field import epoch_text, north_of_date, where
 from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
 __all__ = ["plan_tile"]
@@ -24,7 +25,7 @@ log = logging.getLogger("rfpsurvey")
 
 
 def plan_tile(
-    catalog: Catalog,
+    catalog: Catalog | SkyCoord | Table,
     instrument: Instrument | str,
     center: SkyCoord,
     *,
@@ -69,7 +70,8 @@ def plan_tile(
     Raises
     ------
     InputError
-        If the catalog is empty, does not overlap the field, or has no target that a positioner reaches.
+        If the catalog is empty, does not overlap the field, or has no target that a positioner reaches; if a name is
+        unknown, a unit is missing, or targets move and there is no epoch that they move from.
 
     Examples
     --------
@@ -140,8 +142,8 @@ def plan_tile(
     }
     log.info("planned a tile of %s: %s", instrument.name, summary)
     parameters = {
-        **_where(center, position_angle),
-        "epoch": _epoch_text(catalog.epoch),
+        **where(center, position_angle),
+        "epoch": epoch_text(catalog.epoch),
         "epoch_asked": None if epoch is None else str(epoch),
         "allocator": allocator,
         "parked_obstacles": bool(parked_obstacles),
@@ -156,16 +158,6 @@ def plan_tile(
         instrument, catalog.id[rows], np.array([icrs.ra.deg, icrs.dec.deg]), row_of, allocation.fiber_type, posed,
         report, summary, parameters, catalog.meta,
     )  # fmt: skip
-
-
-def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
-    """Return the center as a plain direction, in a frame whose north is that of the equinox where one is given."""
-    center = to_direction(center, "center")
-    if not center.isscalar:
-        raise InputError(f"center must be one direction, got the shape {center.shape}")
-    if equinox is None:
-        return center
-    return center.transform_to(FK5(equinox=to_time(str(equinox), "equinox")))
 
 
 def _needs(instrument: Instrument, types: np.ndarray | None, n: int) -> np.ndarray | None:
@@ -195,21 +187,3 @@ def _generator(rng):
         seed = int(np.random.SeedSequence().entropy)
         return np.random.default_rng(seed), seed
     return generator, int(rng) if isinstance(rng, int | np.integer) else str(rng)
-
-
-def _where(center: SkyCoord, position_angle: u.Quantity) -> dict:
-    icrs = center.icrs
-    return {
-        "ra_deg": float(icrs.ra.deg),
-        "dec_deg": float(icrs.dec.deg),
-        "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
-        "north_of": center.frame.name + (f" J{center.equinox.jyear:.3f}" if center.frame.name == "fk5" else ""),
-    }
-
-
-def _epoch_text(epoch: Time | None) -> str | None:
-    if epoch is None:
-        return None
-    years = np.atleast_1d(epoch.jyear)
-    low, high = float(years.min()), float(years.max())
-    return f"J{low:.3f}" if low == high else f"J{low:.3f} to J{high:.3f}"

@@ -15,19 +15,10 @@ from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.tile._plan import _epoch_text, _where, north_of_date
+from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
 from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
 
 __all__ = ["score_tile"]
-
-# where planners write the field: names of columns (one value throughout) or of entries in the table's meta
-FIELD = {
-    "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
-    "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
-    "position angle": ("position_angle", "field_pa", "pa", "posang"),
-}
-# the same in a tile of ours
-OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
 def score_tile(
@@ -119,13 +110,13 @@ def score_tile(
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = north_of_date(_center(part) if center is None else center, equinox)
+        center = north_of_date(field_center(part) if center is None else center, equinox)
         if position_angle is None:
-            position_angle = _field_value(part, "position angle") * u.deg
+            position_angle = field_value(part, "position angle") * u.deg
         xy = instrument.projection(center, position_angle)._project(catalog._vectors, fibers)
         icrs = catalog.coord.icrs
         sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
-        parameters.update(_where(center, position_angle), epoch=_epoch_text(catalog.epoch))
+        parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
     else:
         if None in xy_names:
             raise find.missing("x and y")
@@ -150,7 +141,7 @@ def score_tile(
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
-    if "in_collision" in part.colnames:  # a tile of ours: arms that were stretched before
+    if _is_ours(part):  # arms that were stretched before
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
     if 2 * n_out > len(part):
@@ -205,9 +196,14 @@ def _positioners(find: Finder, plane):
     return rows, who, name
 
 
+def _is_ours(table) -> bool:
+    """Tell whether a table is that of a tile of this package."""
+    return {"in_collision", "status"} <= set(table.colnames)
+
+
 def _assigned(table) -> np.ndarray:
     """Mark the rows that assign a fiber: all, unless a column says otherwise."""
-    if "in_collision" in table.colnames and "status" in table.colnames:  # a tile of ours
+    if _is_ours(table):
         return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
     if "assigned" not in table.colnames:
         return np.ones(len(table), dtype=bool)
@@ -226,41 +222,3 @@ def _sky_deg(find: Finder) -> np.ndarray:
     if find.name_of("ra") is None or find.name_of("dec") is None:
         return np.full((2, len(find.table)), np.nan)
     return np.array([find.quantity("ra").value, find.quantity("dec").value])
-
-
-def _center(table) -> SkyCoord:
-    return SkyCoord(_field_value(table, "ra") * u.deg, _field_value(table, "dec") * u.deg)
-
-
-def _degrees(value, name: str) -> np.ndarray:
-    """Return angles in degrees; numbers without a unit are degrees already."""
-    try:
-        angles = u.Quantity(to_plain(value).astype(float), getattr(value, "unit", None) or u.deg).to_value(u.deg)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} of the field must be an angle, got {value!r}: {error}") from None
-    if not np.isfinite(angles).all() or (np.abs(angles) > 90 if "dec" in name else np.abs(angles) > 360).any():
-        raise InputError(f"{name} of the field must be an angle in range, got {value}")
-    return angles
-
-
-def _field_value(table, what: str) -> float:
-    """Return the field's one value from a column or the meta."""
-    lower = {c.lower(): c for c in table.colnames}
-    meta = {str(k).lower(): v for k, v in table.meta.items()}
-    for name in FIELD[what]:
-        if name in lower:
-            values = np.unique(_degrees(table[lower[name]], lower[name]))
-            if len(values) > 1:
-                raise InputError(
-                    f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one at "
-                    f"a time, for example with --select COLUMN=VALUE"
-                )
-            return float(values[0])
-        if name in meta:
-            return float(_degrees(meta[name], name))
-    own = (meta.get("provenance") or {}).get("parameters", {}) if isinstance(meta.get("provenance"), dict) else {}
-    if own.get("north_of") == "icrs" and OWN[what] in own:
-        return float(own[OWN[what]])
-    raise InputError(
-        f"the {what} of the field must be given, or be in a column or meta entry {' or '.join(FIELD[what][:2])}"
-    )

@@ -1,0 +1,90 @@
+"""The field that a tile looks at: its center, the direction of north, and how tables and provenance say so."""
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import FK5, SkyCoord
+from astropy.time import Time
+
+from rfpsurvey._units import to_direction, to_plain
+from rfpsurvey.catalog import to_time
+from rfpsurvey.errors import InputError
+
+__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
+
+# where planners write the field: names of columns (one value throughout) or of entries in the table's meta
+FIELD = {
+    "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
+    "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
+    "position angle": ("position_angle", "field_pa", "pa", "posang"),
+}
+# the same in a tile of ours
+OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
+
+
+def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
+    """Return the center as a plain direction, in a frame whose north is that of the equinox where one is given."""
+    center = to_direction(center, "center")
+    if not center.isscalar:
+        raise InputError(f"center must be one direction, got the shape {center.shape}")
+    if equinox is None:
+        return center
+    return center.transform_to(FK5(equinox=to_time(str(equinox), "equinox")))
+
+
+def field_center(table) -> SkyCoord:
+    """Return the field's center from columns or the meta."""
+    return SkyCoord(field_value(table, "ra") * u.deg, field_value(table, "dec") * u.deg)
+
+
+def _degrees(value, name: str) -> np.ndarray:
+    """Return angles in degrees; numbers without a unit are degrees already."""
+    try:
+        angles = u.Quantity(to_plain(value).astype(float), getattr(value, "unit", None) or u.deg).to_value(u.deg)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} of the field must be an angle, got {value!r}: {error}") from None
+    if not np.isfinite(angles).all() or (np.abs(angles) > 90 if "dec" in name else np.abs(angles) > 360).any():
+        raise InputError(f"{name} of the field must be an angle in range, got {value}")
+    return angles
+
+
+def field_value(table, what: str) -> float:
+    """Return the field's one value from a column or the meta."""
+    lower = {c.lower(): c for c in table.colnames}
+    meta = {str(k).lower(): v for k, v in table.meta.items()}
+    for name in FIELD[what]:
+        if name in lower:
+            values = np.unique(_degrees(table[lower[name]], lower[name]))
+            if len(values) > 1:
+                raise InputError(
+                    f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one at "
+                    f"a time, for example with --select COLUMN=VALUE"
+                )
+            return float(values[0])
+        if name in meta:
+            return float(_degrees(meta[name], name))
+    own = (meta.get("provenance") or {}).get("parameters", {}) if isinstance(meta.get("provenance"), dict) else {}
+    if own.get("north_of") == "icrs" and OWN[what] in own:
+        return float(own[OWN[what]])
+    raise InputError(
+        f"the {what} of the field must be given, or be in a column or meta entry {' or '.join(FIELD[what][:2])}"
+    )
+
+
+def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
+    """Say where a field is, for the provenance."""
+    icrs = center.icrs
+    return {
+        "ra_deg": float(icrs.ra.deg),
+        "dec_deg": float(icrs.dec.deg),
+        "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
+        "north_of": center.frame.name + (f" J{center.equinox.jyear:.3f}" if center.frame.name == "fk5" else ""),
+    }
+
+
+def epoch_text(epoch: Time | None) -> str | None:
+    """Say when positions hold, for the provenance."""
+    if epoch is None:
+        return None
+    years = np.atleast_1d(epoch.jyear)
+    low, high = float(years.min()), float(years.max())
+    return f"J{low:.3f}" if low == high else f"J{low:.3f} to J{high:.3f}"
