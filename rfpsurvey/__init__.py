@@ -6,7 +6,7 @@ arms, collisions, tile score.
 
 from rfpsurvey.allocation import Allocation, allocate
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.collision import CollisionReport, find_collisions
+from rfpsurvey.collision import Arms, CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
@@ -22,7 +22,9 @@ except ImportError:  # a source tree that was never built
 
 __all__ = [
     "Allocation",
+    "Arms",
     "Catalog",
+    "CollisionCounts",
     "CollisionReport",
     "FocalPlane",
     "InputError",
@@ -35,6 +37,7 @@ __all__ = [
     "__version__",
     "allocate",
     "available_instruments",
+    "count_collisions",
     "find_collisions",
     "plan_tile",
     "plot_focal_plane",

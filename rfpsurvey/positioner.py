@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError, check_choice
 __all__ = ["HANDEDNESS", "Positioner"]
 
 HANDEDNESS = ("right", "left", "both")
-ARM_MODELS = ("elbow_to_tip", "capsule")
+ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,9 @@ class Positioner:
         (folded), or the nearest angles that the limits allow.
     displacement : Quantity, optional
         Largest displacement of the arm in one step, instead of (l1 + l2) sin(2 step); ``step`` then does not matter.
-    arm_model : {"elbow_to_tip", "capsule"}, optional
-        What can collide: the segment from the elbow to the fiber, or a segment of its own.
+    arm_model : {"elbow_to_tip", "capsule", "fiber_tip"}, optional
+        What can collide: the segment from the elbow to the fiber; a segment of its own from the elbow; or the fiber
+        alone, so that two targets must only not be closer than the safe distance.
     arm_length : Quantity, optional
         Length of the capsule's segment, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
@@ -124,6 +125,22 @@ class Positioner:
         return float(to_mm(self.eccentric_arm, "eccentric_arm"))
 
     @cached_property
+    def _clearance_mm(self) -> float:
+        return float(to_mm(self.clearance, "clearance"))
+
+    @cached_property
+    def _arm_length_mm(self) -> float | None:
+        return None if self.arm_length is None else float(to_mm(self.arm_length, "arm_length"))
+
+    def _geometry(self, n: int) -> arms.Geometry:
+        """Columns of n positioners about the origin, for the kernels."""
+        zero, l1, l2 = np.zeros(n), np.full(n, self._l1), np.full(n, self._l2)
+        home = self._home_rad[0]
+        return arms.Geometry(
+            zero, zero, l1, l2, zero, zero, np.ones(n, dtype=bool), float(np.cos(home)), float(np.sin(home))
+        )
+
+    @cached_property
     def _home_rad(self) -> np.ndarray:
         if self.home is not None:
             return to_radian(self.home, "home")
@@ -140,7 +157,7 @@ class Positioner:
             moved = (self._l1 + self._l2) * np.sin(2 * float(to_radian(self.step, "step")))
         else:
             moved = float(to_mm(self.displacement, "displacement"))
-        return moved + 2 * float(to_mm(self.clearance, "clearance"))
+        return moved + 2 * self._clearance_mm
 
     @property
     def equal_arms(self) -> bool:
@@ -208,19 +225,16 @@ class Positioner:
             raise InputError(f"theta and phi must have the shape (n,), got {theta.shape} and {phi.shape}")
         theta, phi = np.broadcast_arrays(theta, phi)
         n = theta.size
-        full = (np.zeros(n), np.zeros(n), np.full(n, self._l1), np.full(n, self._l2))
-        ex, ey, x, y = (np.empty(n) for _ in range(4))
-        arms.pose(theta.copy(), phi.copy(), *full, ex, ey, x, y)
-        return np.column_stack([x, y]) * u.mm
+        segments = np.empty((4, n))
+        arms.pose(theta.copy(), phi.copy(), self._geometry(n), segments)
+        return segments[2:].T.copy() * u.mm
 
     def _solve(self, points, side):
         """Joint angles in radians and whether annulus and joints allow them."""
         n = len(points)
-        full = (np.zeros(n), np.zeros(n), np.full(n, self._l1), np.full(n, self._l2), np.full(n, side))
-        theta, phi, ex, ey = (np.empty(n) for _ in range(4))
-        x, y = points.T.copy()
-        arms.solve(x, y, *full, self._home_rad[0], theta, phi, ex, ey)
-        r = np.hypot(x, y)
+        theta, phi = np.empty(n), np.empty(n)
+        arms.solve(points, self._geometry(n), np.full(n, side), theta, phi)
+        r = np.hypot(*points.T)
         # rounding: a point made from the joint angles at full stretch is in reach
         slack = 1e-12 * (self._l1 + self._l2)
         inner, outer = self.inner_radius.value, self.outer_radius.value

@@ -12,12 +12,13 @@ import rfpsurvey
 
 PROBE = """
 import numpy as np
+from rfpsurvey import Positioner
 from rfpsurvey._kernels import collisions
 from rfpsurvey._kernels.arms import solve
-one = np.ones(1)
-elbow = [np.empty(1) for _ in range(4)]
-solve(3 * one, 0 * one, 0 * one, 0 * one, 2 * one, 2 * one, one, 0.0, *elbow)
-print(elbow[3][0], sum(solve.stats.cache_hits.values()))
+import astropy.units as u
+theta, phi = np.empty(1), np.empty(1)
+solve(np.array([[3.0, 0.0]]), Positioner(2 * u.mm, 2 * u.mm, 1 * u.mm)._geometry(1), np.ones(1), theta, phi)
+print(theta[0], sum(solve.stats.cache_hits.values()))
 """
 
 
@@ -45,8 +46,8 @@ def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(copy):
     assert first[1] == 0
     assert probe(copy) == (first[0], 1)
     for name, old, new in (
-        ("arms.py", "ey = along * uy - side * across * ux", "ey = along * uy + side * across * ux"),
-        ("collisions.py", "Distances between arms", "Distances betwixt arms"),
+        ("arms.py", "along * uy - across * ux", "along * uy + across * ux"),
+        ("collisions.py", "Which arms are closer", "Which arms are nearer"),
     ):
         path = copy / "_kernels" / name
         stat = path.stat()

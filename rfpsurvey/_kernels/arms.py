@@ -1,6 +1,11 @@
-"""Kinematics of a two-arm positioner: target to elbow, elbow to the segment that can collide."""
+"""Kinematics of a two-arm positioner: target to elbow, elbow to the segment that can collide.
+
+Segments are columns here, rows x0, y0, x1, y1 of an array (4, n), and loops have no branches: both let the
+compiler work on several positioners at a time.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,74 +14,134 @@ from rfpsurvey._jit import kernel
 # Arms whose lengths differ by less than this (mm) count as equal: they reach their own center.
 EQUAL_ARMS = 1e-9
 
+# What can collide.
+ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
+
+
+class Geometry(NamedTuple):
+    """What poses depend on: columns of the positioners, and the direction of the home theta.
+
+    ``low`` and ``high`` are the squared radii that just pass as in reach.
+    """
+
+    cx: np.ndarray
+    cy: np.ndarray
+    l1: np.ndarray
+    l2: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    usable: np.ndarray
+    home_x: float
+    home_y: float
+
 
 @kernel
-def elbow(dx, dy, l1, l2, side, home_theta):
-    """Elbow (relative to the center) and joint angles for a tip at (dx, dy).
+def inner_difference(l1, l2):
+    """Signed difference of the arm lengths, 0 for equal arms."""
+    difference = l1 - l2
+    return 0.0 if abs(difference) < EQUAL_ARMS else difference
+
+
+@kernel
+def elbow(dx, dy, l1, l2, side, home_x, home_y):
+    """Elbow (relative to the center), and sine and cosine of phi times a common positive factor.
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. A tip outside the annulus gets
-    the pose that points to it from the nearest reachable radius. At r = 0 (equal arms) theta is free: home.
+    the pose that points to it from the nearest reachable radius. At r = 0 the direction (home_x, home_y) of the
+    home pose counts, for equal arms as that of the central arm. NaN tips give NaN.
     """
-    r = math.hypot(dx, dy)
     total = l1 + l2
-    difference = l1 - l2
-    if abs(difference) < EQUAL_ARMS:
-        if r == 0.0:
-            return l1 * math.cos(home_theta), l1 * math.sin(home_theta), home_theta, side * math.pi
-        difference = 0.0
-    r_in = abs(difference)
-    s = min(max(r, r_in), total)
-    if r > 0.0:
-        ux, uy = dx / r, dy / r
-    else:
-        ux, uy = math.cos(home_theta), math.sin(home_theta)
+    difference = inner_difference(l1, l2)
+    inner = abs(difference)
+    r2 = dx * dx + dy * dy
+    at_center = r2 < 1e-300  # the square of a shorter distance is not a normal number
+    r = math.sqrt(r2)
+    inverse = 0.0 if at_center else 1.0 / r
+    ux = home_x if at_center else dx * inverse
+    uy = home_y if at_center else dy * inverse
+    s = r if r > inner else inner
+    s = s if s < total else total
+    folded = s < 1e-150
+    half = 0.0 if folded else 0.5 / s
     # 2 l1 l2 times the sine and cosine of phi, the sine without cancellation at either edge
-    sine = math.sqrt(max(0.0, (total - s) * (total + s))) * math.sqrt(max(0.0, s - r_in)) * math.sqrt(s + r_in)
+    sine = math.sqrt(((total - s) * (total + s)) * ((s - inner) * (s + inner)))
     cosine = s * s - l1 * l1 - l2 * l2
-    phi = math.atan2(sine, cosine)
-    along = (s * s + difference * total) / (2.0 * s)
-    across = sine / (2.0 * s)
-    ex = along * ux + side * across * uy
-    ey = along * uy - side * across * ux
-    return ex, ey, math.atan2(ey, ex), side * phi
+    along = l1 if folded else (s * s + difference * total) * half
+    across = side * sine * half
+    return along * ux + across * uy, along * uy - across * ux, sine, cosine
 
 
 @kernel
-def solve(x, y, cx, cy, l1, l2, side, home_theta, theta, phi, elbow_x, elbow_y):
-    """Pose of each positioner for its own tip (x, y), absolute coordinates; NaN tips give NaN."""
-    for i in range(x.size):
-        if math.isnan(x[i]) or math.isnan(y[i]):
-            theta[i] = phi[i] = elbow_x[i] = elbow_y[i] = np.nan
-        else:
-            ex, ey, theta[i], phi[i] = elbow(x[i] - cx[i], y[i] - cy[i], l1[i], l2[i], side[i], home_theta)
-            elbow_x[i] = cx[i] + ex
-            elbow_y[i] = cy[i] + ey
+def solve(tips, geometry, side, theta, phi):
+    """Joint angles of each positioner for its own tip, rows of (n, 2); NaN tips give NaN."""
+    g = geometry
+    for i in range(g.cx.size):
+        dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
+        ex, ey, sine, cosine = elbow(dx, dy, g.l1[i], g.l2[i], side[i], g.home_x, g.home_y)
+        theta[i] = math.atan2(ey, ex)
+        phi[i] = side[i] * math.atan2(sine, cosine) if ex == ex else np.nan
 
 
 @kernel
-def pose(theta, phi, cx, cy, l1, l2, elbow_x, elbow_y, tip_x, tip_y):
+def pose(theta, phi, geometry, segments):
     """Elbow and tip of each positioner for given joint angles."""
-    for i in range(theta.size):
-        elbow_x[i] = cx[i] + l1[i] * math.cos(theta[i])
-        elbow_y[i] = cy[i] + l1[i] * math.sin(theta[i])
-        tip_x[i] = elbow_x[i] + l2[i] * math.cos(theta[i] + phi[i])
-        tip_y[i] = elbow_y[i] + l2[i] * math.sin(theta[i] + phi[i])
+    g = geometry
+    for i in range(g.cx.size):
+        segments[0, i] = g.cx[i] + g.l1[i] * math.cos(theta[i])
+        segments[1, i] = g.cy[i] + g.l1[i] * math.sin(theta[i])
+        segments[2, i] = segments[0, i] + g.l2[i] * math.cos(theta[i] + phi[i])
+        segments[3, i] = segments[1, i] + g.l2[i] * math.sin(theta[i] + phi[i])
 
 
 @kernel
-def arm_segments(elbow_x, elbow_y, tip_x, tip_y, length, angle, out):
-    """Segment of each arm that can collide.
+def place(tips, geometry, side, segments):
+    """Elbow and tip of each positioner for its own tip, rows of (n, 2); NaN tips give NaN."""
+    cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
+    home_x, home_y = geometry.home_x, geometry.home_y
+    ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
+    for i in range(cx.size):
+        x[i], y[i] = tips[i, 0], tips[i, 1]
+    for i in range(cx.size):
+        dx, dy, _, _ = elbow(x[i] - cx[i], y[i] - cy[i], l1[i], l2[i], side[i], home_x, home_y)
+        ex[i], ey[i] = cx[i] + dx, cy[i] + dy
 
-    From the elbow to the tip where ``length`` is NaN; otherwise ``length`` long from the elbow, turned by
-    ``angle`` counter-clockwise from the direction of the tip.
+
+@kernel
+def shape(segments, model, length, cosine, sine):
+    """Turn elbows and tips into the segments that can collide, in place.
+
+    A capsule is ``length`` long from the elbow, turned counter-clockwise from the direction of the tip.
     """
-    for i in range(elbow_x.size):
-        out[i, 0] = elbow_x[i]
-        out[i, 1] = elbow_y[i]
-        if math.isnan(length[i]):
-            out[i, 2] = tip_x[i]
-            out[i, 3] = tip_y[i]
-        else:
-            direction = math.atan2(tip_y[i] - elbow_y[i], tip_x[i] - elbow_x[i]) + angle[i]
-            out[i, 2] = elbow_x[i] + length[i] * math.cos(direction)
-            out[i, 3] = elbow_y[i] + length[i] * math.sin(direction)
+    if model == CAPSULE:
+        for i in range(segments.shape[1]):
+            ux, uy = segments[2, i] - segments[0, i], segments[3, i] - segments[1, i]
+            scale = length / math.sqrt(ux * ux + uy * uy)
+            segments[2, i] = segments[0, i] + scale * (cosine[i] * ux - sine[i] * uy)
+            segments[3, i] = segments[1, i] + scale * (cosine[i] * uy + sine[i] * ux)
+    elif model == FIBER_TIP:
+        segments[:2] = segments[2:]
+
+
+@kernel
+def check(tips, geometry, assigned, far):
+    """Mark positioners with a tip, and those whose tip is out of reach; returns the number of the latter."""
+    n = 0
+    cx, cy, low, high, usable = geometry.cx, geometry.cy, geometry.low, geometry.high, geometry.usable
+    for i in range(cx.size):
+        dx, dy = tips[i, 0] - cx[i], tips[i, 1] - cy[i]
+        r2 = dx * dx + dy * dy
+        assigned[i] = usable[i] & (r2 < np.inf)
+        far[i] = usable[i] & ((r2 < low[i]) | (r2 > high[i]))
+    for i in range(cx.size):
+        n += far[i]
+    return n
+
+
+@kernel
+def fill_idle(assigned, idle, segments):
+    """Give positioners without a tip the segment that they have then, NaN if none; in place."""
+    for row in range(4):
+        own, other = segments[row], idle[row]
+        for i in range(assigned.size):
+            a, b = own[i], other[i]
+            own[i] = a if assigned[i] else b

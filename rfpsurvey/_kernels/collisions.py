@@ -1,10 +1,47 @@
-"""Distances between arms, exact in two dimensions."""
+"""Which arms are closer than the safe distance: a broad phase that rejects, and a distance with a proven error.
+
+Segments are columns: rows x0, y0, x1, y1 of an array (4, n); an arm that is not there is NaN.
+
+In all bounds u = 2^-53 is the unit roundoff, and S the longest of the six differences of the four ends of a pair.
+The accuracy page of the documentation has the proofs.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from rfpsurvey._jit import kernel
+
+UNIT = 2.0**-53
+# The computed distance of a pair differs from the true one by at most this times S.
+DISTANCE_ERROR = 20.0 * UNIT
+# The sign of a turn is certain where it exceeds this times the sum of the magnitudes of its two products.
+TURN_ERROR = 4.0 * UNIT
+# The broad phase may err by less than this times (largest coordinate + S): pairs so near to the limit stay in.
+REJECT_ERROR = 64.0 * UNIT
+# Runs of neighbors shorter than this are not worth a loop of their own.
+SHORT_RUN = 8
+
+
+class Limits(NamedTuple):
+    """Safe distance, and what rounding adds to it, for segments up to a length, up to a distance from the origin."""
+
+    separation: float
+    slack: float
+    """What the broad phase adds to the safe distance."""
+    near: float
+    """Farthest middles of a pair that can collide, slack included."""
+    band: float
+    """Squared distances so near to separation^2 may lie on either side of it."""
+
+
+def limits(separation, length, extent):
+    """Limits for segments no longer than ``length`` with ends no farther than ``extent`` from the origin (mm)."""
+    size = 2.0 * length + separation  # S of a pair that the broad phase lets through
+    slack = REJECT_ERROR * (extent + size)
+    error = 1.2 * DISTANCE_ERROR * size  # the rounding of separation^2 and of the comparison included
+    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
 
 
 @kernel
@@ -22,20 +59,20 @@ def point_segment_squared(px, py, ax, ay, bx, by):
 
 @kernel
 def turn(ax, ay, bx, by, px, py):
-    """Twice the signed area of the triangle a, b, p: positive where p lies to the left of a -> b."""
-    return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+    """Side of the line a -> b that p is on: 1 left, -1 right, 0 if rounding could decide."""
+    left = (bx - ax) * (py - ay)
+    right = (by - ay) * (px - ax)
+    slack = TURN_ERROR * (abs(left) + abs(right))
+    if left - right > slack:
+        return 1
+    if right - left > slack:
+        return -1
+    return 0
 
 
 @kernel
-def segments_squared(a, b):
-    """Squared distance of two segments: 0 where they cross, else the least of four endpoint distances."""
-    ax, ay, bx, by = a[0], a[1], a[2], a[3]
-    cx, cy, dx, dy = b[0], b[1], b[2], b[3]
-    if (
-        turn(ax, ay, bx, by, cx, cy) * turn(ax, ay, bx, by, dx, dy) < 0.0
-        and turn(cx, cy, dx, dy, ax, ay) * turn(cx, cy, dx, dy, bx, by) < 0.0
-    ):
-        return 0.0
+def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
+    """Least squared distance of an end of one segment to the other one: the distance, unless they cross."""
     return min(
         min(point_segment_squared(ax, ay, cx, cy, dx, dy), point_segment_squared(bx, by, cx, cy, dx, dy)),
         min(point_segment_squared(cx, cy, ax, ay, bx, by), point_segment_squared(dx, dy, ax, ay, bx, by)),
@@ -43,31 +80,107 @@ def segments_squared(a, b):
 
 
 @kernel
-def half_lengths(segments, out):
-    """Half the length of each segment."""
-    for i in range(segments.shape[0]):
-        out[i] = 0.5 * math.hypot(segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1])
+def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
+    """Squared distance of the segments a-b and c-d, the root of it within DISTANCE_ERROR * S of the true one.
+
+    0 where they certainly cross; where rounding could decide, an end is as near as the error allows anyway.
+    """
+    if (
+        turn(ax, ay, bx, by, cx, cy) * turn(ax, ay, bx, by, dx, dy) < 0
+        and turn(cx, cy, dx, dy, ax, ay) * turn(cx, cy, dx, dy, bx, by) < 0
+    ):
+        return 0.0
+    return endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy)
 
 
 @kernel
-def colliding_pairs(segments, half, pairs, separation, out, squared):
-    """Those of ``pairs`` closer than ``separation``; absent arms are NaN. Returns their number."""
-    n = 0
-    limit = separation * separation
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        a, b = segments[i], segments[j]
-        mx = 0.5 * ((a[0] + a[2]) - (b[0] + b[2]))
-        my = 0.5 * ((a[1] + a[3]) - (b[1] + b[3]))
-        near = (half[i] + half[j] + separation) * (1.0 + 1e-12)
-        if not mx * mx + my * my <= near * near:  # also NaN
+def pair_squared(segments, i, j):
+    """Squared distance of the arms i and j."""
+    return segments_squared(
+        segments[0, i], segments[1, i], segments[2, i], segments[3, i],
+        segments[0, j], segments[1, j], segments[2, j], segments[3, j],
+    )  # fmt: skip
+
+
+@kernel
+def apart(mx, my, ax, ay, bx, by, squared):
+    """Does an axis keep two segments farther apart than the root of ``squared``?
+
+    Their middles differ by m, and a and b are their halves. Looks along m and across either segment; a segment
+    lies within its half's projection of its middle, so that any axis gives a lower bound.
+    """
+    m2 = mx * mx + my * my
+    gap = m2 - abs(ax * mx + ay * my) - abs(bx * mx + by * my)
+    if gap > 0.0 and gap * gap > squared * m2:
+        return True
+    wide = abs(ax * by - ay * bx)
+    gap = abs(ax * my - ay * mx) - wide
+    if gap > 0.0 and gap * gap > squared * (ax * ax + ay * ay):
+        return True
+    gap = abs(bx * my - by * mx) - wide
+    return gap > 0.0 and gap * gap > squared * (bx * bx + by * by)
+
+
+@kernel
+def halve(segments, halves):
+    """Middle and half of each segment: rows mx, my, hx, hy."""
+    for k in range(2):
+        first, second, middle, half = segments[k], segments[k + 2], halves[k], halves[k + 2]
+        for i in range(first.size):
+            middle[i] = 0.5 * (first[i] + second[i])
+            half[i] = 0.5 * (second[i] - first[i])
+
+
+@kernel
+def near_pairs(halves, runs, limits, mask, first, second):
+    """Neighbors that may be closer than the safe distance; returns how many, written to ``first`` and ``second``.
+
+    ``runs`` lists neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, n pairs. Arms with middles too
+    far apart are not looked at, nor are those that an axis separates.
+    """
+    m = 0
+    near2, limit2 = limits.near**2, (limits.separation + limits.slack) ** 2
+    for r in range(runs.shape[0]):
+        i, j, n = runs[r, 0], runs[r, 1], runs[r, 2]
+        if n < SHORT_RUN:
+            for k in range(n):
+                dx, dy = halves[0, j + k] - halves[0, i + k], halves[1, j + k] - halves[1, i + k]
+                first[m], second[m] = i + k, j + k
+                m += dx * dx + dy * dy <= near2
             continue
-        d2 = segments_squared(a, b)
-        if d2 < limit:
-            out[n, 0], out[n, 1] = i, j
-            squared[n] = d2
-            n += 1
+        xi, yi, xj, yj = halves[0, i : i + n], halves[1, i : i + n], halves[0, j : j + n], halves[1, j : j + n]
+        marks = mask[:n]
+        for k in range(n):
+            dx, dy = xj[k] - xi[k], yj[k] - yi[k]
+            marks[k] = dx * dx + dy * dy <= near2  # not for NaN
+        for k in range(n):
+            first[m], second[m] = i + k, j + k
+            m += marks[k]
+    n = 0
+    for k in range(m):
+        i, j = first[k], second[k]
+        mx, my = halves[0, j] - halves[0, i], halves[1, j] - halves[1, i]
+        first[n], second[n] = i, j
+        n += not apart(mx, my, halves[2, i], halves[3, i], halves[2, j], halves[3, j], limit2)
     return n
+
+
+@kernel
+def colliding_pairs(segments, halves, runs, limits, mask, first, second, squared):
+    """Pairs closer than the safe distance, and those within the band about it, which rounding may put either way.
+
+    Returns their number and how many of them are within the band.
+    """
+    n = borderline = 0
+    limit, band = limits.separation**2, limits.band
+    for k in range(near_pairs(halves, runs, limits, mask, first, second)):
+        i, j = first[k], second[k]
+        d2 = pair_squared(segments, i, j)
+        if d2 < limit + band:
+            first[n], second[n], squared[n] = i, j, d2
+            n += 1
+            borderline += d2 >= limit - band
+    return n, borderline
 
 
 @kernel
@@ -76,8 +189,8 @@ def colliding_obstacles(segments, pairs, obstacles, clearance, out, distance):
     n = 0
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        a = segments[i]
-        d = math.sqrt(point_segment_squared(obstacles[j, 0], obstacles[j, 1], a[0], a[1], a[2], a[3]))
+        ends = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
+        d = math.sqrt(point_segment_squared(obstacles[j, 0], obstacles[j, 1], *ends))
         if d < obstacles[j, 2] + clearance:
             out[n, 0], out[n, 1] = i, j
             distance[n] = max(0.0, d - obstacles[j, 2])
@@ -86,14 +199,15 @@ def colliding_obstacles(segments, pairs, obstacles, clearance, out, distance):
 
 
 @kernel
-def nearest_arm(segments, half, order, mid, out):
+def nearest_arm(segments, halves, order, out):
     """Distance of each arm to the nearest other one.
 
-    ``order`` sorts the arms that are present by the x of their middles ``mid``; from each arm the search walks
+    ``order`` sorts the arms that are present by the x of their middles; from each arm the search walks
     left and right until the gap in x alone exceeds the best distance. Absent: NaN; alone: infinity.
     """
     out[:] = np.nan
     longest = 0.0
+    half = np.sqrt(halves[2] * halves[2] + halves[3] * halves[3])
     for k in range(order.size):
         longest = max(longest, half[order[k]])
     for k in range(order.size):
@@ -103,11 +217,11 @@ def nearest_arm(segments, half, order, mid, out):
             m = k + step
             while 0 <= m < order.size:
                 j = order[m]
-                gap = abs(mid[j, 0] - mid[i, 0]) - half[i] - longest
+                gap = abs(halves[0, j] - halves[0, i]) - half[i] - longest
                 if gap > 0.0 and gap * gap > best:
                     break
-                gap = abs(mid[j, 1] - mid[i, 1]) - half[i] - half[j]
+                gap = abs(halves[1, j] - halves[1, i]) - half[i] - half[j]
                 if gap <= 0.0 or gap * gap <= best:
-                    best = min(best, segments_squared(segments[i], segments[j]))
+                    best = min(best, pair_squared(segments, i, j))
                 m += step
         out[i] = math.sqrt(best)

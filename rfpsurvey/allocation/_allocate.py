@@ -42,6 +42,10 @@ class Allocation:
         Do idle equal-arm positioners count as obstacles?
     seconds : dict of str to float
         Time of each stage.
+    xy : Quantity, shape (n_targets, 2)
+        The targets on the focal plane.
+    wanted : ndarray of str, shape (n_targets,), or None
+        Fiber type that each target needs, ``""`` for any.
     queues : tuple of ndarray or None
         For ``balanced``: indptr and targets of all queues, of which the configuration is one draw.
     """
@@ -55,6 +59,8 @@ class Allocation:
     n_reachable: int
     parked_obstacles: bool
     seconds: dict
+    xy: u.Quantity
+    wanted: np.ndarray | None = None
     queues: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
@@ -153,10 +159,11 @@ def allocate(
     positioner_of = np.full(len(points), -1)
     used = np.flatnonzero(target_of >= 0)
     positioner_of[target_of[used]] = used
+    wanted = None if fiber_type is None or focal_plane.fiber_types == ("",) else np.asarray(fiber_type, dtype=str)
     seconds = {"reach": middle - start, "allocation": perf_counter() - middle}
     return Allocation(
         method, target_of, positioner_of, hand, tips * u.mm, types, reach.n_reachable, parked_obstacles,
-        seconds, queues,
+        seconds, points * u.mm, wanted, queues,
     )  # fmt: skip
 
 

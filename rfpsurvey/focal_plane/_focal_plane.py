@@ -15,6 +15,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import _tables
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
+from rfpsurvey.focal_plane._scene import Scene
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["FocalPlane"]
@@ -178,16 +179,10 @@ class FocalPlane:
         return self._l1_mm + self._l2_mm
 
     @cached_property
-    def _arm_length_mm(self):
-        """Length of the colliding segment; NaN: it ends at the fiber."""
-        length = self.positioner.arm_length
-        return np.full(len(self), np.nan if length is None else float(to_mm(length, "arm_length")))
-
-    @cached_property
     def _arm_reach_mm(self):
         """Distance from the center that the colliding segment can reach."""
-        length = np.where(np.isnan(self._arm_length_mm), self._l2_mm, self._arm_length_mm)
-        return self._l1_mm + length
+        length = self.positioner._arm_length_mm
+        return self._l1_mm + (self._l2_mm if length is None else length)
 
     @cached_property
     def _stuck_rad(self):
@@ -236,8 +231,12 @@ class FocalPlane:
         if len(circles) == 0:
             return np.empty((0, 2), dtype=np.int64)
         apart = np.hypot(*(self._xy_mm[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
-        clearance = float(to_mm(self.positioner.clearance, "clearance"))
-        return np.argwhere(apart < self._arm_reach_mm[:, None] + circles[None, :, 2] + clearance)
+        return np.argwhere(apart < self._arm_reach_mm[:, None] + circles[None, :, 2] + self.positioner._clearance_mm)
+
+    @cached_property
+    def _scene(self):
+        """What the collision kernels read."""
+        return Scene(self)
 
     def neighbor_pairs(self) -> np.ndarray:
         """Return the pairs of positioners whose arms can come closer than the safe distance.
@@ -275,9 +274,9 @@ class FocalPlane:
         """Reachable pairs of targets in mm."""
         return find_reach(self, points, accepted_types(self, fiber_type, len(points)))
 
-    def _sides(self, points: np.ndarray) -> np.ndarray:
-        """Elbow of each positioner toward its own point in mm: +1 right, -1 left."""
-        return sides(self, points)
+    def _sides(self, points: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
+        """Elbow of each positioner (or those in the rows ``own``) toward its own point in mm: +1 right, -1 left."""
+        return sides(self, points, own)
 
     @classmethod
     def hexagonal(

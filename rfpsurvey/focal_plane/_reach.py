@@ -102,15 +102,16 @@ def find_reach(plane, points, accepts) -> Reach:
     return pairs
 
 
-def sides(plane, points) -> np.ndarray:
-    """Return the elbow of each positioner toward its own point (mm): +1 right, -1 left.
+def sides(plane, points, own=None) -> np.ndarray:
+    """Return the elbow of each positioner (or those in the rows ``own``) toward its own point (mm): +1 right, -1 left.
 
     Where both are allowed by the handedness, the right one unless the joint limits forbid it and not the left.
     """
-    side = np.full(len(plane), -1.0 if plane.positioner.handedness == "left" else 1.0)
+    side = np.full(len(points), -1.0 if plane.positioner.handedness == "left" else 1.0)
     if plane.positioner.handedness == "both" and not plane.positioner._joints_free:
         rows = np.flatnonzero(np.isfinite(points).all(axis=1))
-        right, left = (_joints_allow(plane, rows, points[rows], s) for s in (1.0, -1.0))
+        own = np.arange(len(plane)) if own is None else own
+        right, left = (_joints_allow(plane, own[rows], points[rows], s) for s in (1.0, -1.0))
         side[rows[~right & left]] = -1.0
     return side
 
@@ -125,7 +126,6 @@ def _in_annulus_exactly(plane, i, point):
 
 def _joints_allow(plane, own, points, side):
     """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
-    theta, phi, ex, ey = (np.empty(len(own)) for _ in range(4))
-    geometry = (*plane._xy_mm[own].T.copy(), plane._l1_mm[own], plane._l2_mm[own], np.full(len(own), side))
-    arms.solve(*points.T.copy(), *geometry, plane.positioner._home_rad[0], theta, phi, ex, ey)
+    theta, phi = np.empty(len(own)), np.empty(len(own))
+    arms.solve(points, plane._scene.geometry_of(own), np.full(len(own), side), theta, phi)
     return plane.positioner._joints_allowed(theta, phi)

@@ -1,0 +1,168 @@
+"""Where the arms stand."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import arms, collisions
+from rfpsurvey._units import to_points_mm, to_radian
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["Arms", "arm_angles", "check_tips", "nearest_distance", "place_arms", "place_tips", "to_sides", "to_tips"]
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """Poses of all positioners, in mm and radians; NaN for arms that are not there."""
+
+    theta: np.ndarray
+    phi: np.ndarray
+    elbow: np.ndarray
+    tip: np.ndarray
+    segments: np.ndarray
+    """What can collide, rows (x0, y0, x1, y1)."""
+    assigned: np.ndarray
+    """Positioners that look at a target."""
+    parked: np.ndarray
+    """Usable positioners without a target that stand at home and count."""
+    clipped: np.ndarray
+    """Positioners whose target is out of reach: stretched toward it, or bent as the joint limits forbid."""
+
+    @property
+    def present(self) -> np.ndarray:
+        """Positioners whose arm is there."""
+        return np.isfinite(self.segments[:, 0])
+
+
+def place_arms(
+    focal_plane: FocalPlane,
+    tips: u.Quantity | None = None,
+    *,
+    theta: u.Quantity | None = None,
+    phi: u.Quantity | None = None,
+    handedness: str | np.ndarray | None = None,
+    fiber_type: np.ndarray | None = None,
+    parked_obstacles: bool = True,
+    clip: bool = False,
+) -> Arms:
+    """Return the poses of all positioners; parameters as in `find_collisions`.
+
+    With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
+    """
+    n, scene = len(focal_plane), focal_plane._scene
+    if (theta is None) != (phi is None) or (tips is None) == (theta is None):
+        raise InputError("give tips, or theta and phi, not both")
+    if tips is None:
+        angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
+        segments = np.empty((4, n))
+        arms.pose(*angles, scene.geometry, segments)
+        assigned = np.isfinite(segments[2]) & focal_plane._usable
+        clipped = np.zeros(n, dtype=bool)
+    else:
+        points = to_tips(tips, n)
+        side = to_sides(focal_plane, points, handedness)
+        assigned, clipped = check_tips(focal_plane, points, side, clip=clip)
+        segments = place_tips(focal_plane, points, side, clipped)
+        angles = np.empty((2, n))
+        arms.solve(points, scene.geometry, side, *angles)
+    idle = scene.idle(parked_obstacles)
+    for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
+        np.copyto(own, other, where=~assigned)
+    arms.fill_idle(assigned, idle.segments, segments)
+    elbow, tip = segments[:2].T.copy(), segments[2:].T.copy()
+    arms.shape(segments, scene.model, scene.length, *arm_angles(focal_plane, fiber_type))
+    return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped)
+
+
+def to_tips(tips, n):
+    """Return tips in mm, a row for each positioner."""
+    points = to_points_mm(tips, "tips")
+    if len(points) != n:
+        raise InputError(f"tips must have a row for each of the {n} positioners, got {len(points)}")
+    return points
+
+
+def check_tips(plane, points, side, *, clip=False):
+    """Mark positioners that take a target, and those that cannot get there; the latter are errors unless ``clip``."""
+    n = len(plane)
+    assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
+    if arms.check(points, plane._scene.geometry, assigned, far) and not clip:
+        k = int(np.flatnonzero(far)[0])
+        raise InputError(
+            f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
+            f"{np.hypot(*(points[k] - plane._xy_mm[k])):.4f} mm from its center, "
+            f"must be {plane._inner_mm[k]:.4f} to {plane._outer_mm[k]:.4f} mm"
+        )
+    if not plane.positioner._joints_free:
+        theta, phi = np.empty(n), np.empty(n)
+        arms.solve(points, plane._scene.geometry, side, theta, phi)
+        barred = assigned & ~far & ~plane.positioner._joints_allowed(theta, phi)
+        if barred.any() and not clip:
+            first = plane.id[np.flatnonzero(barred)[0]]
+            raise InputError(
+                f"{int(barred.sum())} tips are beyond the joint limits, the first that of positioner {first}"
+            )
+        far |= barred
+    return assigned, far & assigned
+
+
+def place_tips(plane, points, side, clipped):
+    """Elbows and tips, shape (4, n); those that are out of reach stretch toward their point."""
+    geometry = plane._scene.geometry
+    segments = np.empty((4, len(plane)))
+    arms.place(points, geometry, side, segments)
+    if clipped.any():
+        angles, posed = np.empty((2, len(plane))), np.empty_like(segments)
+        arms.solve(points, geometry, side, *angles)
+        arms.pose(*angles, geometry, posed)
+        # a pose that only the joint limits forbid reaches its point
+        r2 = ((points - plane._xy_mm) ** 2).sum(axis=1)
+        far = clipped & ((r2 < geometry.low) | (r2 > geometry.high))
+        segments[2:, far] = posed[2:, far]
+    return segments
+
+
+def to_sides(plane, points, handedness):
+    """Turn elbow names into +1 (right) and -1 (left); None: those of the focal plane."""
+    if handedness is None:
+        return plane._sides(points)
+    n = len(plane)
+    names = np.full(n, handedness) if isinstance(handedness, str) else np.asarray(handedness, dtype=str)
+    if names.shape != (n,):
+        raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
+    left = names == "left"
+    for name in np.unique(names[~left & (names != "right")]):
+        check_choice(str(name), ("right", "left"), "handedness of an arm")
+    return np.where(left, -1.0, 1.0)
+
+
+def arm_angles(plane, fiber_type):
+    """Cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
+    if fiber_type is None:
+        return plane._scene.angles
+    types = np.asarray(fiber_type, dtype=str)
+    if types.shape != (len(plane),):
+        raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
+    types = np.where(types == "", plane._first_type, types)
+    for name in np.unique(types):
+        check_choice(str(name), plane.fiber_types, "fiber type")
+    return plane._scene.angles_of(types)
+
+
+def nearest_distance(posed: Arms) -> np.ndarray:
+    """Distance (mm) of each arm to the nearest other one; NaN: absent, infinity: alone."""
+    segments = np.ascontiguousarray(posed.segments.T)
+    halves, out = np.empty_like(segments), np.empty(len(posed.segments))
+    collisions.halve(segments, halves)
+    there = np.flatnonzero(posed.present)
+    order = there[np.argsort(halves[0, there], kind="stable")]
+    collisions.nearest_arm(segments, halves, order, out)
+    return out
+
+
+def _column(values, name, n):
+    if values.shape != (n,):
+        raise InputError(f"{name} must have the shape ({n},), got {values.shape}")
+    return values

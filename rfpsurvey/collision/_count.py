@@ -1,0 +1,266 @@
+"""Collisions of many configurations of one focal plane."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import arms, batch
+from rfpsurvey._units import to_generator, to_mm
+from rfpsurvey.collision._arms import arm_angles, check_tips, to_sides
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["CollisionCounts", "count_collisions", "stage_of"]
+
+METHODS = ("exact", "cuda")
+CHUNK = 64
+"""Configurations that one task scores; draws do not depend on the number of workers, but on this."""
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionCounts:
+    """Static collisions of m configurations, counted.
+
+    Parameters
+    ----------
+    n_pairs, n_obstacle_pairs : ndarray of int, shape (m,)
+        Colliding pairs of positioners, and of a positioner and an obstacle.
+    n_in_collision, n_in_collision_assigned : ndarray of int, shape (m,)
+        Positioners in collision among those that count, and among the assigned ones.
+    n_counted, n_assigned : ndarray of int, shape (m,)
+        Positioners that count (assigned, and parked equal-arm ones), and assigned ones.
+    n_borderline : ndarray of int, shape (m,)
+        Pairs so near to the safe distance that rounding could put them on either side; here the computed
+        distance decides.
+    per_positioner : ndarray of int, shape (n,)
+        Configurations in which each positioner is in collision.
+    """
+
+    n_pairs: np.ndarray
+    n_obstacle_pairs: np.ndarray
+    n_in_collision: np.ndarray
+    n_in_collision_assigned: np.ndarray
+    n_counted: np.ndarray
+    n_assigned: np.ndarray
+    n_borderline: np.ndarray
+    per_positioner: np.ndarray
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Part of the counted positioners that is in collision, for each configuration; NaN if none counts."""
+        return _ratio(self.n_in_collision, self.n_counted)
+
+    @property
+    def rate_assigned(self) -> np.ndarray:
+        """Part of the assigned positioners that is in collision, for each configuration; NaN if none is assigned."""
+        return _ratio(self.n_in_collision_assigned, self.n_assigned)
+
+    def __len__(self):
+        return len(self.n_pairs)
+
+    def __repr__(self):
+        return f"<CollisionCounts: {len(self)} configurations, {int(self.n_pairs.sum())} pairs>"
+
+
+def count_collisions(
+    focal_plane: FocalPlane,
+    tips: object,
+    *,
+    n_configurations: int | None = None,
+    handedness: str | np.ndarray | None = None,
+    fiber_type: np.ndarray | None = None,
+    parked_obstacles: bool = True,
+    method: str = "exact",
+    executor: Executor | None = None,
+    rng: int | np.random.Generator | None = 0,
+) -> CollisionCounts:
+    """Count the collisions of many configurations of one focal plane.
+
+    Each configuration is scored as by `find_collisions`, without Python in between; memory beyond the input is that
+    of a few configurations, however many there are.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    tips : Quantity, shape (m, n, 2), or Allocation
+        Where the fibers are in each of m configurations, NaN for those without a target. Or an allocation by
+        ``balanced``, from whose queues configurations are drawn: one target of each queue, uniformly.
+    n_configurations : int, optional
+        How many to draw; belongs to an allocation.
+    handedness : {"right", "left"} or array_like of str, shape (n,), optional
+        Elbow of each arm in all configurations, where it is not the positioner's own.
+    fiber_type : array_like of str, shape (n,), optional
+        Fiber in use in all configurations, for arm models that depend on it.
+    parked_obstacles : bool, optional
+        As in `find_collisions`.
+    method : {"exact", "cuda"}, optional
+        ``exact``: on the processor. ``cuda``: on a GPU (``rfpsurvey[cuda]``).
+    executor : concurrent.futures.Executor, optional
+        Where chunks of configurations run; kernels release the GIL, so that threads work in parallel. None: here.
+    rng : int, Generator or None, optional
+        Seed or source of the draws. They do not depend on the executor.
+
+    Returns
+    -------
+    CollisionCounts
+        Counts for each configuration and for each positioner.
+
+    Raises
+    ------
+    InputError
+        If a tip lies outside its patrol area or beyond the joint limits, or a shape does not fit.
+
+    See Also
+    --------
+    find_collisions : The pairs and distances of one configuration.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm).n_pairs
+    array([1, 0])
+    """
+    check_choice(method, METHODS, "method of counting collisions")
+    if hasattr(tips, "target_of_positioner"):
+        if not (handedness is fiber_type is None):
+            raise InputError("an Allocation brings its own poses; give no handedness or fiber_type")
+        score, chunks = _of_draws(focal_plane, tips, n_configurations, method, rng)
+    else:
+        if n_configurations is not None:
+            raise InputError("n_configurations belongs to an Allocation; tips say themselves how many they are")
+        score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, method)
+    parts = list((map if executor is None else executor.map)(score, *chunks))
+    counts = np.concatenate([p[0] for p in parts]) if parts else np.empty((0, 7), dtype=np.int64)
+    times = sum((p[1] for p in parts), np.zeros(len(focal_plane), dtype=np.int64))
+    return CollisionCounts(
+        counts[:, batch.PAIRS], counts[:, batch.OBSTACLE_PAIRS], counts[:, batch.COLLIDING],
+        counts[:, batch.COLLIDING_ASSIGNED], counts[:, batch.COUNTED], counts[:, batch.ASSIGNED],
+        counts[:, batch.BORDERLINE], times,
+    )  # fmt: skip
+
+
+def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
+    """A function that scores a chunk of configurations given by their tips, and its arguments."""
+    shape = getattr(tips, "shape", ())
+    if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
+        kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
+        raise InputError(f"tips must be an Allocation or a Quantity of shape (m, {len(plane)}, 2), got {kind}")
+    stage = stage_of(plane, arm_angles(plane, fiber_type), parked_obstacles)
+    side = None
+    if handedness is not None or plane.positioner._joints_free:
+        side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
+    starts = range(0, len(tips), CHUNK)
+    score = _score_tips if method == "exact" else _gpu().count_tips
+    return partial(score, plane, stage, side), ((tips[k : k + CHUNK] for k in starts), starts)
+
+
+def _score_tips(plane, stage, side, tips, start):
+    points = to_mm(tips, "tips")
+    side = _sides_of_chunk(plane, points, side, start)
+    counts, times = np.empty((len(points), 7), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
+    if batch.count_tips(points, plane._scene.geometry, side, stage, _desk(plane), counts, times):
+        _complain(plane, points, side, start)
+    return counts, times
+
+
+def _of_draws(plane, allocation, n_configurations, method, rng):
+    """A function that scores a chunk of configurations drawn from queues, and its arguments."""
+    if allocation.queues is None:
+        raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.method!r}")
+    n = n_configurations
+    if not (isinstance(n, int | np.integer) and n >= 0):
+        raise InputError(f"n_configurations must say how many to draw, a whole number of at least 0, got {n!r}")
+    if method != "exact":
+        raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
+    indptr, entries = _entries(plane, allocation)
+    stage = stage_of(plane, plane._scene.angles, allocation.parked_obstacles)
+    sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
+    return partial(_score_draws, plane, stage, indptr, entries), (sizes, to_generator(rng).spawn(len(sizes)))
+
+
+def _score_draws(plane, stage, indptr, entries, size, rng):
+    counts, times = np.empty((size, 7), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
+    idle = stage.idle.copy()
+    arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
+    uniform = rng.random((size, len(plane)))
+    batch.count_draws(uniform, indptr, entries, idle, stage, _desk(plane), counts, times)
+    return counts, times
+
+
+def _entries(plane, allocation):
+    """All queues, one after the other: the segment of each entry."""
+    indptr, target = allocation.queues
+    own = np.repeat(np.arange(len(plane)), np.diff(indptr))
+    points = to_mm(allocation.xy, "xy")[target]
+    segments = np.empty((4, len(own)))
+    arms.place(points, plane._scene.geometry_of(own), plane._sides(points, own), segments)
+    types = plane._first_type[own]
+    if allocation.wanted is not None:
+        wanted = allocation.wanted[target]
+        types = np.where(wanted == "", types, wanted)
+    arms.shape(segments, plane._scene.model, plane._scene.length, *plane._scene.angles_of(types))
+    return indptr, segments
+
+
+def stage_of(plane, angles, parked_obstacles) -> batch.Stage:
+    """Return what all configurations share."""
+    scene = plane._scene
+    idle = scene.idle(parked_obstacles)
+    return batch.Stage(
+        scene.runs, scene.limits, scene.model, scene.length, *angles, idle.segments, idle.parked,
+        plane._obstacle_pairs, plane._obstacles_mm, scene.clearance,
+    )  # fmt: skip
+
+
+def _desk(plane) -> batch.Desk:
+    """Scratch for one configuration."""
+    n, room, m = len(plane), len(plane._neighbors) + 1, len(plane._obstacle_pairs)
+    flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
+    mask = np.empty(plane._scene.longest_run, dtype=np.bool_)
+    pairs = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
+    return batch.Desk(
+        np.empty((4, n)), np.empty((4, n)), *flags, mask, *pairs, np.empty((m, 2), dtype=np.int64), np.empty(m)
+    )
+
+
+def _sides_of_chunk(plane, points, side, start):
+    """Elbows of a chunk: one row for all configurations, unless the joint limits have a say."""
+    if side is not None and plane.positioner._joints_free:
+        return side
+    rows = [plane._sides(p) if side is None else side[0] for p in points]
+    for c, (tips, row) in enumerate(zip(points, rows, strict=True)):
+        _check(plane, tips, row, start + c)
+    return np.array(rows)
+
+
+def _check(plane, points, side, number):
+    try:
+        check_tips(plane, points, side)
+    except InputError as error:
+        raise InputError(f"configuration {number}: {error}") from None
+
+
+def _complain(plane, points, side, start):
+    """Say which configuration has tips that are out of reach."""
+    for c, tips in enumerate(points):
+        _check(plane, tips, side[min(c, len(side) - 1)], start + c)
+
+
+def _gpu():
+    """The module that needs a GPU, or the simulator of one."""
+    from rfpsurvey.collision import _gpu
+
+    return _gpu
+
+
+def _ratio(part, whole):
+    with np.errstate(invalid="ignore"):
+        return part / whole

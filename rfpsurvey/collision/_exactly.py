@@ -1,0 +1,37 @@
+"""The pair test in exact arithmetic, for pairs that rounding could put on either side of the limit."""
+
+from math import lcm
+
+__all__ = ["closer_exactly"]
+
+
+def closer_exactly(first, second, separation: float) -> bool:
+    """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, for the floats as they are.
+
+    All numbers are brought to one denominator, and no division follows: everything is an integer.
+    """
+    ratios = [float(v).as_integer_ratio() for v in (*first, *second, separation)]
+    common = lcm(*(q for _, q in ratios))
+    *ends, limit = (p * (common // q) for p, q in ratios)
+    a, b, c, d = zip(ends[::2], ends[1::2], strict=True)
+    if limit <= 0:
+        return False
+    if _turn(a, b, c) * _turn(a, b, d) < 0 and _turn(c, d, a) * _turn(c, d, b) < 0:
+        return True
+    return _near(a, c, d, limit) or _near(b, c, d, limit) or _near(c, a, b, limit) or _near(d, a, b, limit)
+
+
+def _turn(a, b, p):
+    """Twice the signed area of a, b, p."""
+    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+
+
+def _near(p, a, b, limit):
+    """Is the point p closer than ``limit`` to the segment a-b?"""
+    length2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
+    along = (b[0] - a[0]) * (p[0] - a[0]) + (b[1] - a[1]) * (p[1] - a[1])
+    if along <= 0:
+        return (p[0] - a[0]) ** 2 + (p[1] - a[1]) ** 2 < limit**2
+    if along >= length2:
+        return (p[0] - b[0]) ** 2 + (p[1] - b[1]) ** 2 < limit**2
+    return _turn(a, b, p) ** 2 < limit**2 * length2

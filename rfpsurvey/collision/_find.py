@@ -1,0 +1,147 @@
+"""Which arms of one configuration are closer than the safe distance."""
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import arms, collisions
+from rfpsurvey.collision._arms import Arms, arm_angles, check_tips, place_arms, place_tips, to_sides, to_tips
+from rfpsurvey.collision._methods import METHODS, Found, Scene
+from rfpsurvey.collision._report import CollisionReport
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["find_collisions"]
+
+NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
+
+
+def find_collisions(
+    focal_plane: FocalPlane,
+    tips: object = None,
+    *,
+    theta: u.Quantity | None = None,
+    phi: u.Quantity | None = None,
+    handedness: str | np.ndarray | None = None,
+    fiber_type: np.ndarray | None = None,
+    parked_obstacles: bool = True,
+    method: str = "exact",
+    n_points: int = 65,
+) -> CollisionReport:
+    """Find the arms that are closer to each other than the safe distance D.
+
+    Two positioners collide if and only if the distance of the segments that can collide is below D (strictly);
+    crossing segments have the distance 0. An arm collides with an obstacle if it comes
+    nearer to the edge of the circle than its clearance d.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    tips : Quantity, shape (n, 2), or Allocation, or Arms, optional
+        Where the fiber of each positioner is, NaN for those without a target; or an allocation, whose elbows and
+        options are then used; or poses that are already there.
+    theta, phi : Quantity, shape (n,), optional
+        Joint angles instead of ``tips``; NaN for positioners without a target.
+    handedness : {"right", "left"} or array_like of str, shape (n,), optional
+        Elbow of each arm, where it is not the positioner's own.
+    fiber_type : array_like of str, shape (n,), optional
+        Fiber in use, for arm models that depend on it.
+    parked_obstacles : bool, optional
+        Do equal-arm positioners without a target stand at home, as obstacles that count? Those with unequal arms
+        are followers that give way, and are ignored. An allocation has an option of its own, which is then used.
+    method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
+        ``exact``: distances with a proven error, and rational arithmetic where that could matter.
+        ``sampled``: the least distance of ``n_points`` points on either arm; misses grazing pairs, and crossings
+        too if n_points <= 1 + l2 / (sqrt(2) D).
+        ``sweep``: the areas that the two arms sweep on the way from home, both joints moving together the short
+        way round, as ``n_points`` poses each; finds every collision, and many that are none.
+        ``scipy``: minimization by SciPy, slow. ``cuda``: the exact distances on a GPU (``rfpsurvey[cuda]``).
+    n_points : int, optional
+        Points on an arm (sampled) or poses on its way (sweep), at least 2.
+
+    Returns
+    -------
+    CollisionReport
+        Pairs, distances, flags and rates.
+
+    Raises
+    ------
+    InputError
+        If a tip lies outside its patrol area or beyond the joint limits, or a shape does not fit.
+
+    See Also
+    --------
+    count_collisions : Many configurations at once.
+
+    References
+    ----------
+    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
+    Positioners", Eq. 1, and Section 4.1 (sampled, sweep and scipy).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> rs.find_collisions(plane, [[12, 0], [14, 0]] * u.mm)
+    <CollisionReport: 1 pairs, 0 with obstacles, 2 of 2 positioners>
+    """
+    find = METHODS[check_choice(method, METHODS, "collision method")]
+    if not (isinstance(n_points, int | np.integer) and n_points >= 2):
+        raise InputError(f"n_points must be a whole number of at least 2, got {n_points!r}")
+    given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
+    if isinstance(tips, Arms) or hasattr(tips, "target_of_positioner"):
+        if any(value is not None for value in given.values()):
+            raise InputError(f"an Allocation or Arms bring their own poses; give no {', '.join(given)}")
+    if hasattr(tips, "target_of_positioner"):
+        given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
+        tips, parked_obstacles = tips.tips, tips.parked_obstacles
+    segments, assigned, parked, poses = _stand(focal_plane, tips, given, parked_obstacles)
+    quiet = len(focal_plane._scene.runs) == 0
+    first, second, distances, n_borderline = (
+        NOTHING if quiet else find(Scene(focal_plane, segments, int(n_points), poses))
+    )
+    # the positioners of a pair and the pairs in ascending order
+    first, second = np.minimum(first, second), np.maximum(first, second)
+    order = np.argsort(first * len(focal_plane) + second)
+    pairs = np.column_stack([first[order], second[order]])
+    hits, gaps = _touched(focal_plane, segments)
+    colliding = np.zeros(len(focal_plane), dtype=bool)
+    colliding[first] = colliding[second] = colliding[hits[:, 0]] = True
+    return CollisionReport(
+        pairs, distances[order] << u.mm, hits, gaps << u.mm, colliding, assigned, assigned | parked, n_borderline
+    )  # fmt: skip
+
+
+def _stand(plane, tips, given, parked_obstacles):
+    """Segments (4, n), flags, and a function that gives all poses; without joint angles, which few need."""
+
+    def poses():
+        return place_arms(plane, tips, **given, parked_obstacles=parked_obstacles)
+
+    if isinstance(tips, Arms) or tips is None or given["theta"] is not None or given["phi"] is not None:
+        posed = tips if isinstance(tips, Arms) else poses()
+        if len(posed.segments) != len(plane):
+            raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
+        return np.ascontiguousarray(posed.segments.T), posed.assigned, posed.parked, lambda: posed
+    scene, idle = plane._scene, plane._scene.idle(parked_obstacles)
+    points = to_tips(tips, len(plane))
+    side, angles = to_sides(plane, points, given["handedness"]), arm_angles(plane, given["fiber_type"])
+    assigned, clipped = check_tips(plane, points, side)
+    segments = None
+    if len(scene.runs) or len(plane._obstacle_pairs):  # else nothing can collide, wherever the arms stand
+        segments = place_tips(plane, points, side, clipped)
+        arms.fill_idle(assigned, idle.segments, segments)
+        arms.shape(segments, scene.model, scene.length, *angles)
+    return segments, assigned, idle.parked & ~assigned, poses
+
+
+def _touched(plane, segments):
+    """Pairs (positioner, obstacle) closer than the clearance, and the distances to the edge."""
+    pairs = plane._obstacle_pairs
+    hits, gaps = np.empty_like(pairs), np.empty(len(pairs))
+    if len(pairs) == 0:
+        return hits, gaps
+    n = collisions.colliding_obstacles(segments, pairs, plane._obstacles_mm, plane._scene.clearance, hits, gaps)
+    return hits[:n], gaps[:n]

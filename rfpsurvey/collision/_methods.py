@@ -1,0 +1,133 @@
+"""The ways to find colliding pairs: one fast and exact, the others to compare with."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._kernels import arms, collisions, reference
+from rfpsurvey.collision._arms import Arms
+from rfpsurvey.collision._exactly import closer_exactly
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["METHODS", "Found", "Scene", "near_pairs"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One configuration, as a method sees it."""
+
+    plane: FocalPlane
+    segments: np.ndarray
+    """What can collide, columns (4, n)."""
+    n_points: int
+    poses: Callable[[], Arms]
+    """All poses; made only if a method asks for them."""
+
+
+class Found(NamedTuple):
+    """Colliding pairs i < j in any order, their distances (mm), and how many were borderline."""
+
+    first: np.ndarray
+    second: np.ndarray
+    distances: np.ndarray
+    n_borderline: int | None = None
+
+
+def exact(scene: Scene) -> Found:
+    """Distances with a proven error; pairs within it of the limit are settled in rational arithmetic."""
+    room, halves, mask, first, second = _scratch(scene)
+    squared = np.empty(room)
+    limits = scene.plane._scene.limits
+    n, n_borderline = collisions.colliding_pairs(
+        scene.segments, halves, scene.plane._scene.runs, limits, mask, first, second, squared
+    )
+    first, second, squared = first[:n], second[:n], squared[:n]
+    if n_borderline:
+        keep = squared < limits.separation**2 - limits.band
+        for k in np.flatnonzero(~keep):
+            ends = scene.segments[:, first[k]].tolist(), scene.segments[:, second[k]].tolist()
+            keep[k] = closer_exactly(*ends, limits.separation)
+        first, second, squared = first[keep], second[keep], squared[keep]
+    return Found(first, second, np.sqrt(squared), n_borderline)
+
+
+def sampled(scene: Scene) -> Found:
+    """Least distance of ``n_points`` points on either arm: never too small, and blind to shallow crossings."""
+    first, second = near_pairs(scene)
+    squared = np.empty(len(first))
+    reference.sampled(scene.segments, first, second, scene.n_points, squared)
+    return _closer(scene, first, second, np.sqrt(squared))
+
+
+def sweep(scene: Scene) -> Found:
+    """Least distance of the areas that the arms sweep from home to their poses, joints moving together."""
+    plane, posed = scene.plane, scene.poses()
+    pairs = plane._neighbors[posed.present[plane._neighbors].all(axis=1)]
+    first, second = pairs.T.copy()
+    poses = np.empty((scene.n_points, *scene.segments.shape))
+    # the joints turn the short way round; idle arms stand at home all the time
+    start = np.repeat(plane.positioner._home_rad[:, None], len(plane), axis=1)
+    move = np.array([posed.theta - start[0], posed.phi - start[1]])
+    move[0] -= 2 * np.pi * np.round(move[0] / (2 * np.pi))
+    for pose, part in zip(poses[:-1], np.linspace(0, 1, scene.n_points), strict=False):
+        arms.pose(*(start + part * move), plane._scene.geometry, pose)
+        arms.shape(pose, plane._scene.model, plane._scene.length, *_capsule_angles(posed))
+    poses[-1] = scene.segments
+    squared = np.empty(len(first))
+    reference.swept(poses, posed.assigned, first, second, squared)
+    return _closer(scene, first, second, np.sqrt(squared))
+
+
+def scipy(scene: Scene) -> Found:
+    """Bounded least squares over the positions along both arms, by SciPy."""
+    from scipy.optimize import lsq_linear
+
+    first, second = near_pairs(scene)
+    distances = np.empty(len(first))
+    for k in range(len(first)):
+        p, q = scene.segments[:, first[k]].reshape(2, 2), scene.segments[:, second[k]].reshape(2, 2)
+        matrix, aim = np.column_stack([p[1] - p[0], q[0] - q[1]]), q[0] - p[0]
+        found = lsq_linear(matrix, aim, bounds=(0, 1), method="bvls", tol=1e-14)
+        distances[k] = np.hypot(*(matrix @ found.x - aim))
+    return _closer(scene, first, second, distances)
+
+
+def cuda(scene: Scene) -> Found:
+    """The same distances as ``exact`` on a GPU; borderline pairs are counted, and left as computed."""
+    from rfpsurvey.collision._gpu import find_pairs
+
+    return find_pairs(scene)
+
+
+METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
+"""Name to function `Scene` -> `Found`."""
+
+
+def near_pairs(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the neighbors that the broad phase does not reject."""
+    _, halves, mask, first, second = _scratch(scene)
+    n = collisions.near_pairs(halves, scene.plane._scene.runs, scene.plane._scene.limits, mask, first, second)
+    return first[:n], second[:n]
+
+
+def _scratch(scene):
+    """Room for all pairs, and the halves of the segments."""
+    room = len(scene.plane._neighbors) + 1  # rejected pairs are written too, and overwritten
+    halves = np.empty_like(scene.segments)
+    collisions.halve(scene.segments, halves)
+    mask = np.empty(scene.plane._scene.longest_run, dtype=np.bool_)
+    return room, halves, mask, np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+
+
+def _capsule_angles(posed):
+    """Cosine and sine of the angle from each fiber to the end of its segment."""
+    (ux, uy), (vx, vy) = (posed.tip - posed.elbow).T, (posed.segments[:, 2:] - posed.elbow).T
+    scale = np.hypot(ux, uy) * np.hypot(vx, vy)
+    return (ux * vx + uy * vy) / scale, (ux * vy - uy * vx) / scale
+
+
+def _closer(scene, first, second, distances):
+    near = distances < scene.plane._scene.separation
+    return Found(first[near], second[near], distances[near])

@@ -1,0 +1,74 @@
+"""What `find_collisions` returns."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+__all__ = ["CollisionReport"]
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionReport:
+    """Static collisions of one configuration.
+
+    Parameters
+    ----------
+    pairs : ndarray of int, shape (k, 2)
+        Positioners i < j whose arms are closer than the safe distance, sorted.
+    distances : Quantity, shape (k,)
+        Their distances.
+    obstacle_pairs : ndarray of int, shape (m, 2)
+        Pairs (positioner, obstacle) closer than the clearance.
+    obstacle_distances : Quantity, shape (m,)
+        Distances from the arm to the edge of the circle.
+    in_collision : ndarray of bool, shape (n,)
+        Positioners that occur in either list.
+    assigned : ndarray of bool, shape (n,)
+        Positioners that look at a target.
+    counted : ndarray of bool, shape (n,)
+        Positioners that the rate refers to: assigned ones and parked equal-arm ones.
+    n_borderline : int or None, optional
+        Pairs so near to the safe distance that rounding could put them on either side; ``exact`` settles them in
+        rational arithmetic, ``cuda`` by the computed distance. None: the method has no proven error.
+    """
+
+    pairs: np.ndarray
+    distances: u.Quantity
+    obstacle_pairs: np.ndarray
+    obstacle_distances: u.Quantity
+    in_collision: np.ndarray
+    assigned: np.ndarray
+    counted: np.ndarray
+    n_borderline: int | None = None
+
+    @property
+    def rate(self) -> float:
+        """Part of the counted positioners (assigned and parked) that is in collision; NaN if none counts."""
+        return _ratio(self.in_collision, self.counted)
+
+    @property
+    def rate_assigned(self) -> float:
+        """Part of the assigned positioners that is in collision; NaN if none is assigned."""
+        return _ratio(self.in_collision, self.assigned)
+
+    @cached_property
+    def colliding_with(self) -> list[list[int]]:
+        """For each positioner the others that it collides with, ascending."""
+        partners: list[list[int]] = [[] for _ in self.in_collision]
+        for i, j in self.pairs.tolist():
+            partners[i].append(j)
+            partners[j].append(i)
+        return partners  # ascending, because the pairs are sorted
+
+    def __repr__(self):
+        return (
+            f"<CollisionReport: {len(self.pairs)} pairs, {len(self.obstacle_pairs)} with obstacles, "
+            f"{int(self.in_collision.sum())} of {int(self.counted.sum())} positioners>"
+        )
+
+
+def _ratio(flags, among):
+    n = int(among.sum())
+    return float((flags & among).sum() / n) if n else float("nan")
