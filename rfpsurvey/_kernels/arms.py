@@ -107,17 +107,20 @@ def place(tips, geometry, side, segments):
 
 
 @kernel
-def shape(segments, model, length, cosine, sine):
-    """Turn elbows and tips into the segments that can collide, in place.
+def capsule_end(ex, ey, x, y, length, cosine, sine):
+    """End of a segment from the elbow, ``length`` long and turned counter-clockwise from the direction of the tip."""
+    ux, uy = x - ex, y - ey
+    scale = length / math.sqrt(ux * ux + uy * uy)
+    return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
 
-    A capsule is ``length`` long from the elbow, turned counter-clockwise from the direction of the tip.
-    """
+
+@kernel
+def shape(segments, model, length, cosine, sine):
+    """Turn elbows and tips into the segments that can collide, in place."""
     if model == CAPSULE:
-        for i in range(segments.shape[1]):
-            ux, uy = segments[2, i] - segments[0, i], segments[3, i] - segments[1, i]
-            scale = length / math.sqrt(ux * ux + uy * uy)
-            segments[2, i] = segments[0, i] + scale * (cosine[i] * ux - sine[i] * uy)
-            segments[3, i] = segments[1, i] + scale * (cosine[i] * uy + sine[i] * ux)
+        ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
+        for i in range(cosine.size):
+            x[i], y[i] = capsule_end(ex[i], ey[i], x[i], y[i], length, cosine[i], sine[i])
     elif model == FIBER_TIP:
         segments[:2] = segments[2:]
 

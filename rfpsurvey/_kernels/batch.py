@@ -86,7 +86,7 @@ def count(stage, desk, counts, times):
 
 @kernel
 def count_tips(tips, geometry, side, stage, desk, counts, times):
-    """Configurations given by their tips, (m, n, 2); returns the number of tips that are out of reach.
+    """Count for configurations given by their tips, (m, n, 2); returns the number of tips that are out of reach.
 
     ``side`` has one row for all configurations, or one for each.
     """
@@ -102,7 +102,7 @@ def count_tips(tips, geometry, side, stage, desk, counts, times):
 
 @kernel
 def count_draws(uniform, indptr, entries, idle, stage, desk, counts, times):
-    """Configurations that take one entry from each queue by uniform numbers in [0, 1), shape (m, n).
+    """Count for configurations that take one entry from each queue, by uniform numbers in [0, 1), shape (m, n).
 
     ``entries`` are the segments of all queues, one after the other; ``idle`` those of the positioners without one.
     """

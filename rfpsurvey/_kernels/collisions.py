@@ -104,10 +104,10 @@ def pair_squared(segments, i, j):
 
 @kernel
 def apart(mx, my, ax, ay, bx, by, squared):
-    """Does an axis keep two segments farther apart than the root of ``squared``?
+    """Say whether an axis keeps two segments farther apart than the root of ``squared``.
 
-    Their middles differ by m, and a and b are their halves. Looks along m and across either segment; a segment
-    lies within its half's projection of its middle, so that any axis gives a lower bound.
+    Their middles differ by m, and a and b are their halves. The axes are m and the normals of both segments; along
+    any axis a segment lies within the projection of its half of that of its middle.
     """
     m2 = mx * mx + my * my
     gap = m2 - abs(ax * mx + ay * my) - abs(bx * mx + by * my)

@@ -18,6 +18,8 @@ __all__ = ["CollisionCounts", "count_collisions", "stage_of"]
 METHODS = ("exact", "cuda")
 CHUNK = 64
 """Configurations that one task scores; draws do not depend on the number of workers, but on this."""
+GPU_CHUNK = 2048
+"""The same for a GPU: 256 MB for 4000 positioners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +150,7 @@ def count_collisions(
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
-    """A function that scores a chunk of configurations given by their tips, and its arguments."""
+    """Return a function that scores a chunk of configurations given by their tips, and its arguments."""
     shape = getattr(tips, "shape", ())
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
@@ -157,22 +159,29 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     side = None
     if handedness is not None or plane.positioner._joints_free:
         side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
-    starts = range(0, len(tips), CHUNK)
-    score = _score_tips if method == "exact" else _gpu().count_tips
-    return partial(score, plane, stage, side), ((tips[k : k + CHUNK] for k in starts), starts)
+    step = CHUNK if method == "exact" else GPU_CHUNK
+    starts = range(0, len(tips), step)
+    return partial(_score_tips, plane, stage, side, method), ((tips[k : k + step] for k in starts), starts)
 
 
-def _score_tips(plane, stage, side, tips, start):
+def _score_tips(plane, stage, side, method, tips, start):
     points = to_mm(tips, "tips")
     side = _sides_of_chunk(plane, points, side, start)
-    counts, times = np.empty((len(points), 7), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-    if batch.count_tips(points, plane._scene.geometry, side, stage, _desk(plane), counts, times):
-        _complain(plane, points, side, start)
+    if method == "cuda":
+        from rfpsurvey.collision import _gpu
+
+        counts, times, far = _gpu.count_tips(points, plane, stage, side)
+    else:
+        counts, times = np.empty((len(points), 7), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
+        far = batch.count_tips(points, plane._scene.geometry, side, stage, _desk(plane), counts, times)
+    if far:
+        for c, row in enumerate(points):  # say which
+            _check(plane, row, side[min(c, len(side) - 1)], start + c)
     return counts, times
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
-    """A function that scores a chunk of configurations drawn from queues, and its arguments."""
+    """Return a function that scores a chunk of configurations drawn from queues, and its arguments."""
     if allocation.queues is None:
         raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.method!r}")
     n = n_configurations
@@ -246,19 +255,6 @@ def _check(plane, points, side, number):
         check_tips(plane, points, side)
     except InputError as error:
         raise InputError(f"configuration {number}: {error}") from None
-
-
-def _complain(plane, points, side, start):
-    """Say which configuration has tips that are out of reach."""
-    for c, tips in enumerate(points):
-        _check(plane, tips, side[min(c, len(side) - 1)], start + c)
-
-
-def _gpu():
-    """The module that needs a GPU, or the simulator of one."""
-    from rfpsurvey.collision import _gpu
-
-    return _gpu
 
 
 def _ratio(part, whole):

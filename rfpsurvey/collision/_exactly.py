@@ -27,7 +27,7 @@ def _turn(a, b, p):
 
 
 def _near(p, a, b, limit):
-    """Is the point p closer than ``limit`` to the segment a-b?"""
+    """Say whether the point p is closer than ``limit`` to the segment a-b."""
     length2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
     along = (b[0] - a[0]) * (p[0] - a[0]) + (b[1] - a[1]) * (p[1] - a[1])
     if along <= 0:

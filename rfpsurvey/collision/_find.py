@@ -91,9 +91,9 @@ def find_collisions(
     if not (isinstance(n_points, int | np.integer) and n_points >= 2):
         raise InputError(f"n_points must be a whole number of at least 2, got {n_points!r}")
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
-    if isinstance(tips, Arms) or hasattr(tips, "target_of_positioner"):
-        if any(value is not None for value in given.values()):
-            raise InputError(f"an Allocation or Arms bring their own poses; give no {', '.join(given)}")
+    ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
+    if ready and any(value is not None for value in given.values()):
+        raise InputError(f"an Allocation or Arms bring their own poses; give no {', '.join(given)}")
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles

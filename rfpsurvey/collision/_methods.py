@@ -37,20 +37,13 @@ class Found(NamedTuple):
 
 def exact(scene: Scene) -> Found:
     """Distances with a proven error; pairs within it of the limit are settled in rational arithmetic."""
-    room, halves, mask, first, second = _scratch(scene)
-    squared = np.empty(room)
-    limits = scene.plane._scene.limits
-    n, n_borderline = collisions.colliding_pairs(
-        scene.segments, halves, scene.plane._scene.runs, limits, mask, first, second, squared
+    columns = scene.plane._scene
+    halves, mask, first, second = _scratch(scene)
+    squared = np.empty(len(first))
+    n, _ = collisions.colliding_pairs(
+        scene.segments, halves, columns.runs, columns.limits, mask, first, second, squared
     )
-    first, second, squared = first[:n], second[:n], squared[:n]
-    if n_borderline:
-        keep = squared < limits.separation**2 - limits.band
-        for k in np.flatnonzero(~keep):
-            ends = scene.segments[:, first[k]].tolist(), scene.segments[:, second[k]].tolist()
-            keep[k] = closer_exactly(*ends, limits.separation)
-        first, second, squared = first[keep], second[keep], squared[keep]
-    return Found(first, second, np.sqrt(squared), n_borderline)
+    return _settle(scene, first[:n], second[:n], squared[:n])
 
 
 def sampled(scene: Scene) -> Found:
@@ -95,10 +88,10 @@ def scipy(scene: Scene) -> Found:
 
 
 def cuda(scene: Scene) -> Found:
-    """The same distances as ``exact`` on a GPU; borderline pairs are counted, and left as computed."""
-    from rfpsurvey.collision._gpu import find_pairs
+    """Distances as in ``exact``, made by a GPU."""
+    from rfpsurvey.collision import _gpu
 
-    return find_pairs(scene)
+    return _settle(scene, *_gpu.find_pairs(scene.segments, scene.plane._neighbors, scene.plane._scene.limits))
 
 
 METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
@@ -107,18 +100,29 @@ METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "
 
 def near_pairs(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the neighbors that the broad phase does not reject."""
-    _, halves, mask, first, second = _scratch(scene)
+    halves, mask, first, second = _scratch(scene)
     n = collisions.near_pairs(halves, scene.plane._scene.runs, scene.plane._scene.limits, mask, first, second)
     return first[:n], second[:n]
 
 
 def _scratch(scene):
-    """Room for all pairs, and the halves of the segments."""
+    """Halves of the segments, and room for marks and for all pairs."""
     room = len(scene.plane._neighbors) + 1  # rejected pairs are written too, and overwritten
     halves = np.empty_like(scene.segments)
     collisions.halve(scene.segments, halves)
     mask = np.empty(scene.plane._scene.longest_run, dtype=np.bool_)
-    return room, halves, mask, np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    return halves, mask, np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+
+
+def _settle(scene, first, second, squared):
+    """Decide about the pairs within the band about the limit."""
+    limits = scene.plane._scene.limits
+    keep = squared < limits.separation**2 - limits.band
+    edge = np.flatnonzero(~keep)
+    for k in edge:
+        ends = scene.segments[:, first[k]].tolist(), scene.segments[:, second[k]].tolist()
+        keep[k] = closer_exactly(*ends, limits.separation)
+    return Found(first[keep], second[keep], np.sqrt(squared[keep]), len(edge))
 
 
 def _capsule_angles(posed):

@@ -30,8 +30,8 @@ class CollisionReport:
     counted : ndarray of bool, shape (n,)
         Positioners that the rate refers to: assigned ones and parked equal-arm ones.
     n_borderline : int or None, optional
-        Pairs so near to the safe distance that rounding could put them on either side; ``exact`` settles them in
-        rational arithmetic, ``cuda`` by the computed distance. None: the method has no proven error.
+        Pairs so near to the safe distance that rounding could put them on either side; ``exact`` and ``cuda`` settle
+        them in rational arithmetic. None: the method has no proven error.
     """
 
     pairs: np.ndarray

@@ -48,7 +48,7 @@ class Scene:
         )
 
     def geometry_of(self, own: np.ndarray) -> arms.Geometry:
-        """The same for any list of positioners."""
+        """Return the same for any list of positioners."""
         return arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
 
     @cached_property
