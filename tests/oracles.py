@@ -15,11 +15,12 @@ def segment_distances(segments, pairs):
 
 def closer_than(a, b, separation):
     """Are two segments closer than ``separation``? In exact rational arithmetic on the floats as given."""
-    a, b = [Fraction(v) for v in a], [Fraction(v) for v in b]
-    return _squared_distance(a, b) < Fraction(separation) ** 2
+    return squared_distance(a, b) < Fraction(float(separation)) ** 2
 
 
-def _squared_distance(a, b):
+def squared_distance(a, b):
+    """Squared distance of two segments as an exact rational number."""
+    a, b = [Fraction(float(v)) for v in a], [Fraction(float(v)) for v in b]
     p, q, r, s = (a[0], a[1]), (a[2], a[3]), (b[0], b[1]), (b[2], b[3])
 
     def turn(u, v, w):
