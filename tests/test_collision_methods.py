@@ -1,0 +1,251 @@
+"""The slow ways to find collisions: where they agree with the exact one, and where they must fail."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from test_collision import MM, lamost_like, random_tips, sdss_like
+
+import rfpsurvey as rs
+from rfpsurvey._kernels import collisions, reference
+from rfpsurvey.collision import METHODS, place_arms
+
+METHODS_HERE = [m for m in METHODS if m != "cuda"]  # that one has tests of its own
+
+
+def pairs_of(report):
+    return {tuple(p) for p in report.pairs.tolist()}
+
+
+def sampled_distance(first, second, n):
+    return np.sqrt(reference.sampled_squared(np.array([first, second], dtype=float).T.copy(), 0, 1, n))
+
+
+@pytest.mark.parametrize("method", METHODS_HERE)
+def test_all_methods_find_a_clear_collision_and_nothing_else(method):
+    """Two stretched arms head on; a third far from both."""
+    plane = sdss_like(rings=1)
+    tips = np.full((7, 2), np.nan)
+    tips[2], tips[3], tips[4] = plane._xy_mm[2] - [15, 0], plane._xy_mm[3] + [10, 0], plane._xy_mm[4] - [11, 1]
+    report = rs.find_collisions(plane, tips * MM, method=method)
+    assert report.pairs.tolist() == [[3, 4]]
+    assert report.in_collision.tolist() == [False, False, False, True, True, False, False]
+    assert (report.n_borderline is None) == (method != "exact")
+
+
+@pytest.mark.parametrize("plane", [lamost_like(), sdss_like()], ids=["equal arms", "unequal arms"])
+def test_sampled_arms_are_never_nearer_and_agree_with_many_points(plane, rng):
+    missed = 0
+    for _ in range(10):
+        tips = random_tips(plane, rng, part=0.9)
+        exact = rs.find_collisions(plane, tips)
+        coarse, fine = (rs.find_collisions(plane, tips, method="sampled", n_points=n) for n in (3, 400))
+        assert pairs_of(coarse) <= pairs_of(fine) <= pairs_of(exact)
+        missed += len(exact.pairs) - len(coarse.pairs)
+        np.testing.assert_array_equal(fine.pairs, exact.pairs)
+        spacing = plane.positioner.eccentric_arm.value / 399
+        apart = exact.distances.value > 0
+        excess = (fine.distances - exact.distances).value[apart]
+        delta = exact.distances.value[apart]
+        assert (excess > -1e-12).all()
+        assert (excess <= np.sqrt(delta**2 + spacing**2 / 4) - delta + 1e-12).all()
+    assert missed > 0
+
+
+@pytest.mark.parametrize(
+    ("length", "separation", "n"), [(8.25, 4.5, 3), (15.0, 5.0782, 4), (17.0, 3.2, 5), (15.0, 4.0782, 4)]
+)
+def test_the_crossing_condition_is_sharp(length, separation, n):
+    """n > 1 + l2 / (sqrt(2) D): one point fewer misses a right-angled crossing between the points."""
+    assert n == int(np.floor(1 + length / (np.sqrt(2) * separation))) + 1
+    # one of the gaps between points has its middle on the other arm's
+    for points, found in ((n - 1, False), (n, True)):
+        at = length / (points - 1) / 2
+        cross = (-at, 0, length - at, 0), (0, -at, 0, length - at)
+        assert collisions.segments_squared(*cross[0], *cross[1]) == 0
+        assert sampled_distance(*cross, points) == pytest.approx(np.sqrt(2) * at)
+        assert (sampled_distance(*cross, points) < separation) == found
+
+
+@given(st.floats(0, 1), st.floats(0, 1), st.floats(0, np.pi), st.sampled_from([(8.25, 4.5), (15, 5.0782), (17, 3.2)]))
+def test_enough_points_never_miss_a_crossing(s, t, angle, arm):
+    length, separation = arm
+    n = int(np.floor(1 + length / (np.sqrt(2) * separation))) + 1
+    ux, uy = np.cos(angle), np.sin(angle)
+    first = (-s * length, 0, (1 - s) * length, 0)
+    second = (-t * length * ux, -t * length * uy, (1 - t) * length * ux, (1 - t) * length * uy)
+    assert sampled_distance(first, second, n) < separation
+
+
+def test_the_distance_error_of_sampled_arms_is_sharp():
+    """Parallel arms, shifted by half the spacing of their points."""
+    for n in (4, 9, 65):
+        for delta in (0.01, 1.0, 5.0):
+            h = 15 / (n - 1)
+            got = sampled_distance((0, 0, 15, 0), (h / 2, delta, 15 + h / 2, delta), n)
+            assert got == pytest.approx(np.sqrt(delta**2 + h**2 / 4), rel=1e-12)
+
+
+def test_no_number_of_points_is_enough_for_every_grazing_pair():
+    for n in (9, 65, 1001):
+        h, delta = 15 / (n - 1), 5.0
+        limit = (delta + np.sqrt(delta**2 + h**2 / 4)) / 2
+        first, second = (0, 0, 15, 0), (h / 2, delta, 15 + h / 2, delta)
+        assert np.sqrt(collisions.segments_squared(*first, *second)) < limit < sampled_distance(first, second, n)
+
+
+@pytest.mark.parametrize("plane", [lamost_like(), sdss_like()], ids=["equal arms", "unequal arms"])
+def test_sweeping_finds_every_collision_and_more(plane, rng):
+    n_exact = n_swept = 0
+    for _ in range(3):
+        tips = random_tips(plane, rng, part=0.8)
+        exact, swept = (rs.find_collisions(plane, tips, method=m, n_points=9) for m in ("exact", "sweep"))
+        assert pairs_of(exact) <= pairs_of(swept)
+        n_exact, n_swept = n_exact + len(exact.pairs), n_swept + len(swept.pairs)
+    assert n_swept > 1.5 * n_exact
+
+
+def test_sweeping_goes_the_short_way_round():
+    """On its way from 100 to -79 deg an arm passes the neighbor at 0 deg; on its way to -81 deg it turns by 180."""
+    unit = rs.Positioner(8 * MM, 8 * MM, 3 * MM, home=[100, 180] * u.deg)
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, disabled=[False, True])
+    for theta, n in ((-79, 1), (-81, 0)):
+        pose = {"theta": [theta, np.nan] * u.deg, "phi": [0, np.nan] * u.deg}
+        assert len(rs.find_collisions(plane, **pose).pairs) == 0
+        assert len(rs.find_collisions(plane, **pose, method="sweep").pairs) == n
+
+
+def test_four_ends_alone_miss_crossings(rng):
+    """Some collisions of the SDSS-V geometry are crossings far from all four ends; the exact method finds them."""
+    plane = sdss_like(rings=12)
+    n_found = n_missed = 0
+    for _ in range(20):
+        tips = random_tips(plane, rng)
+        report = rs.find_collisions(plane, tips)
+        segments = np.ascontiguousarray(place_arms(plane, tips).segments.T)
+        squared = np.empty(len(report.pairs))
+        reference.endpoints(segments, *report.pairs.T.copy(), squared)
+        wrong = np.sqrt(squared) >= plane.positioner.min_separation.value
+        assert (report.distances.value[wrong] == 0).all()
+        assert shapely.crosses(
+            *(shapely.linestrings(segments.T[p[wrong]].reshape(-1, 2, 2)) for p in report.pairs.T)
+        ).all()
+        n_found, n_missed = n_found + len(wrong), n_missed + wrong.sum()
+    assert 0.003 < n_missed / n_found < 0.02
+
+
+def test_the_same_scene_in_other_units_and_far_away(rng):
+    """Meters and single precision change the numbers in their last digits, offsets of 1e6 mm a little more."""
+    for plane in (lamost_like(6), sdss_like(6)):
+        tips = random_tips(plane, rng)
+        report = rs.find_collisions(plane, tips)
+        unit = plane.positioner
+        in_meters = rs.FocalPlane(
+            plane.xy.to(u.m),
+            replace(
+                unit,
+                central_arm=unit.central_arm.to(u.m),
+                eccentric_arm=unit.eccentric_arm.to(u.m),
+                clearance=unit.clearance.to(u.um),
+            ),
+        )
+        others = {
+            "meters": rs.find_collisions(in_meters, tips.to(u.m)),
+            "far": rs.find_collisions(replace(plane, xy=plane.xy + 1e6 * MM), tips + 1e6 * MM),
+        }
+        for name, tolerance in (("meters", 1e-11), ("far", 1e-7)):
+            np.testing.assert_array_equal(others[name].pairs, report.pairs)
+            np.testing.assert_allclose(others[name].distances.value, report.distances.value, atol=tolerance)
+
+
+def test_single_precision_moves_arms_by_less_than_a_micrometer_except_at_full_stretch(rng):
+    plane = sdss_like(6)
+    tips = random_tips(plane, rng)
+    r = np.hypot(*(tips.value - plane._xy_mm).T)
+    inside = (r > 7.7) & (r < 22.3)
+    tips[~inside] = np.nan * MM
+    rough = place_arms(plane, tips.astype(np.float32))
+    moved = np.abs(rough.segments - place_arms(plane, tips).segments)[inside]
+    assert 1e-7 < moved.max() < 1e-3
+
+
+@pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (7.4, 15.0), (15.0, 7.4)])
+def test_arms_at_the_limits_of_their_reach(l1, l2):
+    """Stretched, folded, and a hair inside: elbow and tip are where exact geometry has them."""
+    unit = rs.Positioner(l1 * MM, l2 * MM, 1 * MM)
+    plane = rs.FocalPlane([[0, 0]] * MM, unit)
+    for angle in np.linspace(0, 2 * np.pi, 7):
+        ux, uy = np.cos(angle), np.sin(angle)
+        for r, along in ((l1 + l2, l1), (abs(l1 - l2), np.copysign(l1, l1 - l2))):
+            posed = place_arms(plane, [[r * ux, r * uy]] * MM)
+            # rounding of the radius moves the elbow by its square root
+            expected = (along * ux, along * uy) if r > 0 else (l1, 0)
+            np.testing.assert_allclose(posed.elbow[0], expected, atol=1e-6)
+            assert np.hypot(*posed.elbow[0]) == pytest.approx(l1, rel=1e-14)
+            assert np.hypot(*(posed.tip[0] - posed.elbow[0])) == pytest.approx(l2, rel=1e-12)
+
+
+def test_fiber_tips_alone():
+    """Two targets must only not be closer than D, however the arms lie."""
+    unit = rs.Positioner(7.4 * MM, 15 * MM, 1 * MM, arm_model="fiber_tip")
+    plane = rs.FocalPlane([[0, 0], [22.4, 0]] * MM, unit)
+    for gap, n in ((1.99, 1), (2.01, 0)):
+        report = rs.find_collisions(plane, [[11, gap / 2], [11, -gap / 2]] * MM)
+        assert len(report.pairs) == n
+    crossing = replace(plane, positioner=replace(unit, arm_model="elbow_to_tip"))
+    assert len(rs.find_collisions(crossing, [[11, 1.005], [11, -1.005]] * MM).pairs) == 1
+
+
+def test_borderline_pairs_are_counted_and_settled():
+    """Parallel arms exactly D apart, and one unit in the last place nearer."""
+    unit = rs.Positioner(4 * MM, 4 * MM, 2.25 * MM)
+    for gap, n in ((4.5, 0), (np.nextafter(4.5, 0), 1), (4.5 - 1e-9, 1), (4.5 + 1e-9, 0)):
+        plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
+        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
+        assert len(report.pairs) == n
+        assert report.n_borderline == (abs(gap - 4.5) < 1e-10)
+
+
+def test_random_scenes_have_no_borderline_pairs(rng):
+    for plane in (lamost_like(12), sdss_like(12)):
+        assert rs.find_collisions(plane, random_tips(plane, rng)).n_borderline == 0
+
+
+def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
+    """Type 1: no pair is looked at, no pose is made, whatever the method; bad tips are still named."""
+    unit = rs.Positioner(8 * MM, 8 * MM, 1 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=40 * MM)
+    assert plane.collision_type == 1
+    tips = plane.xy + [12, 3] * MM
+    expected = rs.find_collisions(plane, tips)
+    monkeypatch.setattr("rfpsurvey.collision._find.place_tips", None)
+    monkeypatch.setattr("rfpsurvey.collision._find.METHODS", dict.fromkeys(METHODS))
+    for method in METHODS:
+        report = rs.find_collisions(plane, tips, method=method)
+        assert report.pairs.shape == (0, 2)
+        assert report.counted.all()
+        assert report.n_borderline == expected.n_borderline == 0
+    with pytest.raises(rs.InputError, match="out of reach"):
+        rs.find_collisions(plane, tips * 2)
+
+
+def test_pairs_do_not_depend_on_the_order_of_positioners(rng):
+    for plane in (lamost_like(5), sdss_like(5)):
+        tips = random_tips(plane, rng, 0.9)
+        order = rng.permutation(len(plane))
+        report = rs.find_collisions(plane, tips)
+        shuffled = rs.find_collisions(replace(plane, xy=plane.xy[order], **dict.fromkeys(
+            ("id", "spectrograph", "fiber_type", "disabled"))), tips[order])  # fmt: skip
+        expected = {tuple(sorted(p)) for p in np.argsort(order)[report.pairs].tolist()}
+        assert pairs_of(shuffled) == expected
+        assert shuffled.pairs.tolist() == sorted(shuffled.pairs.tolist())
+
+
+@pytest.mark.parametrize("n_points", [1, 2.5, "many", None])
+def test_n_points_must_make_sense(n_points):
+    with pytest.raises(rs.InputError, match="n_points must be a whole number of at least 2"):
+        rs.find_collisions(lamost_like(1), np.full((7, 2), np.nan) * MM, n_points=n_points)

@@ -1,0 +1,164 @@
+"""Many configurations at once, against one at a time."""
+
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from test_collision import MM, lamost_like, random_tips, sdss_like
+
+import rfpsurvey as rs
+from rfpsurvey._kernels import allocation as kernels
+
+CAPSULE = {"arm_model": "capsule", "arm_length": 14.5 * MM, "arm_angle": {"B": 2 * u.deg, "A": -3 * u.deg}}
+
+
+def two_fibers():
+    unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM, **CAPSULE)
+    return rs.FocalPlane.hexagonal(unit, rings=3, pitch=22.4 * MM, fiber_type=["B+A"] * 20 + ["B"] * 17)
+
+
+def with_troubles():
+    """Stuck, disabled and individual units, and obstacles."""
+    plane = sdss_like()
+    n = len(plane)
+    stuck = np.full((n, 2), np.nan)
+    stuck[7] = [30, 40]
+    return replace(
+        plane, stuck=stuck * u.deg, disabled=np.arange(n) == 11, eccentric_arm=np.linspace(14, 15, n) * MM,
+        obstacles=[[11.2, 6.5, 2], [-40, 1, 3]] * MM,
+    )  # fmt: skip
+
+
+def both_hands():
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, handedness="both", theta_range=[-120, 150] * u.deg)
+    return rs.FocalPlane.hexagonal(unit, rings=2, pitch=25 * MM)
+
+
+PLANES = {
+    "equal arms": (lamost_like(), {}),
+    "parked arms ignored": (lamost_like(), {"parked_obstacles": False}),
+    "unequal arms": (sdss_like(), {}),
+    "left": (sdss_like(), {"handedness": "left"}),
+    "capsules": (two_fibers(), {"fiber_type": np.array(["A"] * 10 + ["B"] * 27)}),
+    "troubles": (with_troubles(), {}),
+    "fiber tips": (sdss_like(arm_model="fiber_tip"), {}),
+}
+
+
+def many_tips(plane, rng, m, part=0.8):
+    return np.stack([random_tips(plane, rng, part).value for _ in range(m)]) * MM
+
+
+def assert_same(counts, reports):
+    assert counts.n_pairs.tolist() == [len(r.pairs) for r in reports]
+    assert counts.n_obstacle_pairs.tolist() == [len(r.obstacle_pairs) for r in reports]
+    assert counts.n_in_collision.tolist() == [int((r.in_collision & r.counted).sum()) for r in reports]
+    assert counts.n_counted.tolist() == [int(r.counted.sum()) for r in reports]
+    assert counts.n_assigned.tolist() == [int(r.assigned.sum()) for r in reports]
+    assert counts.n_borderline.tolist() == [r.n_borderline for r in reports]
+    np.testing.assert_array_equal(counts.rate, [r.rate for r in reports])
+    np.testing.assert_array_equal(counts.rate_assigned, [r.rate_assigned for r in reports])
+    np.testing.assert_array_equal(counts.per_positioner, sum(r.in_collision.astype(int) for r in reports))
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_counts_are_those_of_single_configurations(name, rng):
+    plane, options = PLANES[name]
+    tips = many_tips(plane, rng, 70)
+    reports = [rs.find_collisions(plane, t, **options) for t in tips]
+    assert sum(len(r.pairs) for r in reports) > 5
+    assert_same(rs.count_collisions(plane, tips, **options), reports)
+
+
+def test_joint_limits_choose_the_elbow(rng):
+    plane = both_hands()
+    tips = many_tips(plane, rng, 200).value
+    for k, t in enumerate(tips):  # leave only tips that one of the elbows can take
+        reach = plane.reachable(np.nan_to_num(t, nan=1e6) * MM).toarray()
+        tips[k][~np.diag(reach)] = np.nan
+    reports = [rs.find_collisions(plane, t * MM) for t in tips]
+    assert any((plane._sides(t) < 0).any() for t in tips)
+    assert_same(rs.count_collisions(plane, tips * MM), reports)
+
+
+@pytest.mark.parametrize("plane", [lamost_like(), two_fibers(), with_troubles()], ids=["equal", "capsules", "troubles"])
+def test_draws_are_configurations_of_the_queues(plane, rng):
+    """The same uniform numbers, taken through the public path of one configuration at a time."""
+    edge = np.abs(plane._xy_mm).max()
+    xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
+    types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
+    allocation = rs.allocate(xy * MM, plane, fiber_type=types)
+    counts = rs.count_collisions(plane, allocation, n_configurations=70, rng=5)
+    uniform = np.concatenate(
+        [g.random((m, len(plane))) for g, m in zip(np.random.default_rng(5).spawn(2), (64, 6), strict=True)]
+    )
+    reports = []
+    for row in uniform:
+        target = np.empty(len(plane), np.int64)
+        kernels.draw_configuration(*allocation.queues, row, target)
+        used = target >= 0
+        tips = np.where(used[:, None], xy[target], np.nan)
+        drawn = replace(
+            allocation, target_of_positioner=target, tips=tips * MM,
+            fiber_type=np.where(used & (types is not None), types[target] if types is not None else "", ""),
+        )  # fmt: skip
+        reports.append(rs.find_collisions(plane, drawn))
+    assert sum(len(r.pairs) for r in reports) > 5
+    assert_same(counts, reports)
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_an_executor_changes_nothing(pool, rng):
+    plane = lamost_like()
+    tips = many_tips(plane, rng, 130)
+    allocation = rs.allocate(rng.uniform(-70, 70, (150, 2)) * MM, plane)
+    with pool(2) as executor:
+        for given, options in ((tips, {}), (allocation, {"n_configurations": 200, "rng": 3})):
+            here = rs.count_collisions(plane, given, **options)
+            there = rs.count_collisions(plane, given, executor=executor, **options)
+            assert there.n_pairs.sum() > 0
+            for field in here.__dataclass_fields__:
+                np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
+
+
+def test_nothing_to_count():
+    plane = lamost_like(1)
+    empty = rs.count_collisions(plane, np.empty((0, 7, 2)) * MM)
+    assert len(empty) == 0
+    assert empty.per_positioner.tolist() == [0] * 7
+    idle = rs.count_collisions(sdss_like(1), np.full((2, 7, 2), np.nan) * MM)
+    assert np.isnan(idle.rate).all()
+    assert idle.n_pairs.tolist() == [0, 0]
+    apart = rs.FocalPlane.hexagonal(plane.positioner, rings=1, pitch=60 * MM)
+    assert rs.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
+        ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
+        ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
+        ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach, the first that of positioner"),
+        ({"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3}, "n_configurations belongs to an Allocation"),
+        ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.count_collisions(lamost_like(1), **arguments)
+
+
+def test_bad_draws_are_named():
+    plane = lamost_like(1)
+    xy = plane.xy + 1 * MM
+    with pytest.raises(rs.InputError, match="n_configurations must say how many to draw"):
+        rs.count_collisions(plane, rs.allocate(xy, plane))
+    with pytest.raises(rs.InputError, match="drawn from the queues of 'balanced', not of 'lamost'"):
+        rs.count_collisions(plane, rs.allocate(xy, plane, method="lamost"), n_configurations=3)
+    with pytest.raises(rs.InputError, match="the method 'exact', not by 'cuda'"):
+        rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, method="cuda")
+    with pytest.raises(rs.InputError, match="an Allocation brings its own poses"):
+        rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, handedness="left")
