@@ -1,0 +1,91 @@
+"""The GPU's code in numba's simulator, on scenes of at most 50 positioners: ``tox -e cuda``.
+
+The simulator has to be switched on before numba is imported. On a machine with a GPU, run the same tests without it.
+"""
+
+import os
+import subprocess
+import sys
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from rfpsurvey.collision import place_arms
+from test_collision import MM, lamost_like, random_tips
+from test_count_collisions import PLANES, many_tips
+
+numba_cuda = pytest.importorskip("numba.cuda")
+if not numba_cuda.is_available():
+    pytest.skip("no GPU, and NUMBA_ENABLE_CUDASIM is not set to 1", allow_module_level=True)
+
+
+def small(name):
+    plane, options = PLANES[name]
+    assert len(plane) <= 61
+    return plane, options
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_a_gpu_counts_as_the_processor(name, rng):
+    plane, options = small(name)
+    tips = many_tips(plane, rng, 2)
+    here, there = (rs.count_collisions(plane, tips, method=m, **options) for m in ("exact", "cuda"))
+    for field in here.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
+
+
+def test_a_gpu_finds_the_same_pairs(rng):
+    plane = lamost_like(3)
+    for _ in range(2):
+        arms = place_arms(plane, random_tips(plane, rng))
+        here, there = (rs.find_collisions(plane, arms, method=m) for m in ("exact", "cuda"))
+        np.testing.assert_array_equal(here.pairs, there.pairs)
+        np.testing.assert_allclose(here.distances.value, there.distances.value, atol=1e-12)
+        assert there.n_borderline == 0
+
+
+def test_borderline_pairs_are_settled_there_too():
+    for gap, n in ((4.5, 0), (np.nextafter(4.5, 0), 1)):
+        plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, rs.Positioner(4 * MM, 4 * MM, 2.25 * MM))
+        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM, method="cuda")
+        assert (len(report.pairs), report.n_borderline) == (n, 1)
+        assert rs.count_collisions(plane, [[[8, 0], [8, gap]]] * MM, method="cuda").n_borderline.tolist() == [1]
+
+
+def test_tips_out_of_reach_are_named():
+    plane = lamost_like(1)
+    tips = np.stack([plane.xy + 3 * MM, plane.xy + 3 * MM])
+    tips[1, 4] += 50 * MM
+    with pytest.raises(rs.InputError, match="configuration 1: 1 tips are out of reach, the first that of positioner 4"):
+        rs.count_collisions(plane, tips, method="cuda")
+
+
+COMPILE = """
+from types import SimpleNamespace
+from numba import cuda, types
+from numba.cuda import dispatcher
+dispatcher.get_current_device = lambda: SimpleNamespace(compute_capability=(9, 0))
+import rfpsurvey._kernels.gpu as gpu
+F, I, B = types.float64, types.int64, types.boolean
+A = lambda kind, n: types.Array(kind, n, "C")
+SIGNATURES = {
+    "stand": (A(F, 3), A(F, 2), A(F, 2), F, F, A(F, 2), I, F, A(F, 2), A(F, 3), A(I, 1)),
+    "count": (A(F, 3), A(F, 3), A(I, 1), A(I, 1), F, F, F, A(B, 1), A(I, 1), A(F, 2), F, A(I, 2), A(I, 1)),
+    "list_pairs": (A(F, 2), A(I, 1), A(I, 1), F, F, A(I, 1), A(F, 1), A(I, 1)),
+}
+for name, types_of in SIGNATURES.items():
+    ptx, _ = cuda.compile(getattr(gpu, name).py_func, types_of, device=False, abi="numba", cc=(9, 0), output="ptx")
+    print(name, ".f64" in ptx, "call" in ptx)
+"""
+
+
+def test_the_kernels_compile_for_a_device():
+    """Without a GPU, but with NVIDIA's compiler: the simulator accepts types that a device does not."""
+    pytest.importorskip("numba_cuda")
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_ENABLE_CUDASIM"}
+    done = subprocess.run([sys.executable, "-c", COMPILE], capture_output=True, text=True, env=environment)
+    if "NvvmSupportError" in done.stderr or "libNVVM" in done.stderr:
+        pytest.skip("NVIDIA's compiler is not there: pip install 'rfpsurvey[cuda]'")
+    assert done.stdout.split() == ["stand", "True", "False", "count", "True", "False", "list_pairs", "True", "False"]
