@@ -5,12 +5,13 @@ arms, collisions, tile score.
 """
 
 from rfpsurvey.allocation import Allocation, allocate
+from rfpsurvey.benchmark import benchmark_batches, benchmark_collisions
 from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.collision import Arms, CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
-from rfpsurvey.plot import plot_focal_plane
+from rfpsurvey.plot import plot_focal_plane, plot_speed_accuracy
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -37,10 +38,13 @@ __all__ = [
     "__version__",
     "allocate",
     "available_instruments",
+    "benchmark_batches",
+    "benchmark_collisions",
     "count_collisions",
     "find_collisions",
     "plan_tile",
     "plot_focal_plane",
+    "plot_speed_accuracy",
     "score_tile",
     "synthetic_catalog",
 ]

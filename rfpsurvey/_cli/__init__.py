@@ -1,6 +1,6 @@
 """The command line: parse, call the library, write."""
 
-from rfpsurvey._cli import instruments, plan, score
+from rfpsurvey._cli import benchmark, instruments, plan, score
 from rfpsurvey._cli._app import app, main
 
-__all__ = ["app", "instruments", "main", "plan", "score"]
+__all__ = ["app", "benchmark", "instruments", "main", "plan", "score"]

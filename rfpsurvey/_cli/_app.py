@@ -11,11 +11,11 @@ import typer
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey._io import WRITABLE, check_output, output_path, read_table
+from rfpsurvey._io import WRITABLE, check_output, output_path, read_table, write_table
 from rfpsurvey.catalog import UNITS
 
 __all__ = [
-    "app", "check_outputs", "finish", "instrument_of", "load_instrument", "main", "parse_center",
+    "app", "check_outputs", "finish", "finish_table", "instrument_of", "load_instrument", "main", "parse_center",
     "parse_pairs", "read_assignment", "targets_and_center", "units_of",
 ]  # fmt: skip
 
@@ -198,9 +198,21 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite
     if output is not None:
         tile.write(output, overwrite=overwrite)
     if plot is not None:
-        with output_path(plot, PICTURES, overwrite=overwrite) as temporary:
-            rs.plot_focal_plane(tile).figure.savefig(temporary, dpi=200, format=plot.suffix[1:].lower())
+        _draw(lambda: rs.plot_focal_plane(tile).figure, plot, overwrite=overwrite)
     print_summary(tile)
     for path in (output, plot):
         if path is not None:
             print(f"wrote {path}")
+
+
+def finish_table(table, draw, output: Path, plot: Path, *, overwrite: bool) -> None:
+    """Print a table of results, write it, and draw its chart."""
+    print("\n".join(table.pformat(max_lines=-1, max_width=-1)))
+    write_table(table, output, overwrite=overwrite)
+    _draw(lambda: draw(table)[0].figure, plot, overwrite=overwrite)
+    print(f"wrote {output}\nwrote {plot}")
+
+
+def _draw(make_figure, path: Path, *, overwrite: bool) -> None:
+    with output_path(path, PICTURES, overwrite=overwrite) as temporary:
+        make_figure().savefig(temporary, dpi=200, format=path.suffix[1:].lower())

@@ -29,3 +29,10 @@ Examples:
   rfpsurvey score plan.ecsv --instrument sdss_apo
   rfpsurvey score designs.ecsv --instrument sdss_lco --select design_id=503246 --equinox J2022.0
 """
+
+BENCHMARK_EXAMPLES = """\b
+Examples:
+  rfpsurvey benchmark collisions
+  rfpsurvey benchmark collisions --instrument sdss_apo --method exact --method sampled --plot sdss.pdf
+  rfpsurvey benchmark batches --instrument moons
+"""

@@ -1,8 +1,9 @@
 """The pair test in exact arithmetic, for pairs that rounding could put on either side of the limit."""
 
-from math import lcm
+from fractions import Fraction
+from math import lcm, sqrt
 
-__all__ = ["closer_exactly"]
+__all__ = ["closer_exactly", "distance_exactly"]
 
 
 def closer_exactly(first, second, separation: float) -> bool:
@@ -21,6 +22,16 @@ def closer_exactly(first, second, separation: float) -> bool:
     return _near(a, c, d, limit) or _near(b, c, d, limit) or _near(c, a, b, limit) or _near(d, a, b, limit)
 
 
+def distance_exactly(first, second) -> float:
+    """Return the distance of two segments, rounded once (but for the root), for the floats as they are."""
+    a, b, c, d = (
+        (Fraction(float(e[k])), Fraction(float(e[k + 1]))) for e in (first, second) for k in (0, 2)
+    )  # fmt: skip
+    if _turn(a, b, c) * _turn(a, b, d) < 0 and _turn(c, d, a) * _turn(c, d, b) < 0:
+        return 0.0
+    return sqrt(min(n / m for n, m in (_squared(a, c, d), _squared(b, c, d), _squared(c, a, b), _squared(d, a, b))))
+
+
 def _turn(a, b, p):
     """Twice the signed area of a, b, p."""
     return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
@@ -28,10 +39,15 @@ def _turn(a, b, p):
 
 def _near(p, a, b, limit):
     """Say whether the point p is closer than ``limit`` to the segment a-b."""
+    numerator, denominator = _squared(p, a, b)
+    return numerator < limit**2 * denominator
+
+
+def _squared(p, a, b):
+    """Squared distance of the point p from the segment a-b, as numerator and denominator."""
     length2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
     along = (b[0] - a[0]) * (p[0] - a[0]) + (b[1] - a[1]) * (p[1] - a[1])
-    if along <= 0:
-        return (p[0] - a[0]) ** 2 + (p[1] - a[1]) ** 2 < limit**2
-    if along >= length2:
-        return (p[0] - b[0]) ** 2 + (p[1] - b[1]) ** 2 < limit**2
-    return _turn(a, b, p) ** 2 < limit**2 * length2
+    if 0 < along < length2:
+        return _turn(a, b, p) ** 2, length2
+    x, y = a if along <= 0 else b
+    return (p[0] - x) ** 2 + (p[1] - y) ** 2, 1

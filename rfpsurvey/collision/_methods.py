@@ -117,12 +117,14 @@ def _scratch(scene):
 def _settle(scene, first, second, squared):
     """Decide about the pairs within the band about the limit."""
     limits = scene.plane._scene.limits
-    keep = squared < limits.separation**2 - limits.band
-    edge = np.flatnonzero(~keep)
-    for k in edge:
-        ends = scene.segments[:, first[k]].tolist(), scene.segments[:, second[k]].tolist()
-        keep[k] = closer_exactly(*ends, limits.separation)
-    return Found(first[keep], second[keep], np.sqrt(squared[keep]), len(edge))
+    edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
+    if len(edge):
+        keep = np.ones(len(squared), dtype=bool)
+        for k in edge:
+            ends = scene.segments[:, first[k]].tolist(), scene.segments[:, second[k]].tolist()
+            keep[k] = closer_exactly(*ends, limits.separation)
+        first, second, squared = first[keep], second[keep], squared[keep]
+    return Found(first, second, np.sqrt(squared), len(edge))
 
 
 def _capsule_angles(posed):

@@ -7,14 +7,13 @@ import os
 import subprocess
 import sys
 
-import astropy.units as u
 import numpy as np
 import pytest
+from test_collision import MM, lamost_like, random_tips
+from test_count_collisions import PLANES, many_tips
 
 import rfpsurvey as rs
 from rfpsurvey.collision import place_arms
-from test_collision import MM, lamost_like, random_tips
-from test_count_collisions import PLANES, many_tips
 
 numba_cuda = pytest.importorskip("numba.cuda")
 if not numba_cuda.is_available():

@@ -1,0 +1,307 @@
+"""Methods side by side: how fast each of them is, and how often and how far it errs."""
+
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.table import MaskedColumn, QTable
+
+from rfpsurvey._kernels import reference
+from rfpsurvey._units import to_generator
+from rfpsurvey.collision import METHODS, Found, Scene, count_collisions, near_pairs, place_arms
+from rfpsurvey.collision._exactly import closer_exactly, distance_exactly
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument
+
+__all__ = ["benchmark_batches", "benchmark_collisions"]
+
+log = logging.getLogger(__name__)
+
+
+def every_pair(scene: Scene) -> Found:
+    """Look at all neighbors in a plain loop, by the exact distance, without a broad phase."""
+    first, second = scene.plane._neighbors.T.copy()
+    squared = np.empty(len(first))
+    reference.all_pairs(scene.segments, first, second, squared)
+    return _closer(scene, first, second, np.sqrt(squared))
+
+
+def endpoints(scene: Scene) -> Found:
+    """Look at the four ends of two arms alone, which misses crossings."""
+    first, second = near_pairs(scene)
+    squared = np.empty(len(first))
+    reference.endpoints(scene.segments, first, second, squared)
+    return _closer(scene, first, second, np.sqrt(squared))
+
+
+def shapely(scene: Scene) -> Found:
+    """Let shapely find the distances, vectorized; its line strings are made within the time."""
+    from shapely import distance, linestrings
+
+    first, second = near_pairs(scene)
+    lines = linestrings(scene.segments.T.reshape(-1, 2, 2))
+    return _closer(scene, first, second, distance(lines[first], lines[second]))
+
+
+def _closer(scene, first, second, distances):
+    near = distances < scene.plane._scene.separation
+    return Found(first[near], second[near], distances[near])
+
+
+COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
+"""Everything that `benchmark_collisions` can time; the last three are there for comparison alone."""
+
+WITH_POINTS = {"sampled": (3, 5, 9, 17, 33, 65, 129), "sweep": (9, 65)}
+
+
+def benchmark_collisions(
+    instrument: str | Instrument | FocalPlane = "lamost",
+    *,
+    methods: Sequence[str] | None = None,
+    n_configurations: int = 5,
+    repeats: int = 15,
+    seconds: float = 2.0,
+    rng: int | np.random.Generator | None = 0,
+) -> QTable:
+    """Time every way of finding collisions on the same arms, and compare what it finds with rational arithmetic.
+
+    Targets are uniform in each patrol area, one a positioner. What is timed begins with arms that stand and ends
+    with the list of pairs. All methods take turns, so that a busy machine slows them alike; compiled code is warm.
+
+    Parameters
+    ----------
+    instrument : str, Instrument or FocalPlane, optional
+        Preset, instrument or focal plane.
+    methods : sequence of str, optional
+        Methods of `find_collisions`, and for comparison ``every_pair`` (no broad phase), ``endpoints`` (no test for
+        crossings) and ``shapely``. None: all that can run here.
+    n_configurations : int, optional
+        Configurations that each method is tried on.
+    repeats : int, optional
+        How often at most each method runs on each of them.
+    seconds : float, optional
+        Time after which a slow method is not repeated.
+    rng : int, Generator or None, optional
+        Seed or source of the targets.
+
+    Returns
+    -------
+    QTable
+        A row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time`` of a tile,
+        ``ratio`` to that of ``exact``, true ``n_colliding`` pairs, ``n_missed`` and ``n_spurious`` pairs,
+        ``misclassified`` (both, for each colliding pair), ``max_error`` and ``mean_error`` of the distances of
+        colliding pairs that were found. Counts are sums over the configurations.
+
+    Raises
+    ------
+    InputError
+        If a method is unknown or cannot run here.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.benchmark_collisions("sdss_apo", methods=["exact", "endpoints"], repeats=1)
+    >>> table["method", "n_spurious"].pformat()[2:]
+    ['    exact          0', 'endpoints          0']
+    """
+    plane = _plane_of(instrument)
+    names = _available() if methods is None else [check_choice(m, COMPARED, "method") for m in methods]
+    _check_positive(n_configurations=n_configurations, repeats=repeats)
+    rng = to_generator(rng)
+    runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
+    scenes = [_scene(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
+    found, times = _take_turns(runs, scenes, repeats, seconds)
+    truth = [_true_pairs(scene(2)) for scene in scenes]
+    rows = [{"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
+            | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])} for m, n in runs]  # fmt: skip
+    table = QTable({name: [row[name] for row in rows] for name in ("method", "n_points", "device", "time")})
+    table["n_points"] = MaskedColumn(table["n_points"], mask=table["n_points"] < 0)
+    table["time"] = (1e3 * np.array(table["time"])) * u.ms
+    table["ratio"] = (table["time"] / table["time"][0]).value
+    for name in ("n_colliding", "n_missed", "n_spurious", "misclassified"):
+        table[name] = [row[name] for row in rows]
+    for name in ("max_error", "mean_error"):
+        table[name] = [row[name] for row in rows] * u.mm
+    table.meta.update(_provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats)
+    return table[np.isin(table["method"], names)] if "exact" not in names else table
+
+
+def benchmark_batches(
+    instrument: str | Instrument | FocalPlane = "lamost",
+    *,
+    sizes: Sequence[int] = (1, 100, 10_000),
+    workers: Sequence[int] = (1, 2),
+    repeats: int = 5,
+    rng: int | np.random.Generator | None = 0,
+) -> QTable:
+    """Time the scoring of many configurations at once, kinematics included: processor threads, and a GPU if any.
+
+    Parameters
+    ----------
+    instrument : str, Instrument or FocalPlane, optional
+        Preset, instrument or focal plane.
+    sizes : sequence of int, optional
+        Configurations scored in one call; at most 256 different ones are made, and repeated.
+    workers : sequence of int, optional
+        Numbers of threads.
+    repeats : int, optional
+        Calls of each kind, of which the median counts.
+    rng : int, Generator or None, optional
+        Seed or source of the targets, uniform in the patrol areas.
+
+    Returns
+    -------
+    QTable
+        A row for each device, number of workers and size: median ``time`` of a call, and ``rate``, configurations a
+        second.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)["device", "size"].pformat()[2:]
+    ['   CPU    1', '   CPU   10']
+    """
+    plane = _plane_of(instrument)
+    _check_positive(repeats=repeats, **{f"sizes[{k}]": n for k, n in enumerate(sizes)})
+    _check_positive(**{f"workers[{k}]": n for k, n in enumerate(workers)})
+    rng = to_generator(rng)
+    some = np.array([_random_tips(plane, rng) for _ in range(min(256, max(sizes)))])
+    ways = [("CPU", n) for n in workers] + [("GPU", 1)] * _has_gpu()
+    rows = []
+    for size in sizes:
+        tips = np.resize(some, (size, *some.shape[1:])) << u.mm
+        times: dict[tuple[str, int], list[float]] = {way: [] for way in ways}
+        for turn in range(repeats + 1):  # the first to warm up
+            for way in ways:
+                spent = _batch_seconds(plane, tips, *way)
+                times[way] += [spent] if turn else []
+        rows += [(*way, size, np.median(t), size / np.median(t)) for way, t in times.items()]
+    table = QTable(rows=rows, names=("device", "workers", "size", "time", "rate"))
+    table["time"], table["rate"] = 1e3 * table["time"] * u.ms, table["rate"] / u.s
+    table.meta.update(_provenance(instrument, plane), repeats=repeats)
+    return table
+
+
+def _batch_seconds(plane, tips, device, workers):
+    method = "cuda" if device == "GPU" else "exact"
+    start = perf_counter()
+    if workers == 1:
+        count_collisions(plane, tips, method=method)
+    else:
+        with ThreadPoolExecutor(workers) as executor:
+            count_collisions(plane, tips, method=method, executor=executor)
+    return perf_counter() - start
+
+
+def _take_turns(runs, scenes, repeats, seconds):
+    """Return what each run finds in each scene, and all its times; the first turn compiles and is not counted."""
+    times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
+    found = {}
+    for turn in range(repeats + 1):
+        for run in runs:
+            if turn > 1 and sum(times[run]) > seconds:
+                continue
+            if turn == 1 and times[run] and times[run][0] > seconds:
+                continue
+            log.info("turn %d of %d: %s", turn, repeats, run)
+            results = []
+            for scene in scenes:
+                scene = scene(run[1])
+                start = perf_counter()
+                results.append(COMPARED[run[0]](scene))
+                times[run].append(perf_counter() - start)
+            if turn == 0:
+                found[run] = results
+                times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
+    return found, times
+
+
+def _true_pairs(scene):
+    """Colliding pairs and their distances in rational arithmetic on the floats as they are."""
+    first, second = scene.plane._neighbors.T
+    middle = 0.5 * (scene.segments[:2] + scene.segments[2:])
+    half = 0.5 * np.hypot(*(scene.segments[2:] - scene.segments[:2]))
+    separation = scene.plane._scene.separation
+    gap = np.hypot(*(middle[:, first] - middle[:, second])) - half[first] - half[second]
+    rows = scene.segments.T.tolist()
+    pairs = [(i, j) for i, j in scene.plane._neighbors[gap < 1.001 * separation].tolist()]
+    return {
+        (i, j): distance_exactly(rows[i], rows[j]) for i, j in pairs if closer_exactly(rows[i], rows[j], separation)
+    }
+
+
+def _errors(truth, found):
+    """Pairs missed and spurious, and errors of the distances of the others, over all configurations."""
+    n = missed = spurious = 0
+    errors = []
+    for true, got in zip(truth, found, strict=True):
+        keys = np.sort(np.column_stack([got.first, got.second]), axis=1).tolist()
+        distances = dict(zip(map(tuple, keys), got.distances.tolist(), strict=True))
+        both = true.keys() & distances.keys()
+        n, missed, spurious = n + len(true), missed + len(true) - len(both), spurious + len(distances) - len(both)
+        errors += [abs(distances[k] - true[k]) for k in both]
+    return {
+        "n_colliding": n, "n_missed": missed, "n_spurious": spurious,
+        "misclassified": (missed + spurious) / n if n else np.nan,
+        "max_error": max(errors, default=np.nan), "mean_error": float(np.mean(errors)) if errors else np.nan,
+    }  # fmt: skip
+
+
+def _scene(plane, tips) -> Callable[[int], Scene]:
+    """Arms that stand, for any number of points."""
+    posed = place_arms(plane, tips * u.mm)
+    segments = np.ascontiguousarray(posed.segments.T)
+    return lambda n_points: Scene(plane, segments, n_points, lambda: posed)
+
+
+def _random_tips(plane, rng):
+    """One target a positioner, uniform in its patrol area, in mm."""
+    inner, outer = plane._inner_mm, plane._outer_mm
+    n = len(plane)
+    r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
+    alpha = rng.uniform(0, 2 * np.pi, n)
+    return plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+
+
+def _plane_of(instrument):
+    if isinstance(instrument, FocalPlane):
+        return instrument
+    return (Instrument.preset(instrument) if isinstance(instrument, str) else instrument).focal_plane
+
+
+def _available():
+    gone = {"cuda"} - ({"cuda"} if _has_gpu() else set())
+    return [m for m in COMPARED if m not in gone and not (m == "shapely" and find_spec("shapely") is None)]
+
+
+def _has_gpu():
+    """Say whether there is a GPU, not a simulated one."""
+    try:
+        from numba import config, cuda
+    except ImportError:
+        return False
+    return bool(not config.ENABLE_CUDASIM and cuda.is_available())
+
+
+def _check_positive(**numbers):
+    for name, value in numbers.items():
+        if not (isinstance(value, int | np.integer) and value >= 1):
+            raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+
+
+def _provenance(instrument, plane):
+    name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
+    return {
+        "instrument": name, "n_positioners": len(plane), "n_neighbor_pairs": len(plane._neighbors),
+        "min_separation_mm": plane.positioner._separation_mm,
+    }  # fmt: skip
