@@ -63,11 +63,7 @@ def turn(ax, ay, bx, by, px, py):
     left = (bx - ax) * (py - ay)
     right = (by - ay) * (px - ax)
     slack = TURN_ERROR * (abs(left) + abs(right))
-    if left - right > slack:
-        return 1
-    if right - left > slack:
-        return -1
-    return 0
+    return int(left - right > slack) - int(right - left > slack)
 
 
 @kernel
@@ -85,12 +81,11 @@ def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
 
     0 where they certainly cross; where rounding could decide, an end is as near as the error allows anyway.
     """
-    if (
-        turn(ax, ay, bx, by, cx, cy) * turn(ax, ay, bx, by, dx, dy) < 0
-        and turn(cx, cy, dx, dy, ax, ay) * turn(cx, cy, dx, dy, bx, by) < 0
-    ):
-        return 0.0
-    return endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy)
+    crossing = (turn(ax, ay, bx, by, cx, cy) * turn(ax, ay, bx, by, dx, dy) < 0) & (
+        turn(cx, cy, dx, dy, ax, ay) * turn(cx, cy, dx, dy, bx, by) < 0
+    )
+    squared = endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy)
+    return 0.0 if crossing else squared
 
 
 @kernel
@@ -109,16 +104,17 @@ def apart(mx, my, ax, ay, bx, by, squared):
     Their middles differ by m, and a and b are their halves. The axes are m and the normals of both segments; along
     any axis a segment lies within the projection of its half of that of its middle.
     """
+    # no branches: which axis separates is a toss-up, and a wrong guess costs more than all three
     m2 = mx * mx + my * my
-    gap = m2 - abs(ax * mx + ay * my) - abs(bx * mx + by * my)
-    if gap > 0.0 and gap * gap > squared * m2:
-        return True
+    along = max(m2 - abs(ax * mx + ay * my) - abs(bx * mx + by * my), 0.0)
     wide = abs(ax * by - ay * bx)
-    gap = abs(ax * my - ay * mx) - wide
-    if gap > 0.0 and gap * gap > squared * (ax * ax + ay * ay):
-        return True
-    gap = abs(bx * my - by * mx) - wide
-    return gap > 0.0 and gap * gap > squared * (bx * bx + by * by)
+    across_a = max(abs(ax * my - ay * mx) - wide, 0.0)
+    across_b = max(abs(bx * my - by * mx) - wide, 0.0)
+    return (
+        (along * along > squared * m2)
+        | (across_a * across_a > squared * (ax * ax + ay * ay))
+        | (across_b * across_b > squared * (bx * bx + by * by))
+    )
 
 
 @kernel

@@ -1,0 +1,33 @@
+"""The grid of SDSS-V's own planner, kaiju, on our geometry; for comparison only, where it is importable.
+
+Built with https://github.com/sdss/kaiju 1.4.1 (its BSD license; nothing of it is copied here).
+"""
+
+import numpy as np
+
+__all__ = ["make_grid", "set_poses"]
+
+
+def make_grid(plane):
+    """Return a robot grid whose arms collide as those of ``plane``: a segment to the fiber, the same safe distance."""
+    from kaiju.cKaiju import RobotGrid
+
+    unit = plane.positioner
+    l1, l2 = unit.central_arm.to_value("mm"), unit.eccentric_arm.to_value("mm")
+    grid = RobotGrid(unit.step.to_value("deg"))
+    for i, (x, y) in enumerate(plane.xy.to_value("mm")):
+        # flat wok: no offsets, no tilt, unit scale
+        grid.addRobot(
+            i, str(i), [x, y, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0], l1, 0.0, 0.0,
+            143.0, 1.0, [l2, 0.0], [l2, 0.0], [l2, 0.0], [[0.0, 0.0], [l2, 0.0]], True,
+            unit.clearance.to_value("mm"), False,
+        )  # fmt: skip
+    grid.initGrid()
+    return grid
+
+
+def set_poses(grid, theta, phi):
+    """Turn the joints, in radians."""
+    robots = grid.robotDict
+    for i, (a, b) in enumerate(zip(np.rad2deg(theta) % 360, np.rad2deg(phi), strict=True)):
+        robots[i].setAlphaBeta(a, b)

@@ -1,0 +1,141 @@
+"""Collision kernels on ready arms: 3997 positioners, targets uniform in the patrol areas.
+
+Calls take turns on 50 configurations: a processor learns the branches of a single one by heart, which makes it up to
+twice as fast and says nothing about a survey.
+
+Floor: a tile reads 128 kB of segments and writes as much of middles and halves (copied here by numpy), and tests every
+pair of neighbors with 5 flops: 59,000 in LAMOST's geometry, 174,000 in that of SDSS-V. What the broad phase lets
+through (6 and 12 per cent) costs about 40 flops more, what is left (2 and 4 per cent) about 120.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import cycle
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from kaiju_grid import make_grid, set_poses
+from rfpsurvey._kernels import collisions, reference
+from rfpsurvey.benchmark import _random_tips
+from rfpsurvey.collision import place_arms
+
+GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 0.0, 25.6), "sdss": (7.4, 15.0, 2.5, 0.1, 22.4)}
+
+
+class Tile:
+    """A focal plane, arms that stand, and room for results."""
+
+    def __init__(self, name):
+        l1, l2, clearance, step, pitch = GEOMETRIES[name]
+        unit = rs.Positioner(l1 * u.mm, l2 * u.mm, clearance * u.mm, step=step * u.deg)
+        self.plane = rs.FocalPlane.hexagonal(unit, rings=36, pitch=pitch * u.mm)
+        rng = np.random.default_rng(1)
+        many = [_random_tips(self.plane, rng) * u.mm for _ in range(50)]
+        self.tips = cycle(many)
+        self.arms = [place_arms(self.plane, tips) for tips in many]
+        self.segments = [np.ascontiguousarray(arms.segments.T) for arms in self.arms]
+        self.next = cycle(self.segments)
+        self.halves = np.empty_like(self.segments[0])
+        self.scene = self.plane._scene
+        room = len(self.plane._neighbors) + 1
+        self.first, self.second = self.plane._neighbors.T.copy()
+        self.rows = np.empty(room, bool), np.empty(room, np.int64), np.empty(room, np.int64)
+        self.squared = np.empty(room)
+
+
+@pytest.fixture(scope="module", params=GEOMETRIES)
+def tile(request):
+    return Tile(request.param)
+
+
+@pytest.fixture(autouse=True)
+def _group(benchmark, tile):
+    n = len(tile.plane._neighbors)
+    benchmark.group = f"collisions, {n} pairs"
+
+
+def test_0_floor_copy_the_segments(benchmark, tile):
+    benchmark(lambda: np.copyto(tile.halves, next(tile.next)))
+
+
+def kernel(tile, runs):
+    segments = next(tile.next)
+    collisions.halve(segments, tile.halves)
+    return collisions.colliding_pairs(segments, tile.halves, runs, tile.scene.limits, *tile.rows, tile.squared)
+
+
+def test_1_kernel(benchmark, tile):
+    benchmark(kernel, tile, tile.scene.runs)
+
+
+def test_1_kernel_with_unsorted_neighbors(benchmark, tile):
+    """Every pair a run of its own, in random order: what the neighbor list gains."""
+    pairs = np.random.default_rng(2).permutation(tile.plane._neighbors)
+    benchmark(kernel, tile, np.column_stack([pairs, np.ones(len(pairs), np.int64)]))
+
+
+def test_2_plain_loop(benchmark, tile):
+    benchmark(lambda: reference.all_pairs(next(tile.next), tile.first, tile.second, tile.squared[:-1]))
+
+
+def test_3_public_call(benchmark, tile):
+    benchmark(lambda: rs.find_collisions(tile.plane, next(tile.tips)))
+
+
+def test_4_sampled_65(benchmark, tile):
+    benchmark(lambda: rs.find_collisions(tile.plane, tile.arms[0], method="sampled"))
+
+
+def test_4_sampled_65_all_pairs(benchmark, tile):
+    """As the paper counts: all pairs of neighbors, all pairs of points."""
+    arguments = tile.segments[0], tile.first, tile.second, 65, tile.squared[:-1]
+    benchmark.pedantic(reference.sampled, arguments, rounds=5, warmup_rounds=1)
+
+
+def test_5_shapely(benchmark, tile):
+    shapely = pytest.importorskip("shapely", minversion="2.0")
+    lines = shapely.linestrings(tile.segments[0].T.reshape(-1, 2, 2))
+    first, second = lines[tile.first], lines[tile.second]
+    benchmark(lambda: shapely.distance(first, second))
+
+
+def test_6_scipy(benchmark, tile):
+    arguments = tile.plane, tile.arms[0]
+    benchmark.pedantic(rs.find_collisions, arguments, {"method": "scipy"}, rounds=5, warmup_rounds=1)
+
+
+def test_7_kaiju(benchmark, tile):
+    """Each robot asks for its neighbors in collision; the same pairs must come out."""
+    pytest.importorskip("kaiju")
+    grid = make_grid(tile.plane)
+    set_poses(grid, tile.arms[0].theta, tile.arms[0].phi)
+    numbers = range(len(tile.plane))
+    found = benchmark.pedantic(lambda: [grid.robotColliders(i) for i in numbers], rounds=5, warmup_rounds=1)
+    expected = rs.find_collisions(tile.plane, tile.arms[0]).colliding_with
+    assert [sorted(f) for f in found] == expected
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_8_thousand_configurations(benchmark, tile, workers):
+    rng = np.random.default_rng(3)
+    tips = np.stack([_random_tips(tile.plane, rng) for _ in range(250)]) * u.mm
+    with ThreadPoolExecutor(workers) as executor:
+        pool = executor if workers > 1 else None
+        benchmark.pedantic(
+            lambda: [rs.count_collisions(tile.plane, tips, executor=pool) for _ in range(4)], rounds=7, warmup_rounds=1
+        )
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_9_ten_thousand_draws_from_queues(benchmark, tile, workers):
+    edge = np.abs(tile.plane.xy.value).max()
+    xy = np.random.default_rng(4).uniform(-edge, edge, (20_000, 2)) * u.mm
+    allocation = rs.allocate(xy, tile.plane)
+    with ThreadPoolExecutor(workers) as executor:
+        pool = executor if workers > 1 else None
+        benchmark.pedantic(
+            lambda: rs.count_collisions(tile.plane, allocation, n_configurations=10_000, executor=pool),
+            rounds=5, warmup_rounds=1,
+        )  # fmt: skip
