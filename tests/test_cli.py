@@ -81,6 +81,23 @@ def test_instruments(run):
     assert "assumed: " in out
 
 
+def test_benchmark(run, tmp_path):
+    chart = tmp_path / "chart.png"
+    call = ("benchmark", "collisions", "--instrument", "sdss_apo", "--method", "exact", "--method", "endpoints",
+            "--repeats", "1", "--plot", str(chart))  # fmt: skip
+    code, out, _ = run(*call)
+    assert code == 0
+    assert "endpoints" in out
+    assert chart.stat().st_size > 10_000
+    assert QTable.read(chart.with_suffix(".ecsv"))["method"].tolist() == ["exact", "endpoints"]
+    code, _, err = run(*call)
+    assert code == 2
+    assert "chart.ecsv exists" in err
+    code, out, _ = run("benchmark", "batches", "--instrument", "sdss_apo", "--repeats", "1")
+    assert code == 0
+    assert "10000" in out
+
+
 def test_score(run, tmp_path):
     x, y = rs.Instrument.preset("lamost").focal_plane.xy[:3].T
     path = tmp_path / "plan.ecsv"

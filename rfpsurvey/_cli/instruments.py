@@ -33,4 +33,6 @@ def instruments(
     print(f"{model.name}: {model.title}\n{len(model.focal_plane)} positioners, layout {model.layout}")
     print(f"{model.notes.strip()}\n")
     for row in model.to_table():
-        print(f"{row['name']} = {row['value']} {row['unit']}\n    {row['status']}: {row['source']}")
+        print(
+            f"{row['name']} = {row['value']} {row['unit']}".rstrip(), f"    {row['status']}: {row['source']}", sep="\n"
+        )

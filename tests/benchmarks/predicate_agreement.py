@@ -1,0 +1,42 @@
+"""The pair test against exact rational arithmetic, in numbers that would take the tests too long.
+
+Run it as ``PYTHONPATH=tests python tests/benchmarks/predicate_agreement.py [random pairs] [adversarial pairs]``; by
+default 1,000,000 and 100,000. Exit code 1 if any answer outside the borderline band is wrong.
+"""
+
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+
+import numpy as np
+from test_predicate import decide
+
+from adversarial import ADVERSARIAL, random_pairs
+from oracles import closer_than
+
+TASK = 5000
+
+
+def compare(name, seed, n):
+    """Collisions, borderline pairs and wrong answers among n pairs of a family."""
+    rng = np.random.default_rng([seed, 11])
+    pairs = random_pairs(rng, n) if name == "random" else (ADVERSARIAL[name](rng) for _ in range(n))
+    counts = np.zeros(3, dtype=int)
+    for first, second, limit in pairs:
+        got, expected = decide(first, second, limit), closer_than(first, second, limit)
+        counts += expected, got is None, got is not None and got != expected
+    return counts
+
+
+if __name__ == "__main__":
+    n_random, n_adversarial = (*map(int, sys.argv[1:]), *(1_000_000, 100_000)[len(sys.argv) - 1 :])
+    sizes = {"random": n_random, **dict.fromkeys(ADVERSARIAL, n_adversarial // len(ADVERSARIAL))}
+    n_wrong = 0
+    print(f"{'family':<18}{'pairs':>10}{'colliding':>11}{'borderline':>12}{'wrong':>7}")
+    with ProcessPoolExecutor() as pool:
+        for name, n in sizes.items():
+            tasks = [min(TASK, n - k) for k in range(0, n, TASK)]
+            colliding, borderline, wrong = sum(pool.map(compare, repeat(name), range(len(tasks)), tasks))
+            print(f"{name:<18}{n:>10}{colliding:>11}{borderline:>12}{wrong:>7}", flush=True)
+            n_wrong += wrong
+    sys.exit(n_wrong > 0)

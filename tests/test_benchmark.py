@@ -1,0 +1,86 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from test_collision import sdss_like
+
+import rfpsurvey as rs
+from rfpsurvey import benchmark
+
+METHODS_HERE = ["exact", "sampled", "sweep", "scipy", "every_pair", "endpoints", "shapely"]
+
+
+@pytest.fixture(scope="module")
+def table():
+    return rs.benchmark_collisions(sdss_like(6), methods=METHODS_HERE, n_configurations=3, repeats=2, rng=2)
+
+
+def rows(table, method):
+    return table[table["method"] == method]
+
+
+def test_every_method_has_its_rows(table):
+    assert list(dict.fromkeys(table["method"])) == METHODS_HERE
+    assert rows(table, "sampled")["n_points"].tolist() == list(benchmark.WITH_POINTS["sampled"])
+    assert rows(table, "exact")["n_points"].mask.all()
+    assert (table["time"] > 0 * u.ms).all()
+    assert table["ratio"][0] == 1
+    np.testing.assert_allclose(table["ratio"], (table["time"] / table["time"][0]).value)
+    assert len(set(table["n_colliding"].tolist())) == 1
+    assert table["n_colliding"][0] > 50
+    assert table.meta["n_positioners"] == 127
+
+
+def test_errors_are_those_that_each_method_must_have(table):
+    for method in ("exact", "scipy", "every_pair", "shapely"):
+        row = rows(table, method)[0]
+        assert (row["n_missed"], row["n_spurious"], row["misclassified"]) == (0, 0, 0)
+        assert row["max_error"] < 1e-12 * u.mm
+    sampled = rows(table, "sampled")
+    assert (sampled["n_spurious"] == 0).all()
+    assert (np.diff(sampled["max_error"].value) < 0).all()
+    assert sampled["max_error"][-1] < 15 / 128 * u.mm
+    assert sampled["n_missed"][0] > 0
+    swept = rows(table, "sweep")
+    assert (swept["n_missed"] == 0).all()
+    assert (swept["n_spurious"] > 0).all()
+    np.testing.assert_allclose(table["misclassified"], (table["n_missed"] + table["n_spurious"]) / table["n_colliding"])
+
+
+def test_the_truth_comes_from_rational_arithmetic(monkeypatch):
+    """A broken kernel shows as errors of its own method, not as errors of the others."""
+    monkeypatch.setitem(benchmark.COMPARED, "exact", lambda scene: benchmark.Found(*np.empty((2, 0), int), np.empty(0)))
+    table = rs.benchmark_collisions(sdss_like(3), methods=["exact", "scipy"], repeats=1)
+    assert rows(table, "exact")["misclassified"] == [1]
+    assert rows(table, "scipy")["misclassified"] == [0]
+
+
+def test_a_table_survives_the_round_trip(table, tmp_path):
+    table.write(tmp_path / "t.ecsv")
+    again = QTable.read(tmp_path / "t.ecsv")
+    assert again["n_points"].mask.tolist() == table["n_points"].mask.tolist()
+    assert again["max_error"].unit == u.mm
+    assert again.meta["min_separation_mm"] == pytest.approx(5.0781907)
+
+
+def test_batches(monkeypatch):
+    table = rs.benchmark_batches(sdss_like(2), sizes=[1, 30], workers=[1, 2], repeats=2)
+    assert table["workers"].tolist() == [1, 2, 1, 2]
+    assert table["size"].tolist() == [1, 1, 30, 30]
+    np.testing.assert_allclose((table["rate"] * table["time"]).to_value(u.one), table["size"])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rs.benchmark_collisions("lamost", methods=["guess"]), "unknown method 'guess'; choose one of: "),
+        (lambda: rs.benchmark_collisions("lamost", repeats=0), "repeats must be a whole number of at least 1, got 0"),
+        (lambda: rs.benchmark_collisions("lamost", n_configurations=1.5), "n_configurations must be a whole number"),
+        (lambda: rs.benchmark_batches("lamost", sizes=[1, 0]), r"sizes\[1\] must be a whole number of at least 1"),
+        (lambda: rs.benchmark_batches("lamost", workers=[0]), r"workers\[0\] must be a whole number of at least 1"),
+        (lambda: rs.plot_speed_accuracy(QTable({"method": ["exact"]})), "it has no max_error, misclassified, n_points"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(rs.InputError, match=message):
+        call()
