@@ -93,7 +93,7 @@ class Positioner:
             to_scalar(getattr(self, name), u.mm, name, low=0, high=1e6)
         for name in ("clearance", "displacement", "arm_length"):
             if getattr(self, name) is not None:
-                to_scalar(getattr(self, name), u.mm, name, low=0, closed=True)
+                to_scalar(getattr(self, name), u.mm, name, low=0, high=1e6, closed=True)
         to_scalar(self.step, u.rad, "step", low=0, high=np.pi / 4, closed=True)
         check_choice(self.handedness, HANDEDNESS, "handedness")
         check_choice(self.arm_model, ARM_MODELS, "arm model")

@@ -1,6 +1,7 @@
 """The slow ways to find collisions: where they agree with the exact one, and where they must fail."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import astropy.units as u
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from test_collision import MM, lamost_like, random_tips, sdss_like
 
 import rfpsurvey as rs
+from oracles import closer_than
 from rfpsurvey._kernels import collisions, reference
 from rfpsurvey.collision import METHODS, place_arms
 
@@ -215,11 +217,44 @@ def test_random_scenes_have_no_borderline_pairs(rng):
         assert rs.find_collisions(plane, random_tips(plane, rng)).n_borderline == 0
 
 
+def test_arms_that_only_rounding_lets_touch():
+    """Centers apart by twice the reach plus D, in floats: tips of full stretch can be an ulp nearer than D."""
+    unit = rs.Positioner(3.398 * MM, 4.381 * MM, 0.571 * MM)
+    reach, separation = 3.398 + 4.381, unit.min_separation.value
+    pitch = reach + reach + separation
+    plane = rs.FocalPlane([[0, 0], [pitch, 0]] * MM, unit)
+    assert plane.collision_type == 1
+    assert len(plane.neighbor_pairs()) == 0
+    report = rs.find_collisions(plane, [[reach, 0], [pitch - reach, 0]] * MM)
+    gap = Fraction(pitch - reach) - Fraction(reach)
+    assert gap < Fraction(separation)
+    assert report.pairs.tolist() == [[0, 1]]
+    assert report.n_borderline == 1
+
+
+def test_almost_equal_arms_are_as_long_as_equal_ones():
+    """The elbow of arms that differ by less than 1e-9 mm stands between both lengths."""
+    unit = rs.Positioner(8.0000000009 * MM, 8.0 * MM, 2 * MM)
+    plane = rs.FocalPlane([[0, 0], [12.0000000005, 0]] * MM, unit)
+    segments = place_arms(plane, plane.xy).segments
+    assert closer_than(*segments, 4.0)
+    assert rs.find_collisions(plane, plane.xy).pairs.tolist() == [[0, 1]]
+
+
+def test_sweeping_misses_nothing_at_the_limit():
+    unit = rs.Positioner(8 * MM, 8 * MM, 1.2345 * MM)
+    plane = rs.FocalPlane([[0, 0], [-14.580727256827604, 13.68949935761]] * MM, unit)
+    tips = [[-7.050616496677247, 6.619656777189988], [-8.850607276532612, 8.309625472886944]] * MM
+    assert len(rs.find_collisions(plane, tips).pairs) == 1
+    assert len(rs.find_collisions(plane, tips, method="sweep").pairs) == 1
+
+
 def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     """Type 1: no pair is looked at, no pose is made, whatever the method; bad tips are still named."""
     unit = rs.Positioner(8 * MM, 8 * MM, 1 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=40 * MM)
     assert plane.collision_type == 1
+    assert len(plane._neighbors) == 0
     tips = plane.xy + [12, 3] * MM
     expected = rs.find_collisions(plane, tips)
     monkeypatch.setattr("rfpsurvey.collision._find.place_tips", None)

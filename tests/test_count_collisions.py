@@ -160,5 +160,7 @@ def test_bad_draws_are_named():
         rs.count_collisions(plane, rs.allocate(xy, plane, method="lamost"), n_configurations=3)
     with pytest.raises(rs.InputError, match="the method 'exact', not by 'cuda'"):
         rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, method="cuda")
+    with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
+        rs.count_collisions(lamost_like(2), rs.allocate(xy, plane), n_configurations=3)
     with pytest.raises(rs.InputError, match="an Allocation brings its own poses"):
         rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, handedness="left")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from adversarial import ADVERSARIAL, random_pairs
 from oracles import closer_than, squared_distance
-from rfpsurvey._kernels import collisions
+from rfpsurvey._kernels import collisions, reference
 from rfpsurvey.collision._exactly import closer_exactly
 from strategies import segments
 
@@ -87,14 +87,37 @@ def test_the_error_bound_is_not_idle():
 
 
 def test_almost_collinear_segments_do_not_cross():
-    """The signs of all four turns are rounding: segments 4 mm apart on one line must not count as crossing."""
+    """Behind each other on one line the signs of all turns are rounding: taken at their word, some pairs cross."""
+    n = 60_000
     rng = np.random.default_rng(4)
-    for _ in range(3000):
-        u = np.array([np.cos(a := rng.uniform(0, 6.3)), np.sin(a)])
-        base = rng.uniform(-300, 300, 2)
-        ends = [base + t * u for t in (0, 8, 12, 20)]
-        squared = collisions.segments_squared(*ends[0], *ends[1], *ends[2], *ends[3])
-        assert squared == pytest.approx(16, rel=1e-9)
+    angle = rng.uniform(0, 2 * np.pi, n)
+    along = np.cumsum(rng.uniform(1, 10, (4, n)), axis=0)
+    x, y = (
+        start + along * u for start, u in zip(rng.uniform(-1, 1, (2, n)), (np.cos(angle), np.sin(angle)), strict=True)
+    )
+
+    def turn(a, b, p):
+        return (x[b] - x[a]) * (y[p] - y[a]) - (y[b] - y[a]) * (x[p] - x[a])
+
+    naive = (turn(0, 1, 2) * turn(0, 1, 3) < 0) & (turn(2, 3, 0) * turn(2, 3, 1) < 0)
+    assert naive.any()
+    segments = np.hstack([[x[0], y[0], x[1], y[1]], [x[2], y[2], x[3], y[3]]])
+    squared = np.empty(n)
+    reference.all_pairs(segments, np.arange(n), np.arange(n, 2 * n), squared)
+    np.testing.assert_allclose(np.sqrt(squared), along[2] - along[1], rtol=1e-12)
+
+
+def test_the_largest_error_that_was_found():
+    """Segments that barely cross: the true distance is 0, and the turn of one end is not certain."""
+    ends = (0.18889802440087516, 0.8021520411840636, 0.6890731994393491, 0.29378029915802245,
+            0.6876219460278843, 0.29525533482897737, 0.15479771473589315, 0.39529346736581467)  # fmt: skip
+    assert squared_distance(ends[:4], ends[4:]) == 0
+    got = np.sqrt(collisions.segments_squared(*ends))
+    assert 6 < got / (collisions.UNIT * longest_difference(ends[:4], ends[4:])) < 20
+
+
+def test_segments_too_short_to_square_are_not_lost():
+    assert decide((0, 0, 2e-162, 0), (0, 4.25, 0, 5), 4.5) is True
 
 
 def test_a_limit_of_nothing_is_never_met():

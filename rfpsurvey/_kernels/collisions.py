@@ -38,7 +38,7 @@ class Limits(NamedTuple):
 
 def limits(separation, length, extent):
     """Limits for segments no longer than ``length`` with ends no farther than ``extent`` from the origin (mm)."""
-    size = 2.0 * length + separation  # S of a pair that the broad phase lets through
+    size = 2.0 * length + separation  # S of a pair at the safe distance; farther ones are farther from the limit, too
     slack = REJECT_ERROR * (extent + size)
     error = 1.2 * DISTANCE_ERROR * size  # the rounding of separation^2 and of the comparison included
     return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
@@ -102,7 +102,8 @@ def apart(mx, my, ax, ay, bx, by, squared):
     """Say whether an axis keeps two segments farther apart than the root of ``squared``.
 
     Their middles differ by m, and a and b are their halves. The axes are m and the normals of both segments; along
-    any axis a segment lies within the projection of its half of that of its middle.
+    any axis a segment lies within the projection of its half of that of its middle. Normals of segments whose
+    squared length could underflow are not looked at.
     """
     # no branches: which axis separates is a toss-up, and a wrong guess costs more than all three
     m2 = mx * mx + my * my
@@ -110,10 +111,11 @@ def apart(mx, my, ax, ay, bx, by, squared):
     wide = abs(ax * by - ay * bx)
     across_a = max(abs(ax * my - ay * mx) - wide, 0.0)
     across_b = max(abs(bx * my - by * mx) - wide, 0.0)
+    a2, b2 = ax * ax + ay * ay, bx * bx + by * by
     return (
         (along * along > squared * m2)
-        | (across_a * across_a > squared * (ax * ax + ay * ay))
-        | (across_b * across_b > squared * (bx * bx + by * by))
+        | ((across_a * across_a > squared * a2) & (a2 > 1e-280))
+        | ((across_b * across_b > squared * b2) & (b2 > 1e-280))
     )
 
 

@@ -184,6 +184,10 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     """Return a function that scores a chunk of configurations drawn from queues, and its arguments."""
     if allocation.queues is None:
         raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.method!r}")
+    if len(allocation.target_of_positioner) != len(plane):
+        raise InputError(
+            f"the allocation is for {len(allocation.target_of_positioner)} positioners, not for {len(plane)}"
+        )
     n = n_configurations
     if not (isinstance(n, int | np.integer) and n >= 0):
         raise InputError(f"n_configurations must say how many to draw, a whole number of at least 0, got {n!r}")

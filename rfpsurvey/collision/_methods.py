@@ -70,7 +70,9 @@ def sweep(scene: Scene) -> Found:
     poses[-1] = scene.segments
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
-    return _closer(scene, first, second, np.sqrt(squared))
+    limits = plane._scene.limits
+    near = squared < limits.separation**2 + limits.band  # none is missed
+    return Found(first[near], second[near], np.sqrt(squared[near]))
 
 
 def scipy(scene: Scene) -> Found:
@@ -131,6 +133,7 @@ def _capsule_angles(posed):
     """Cosine and sine of the angle from each fiber to the end of its segment."""
     (ux, uy), (vx, vy) = (posed.tip - posed.elbow).T, (posed.segments[:, 2:] - posed.elbow).T
     scale = np.hypot(ux, uy) * np.hypot(vx, vy)
+    scale[scale == 0] = 1  # a capsule without a length
     return (ux * vx + uy * vy) / scale, (ux * vy - uy * vx) / scale
 
 

@@ -216,13 +216,17 @@ class FocalPlane:
 
     @cached_property
     def _neighbors(self):
-        reach_mm = self._arm_reach_mm
-        limit = 2 * reach_mm.max() + self.positioner._separation_mm
+        """Pairs to test; those that only rounding could let collide are among them."""
+        slack = 4 * (self._scene.reach_slack + arms.EQUAL_ARMS)
+        limit = 2 * self._arm_reach_mm.max() + self.positioner._separation_mm + slack
         pairs = cKDTree(self._xy_mm).query_pairs(limit, output_type="ndarray")
-        distance = np.hypot(*(self._xy_mm[pairs[:, 0]] - self._xy_mm[pairs[:, 1]]).T)
-        near = distance < reach_mm[pairs].sum(axis=1) + self.positioner._separation_mm
-        pairs = np.sort(pairs[near], axis=1).astype(np.int64)
+        pairs = np.sort(pairs[self._can_touch(pairs, slack)], axis=1).astype(np.int64)
         return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+
+    def _can_touch(self, pairs, slack=0.0):
+        """Mark pairs whose arms, stretched toward each other, come closer than the safe distance (plus ``slack``)."""
+        distance = np.hypot(*(self._xy_mm[pairs[:, 0]] - self._xy_mm[pairs[:, 1]]).T)
+        return distance < self._arm_reach_mm[pairs].sum(axis=1) + self.positioner._separation_mm + slack
 
     @cached_property
     def _obstacle_pairs(self):
@@ -231,7 +235,8 @@ class FocalPlane:
         if len(circles) == 0:
             return np.empty((0, 2), dtype=np.int64)
         apart = np.hypot(*(self._xy_mm[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
-        return np.argwhere(apart < self._arm_reach_mm[:, None] + circles[None, :, 2] + self.positioner._clearance_mm)
+        limit = self._arm_reach_mm[:, None] + circles[None, :, 2] + self.positioner._clearance_mm
+        return np.argwhere(apart < limit + 4 * (self._scene.reach_slack + arms.EQUAL_ARMS))
 
     @cached_property
     def _scene(self):
@@ -246,7 +251,7 @@ class FocalPlane:
         ndarray of int, shape (k, 2)
             Row numbers i < j, sorted.
         """
-        return self._neighbors.copy()
+        return self._neighbors[self._can_touch(self._neighbors)]
 
     def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
         """Return which positioner reaches which target.

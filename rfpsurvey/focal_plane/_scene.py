@@ -60,9 +60,12 @@ class Scene:
     def limits(self) -> collisions.Limits:
         """Safe distance and the slack for rounding."""
         longest = {arms.ELBOW_TO_TIP: self.plane._l2_mm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}
-        length = (1.0 + 1e-12) * (longest[self.model] + 2 * self.reach_slack)
+        # almost equal arms count as equal, which moves their elbow
+        length = (1.0 + 1e-12) * (longest[self.model] + 2 * self.reach_slack + arms.EQUAL_ARMS)
         extent = np.hypot(*self.plane._xy_mm.T) + self.plane._arm_reach_mm
-        return collisions.limits(self.separation, float(length), float(extent.max()) + self.reach_slack)
+        return collisions.limits(
+            self.separation, float(length), float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS
+        )
 
     @cached_property
     def runs(self) -> np.ndarray:

@@ -39,4 +39,4 @@ if __name__ == "__main__":
             colliding, borderline, wrong = sum(pool.map(compare, repeat(name), range(len(tasks)), tasks))
             print(f"{name:<18}{n:>10}{colliding:>11}{borderline:>12}{wrong:>7}", flush=True)
             n_wrong += wrong
-    sys.exit(n_wrong > 0)
+    sys.exit(1 if n_wrong else 0)
