@@ -38,7 +38,8 @@ def write_help(app):
     """Keep what commands print, for pages to include."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
-    calls = {f"help_{command}": [command, "--help"] for command in ("plan", "score", "instruments")}
+    commands = ("plan", "score", "instruments", "benchmark", "benchmark collisions", "benchmark batches")
+    calls = {f"help_{c.replace(' ', '_')}": [*c.split(), "--help"] for c in commands}
     for name, arguments in {**calls, "instruments": ["instruments"]}.items():
         call = [sys.executable, "-m", "rfpsurvey", *arguments]
         text = subprocess.run(call, capture_output=True, text=True, check=True).stdout

@@ -16,7 +16,7 @@ from rfpsurvey.catalog import UNITS
 
 __all__ = [
     "app", "check_outputs", "finish", "finish_table", "instrument_of", "load_instrument", "main", "parse_center",
-    "parse_pairs", "read_assignment", "targets_and_center", "units_of",
+    "parse_pairs", "print_table", "read_assignment", "targets_and_center", "units_of",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -205,9 +205,18 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite
             print(f"wrote {path}")
 
 
+def print_table(table) -> None:
+    """Print a table of results with four digits."""
+    table = table.copy()
+    for column in table.columns.values():
+        if column.dtype.kind == "f":
+            column.info.format = ".4g"
+    print("\n".join(table.pformat(max_lines=-1, max_width=-1)))
+
+
 def finish_table(table, draw, output: Path, plot: Path, *, overwrite: bool) -> None:
     """Print a table of results, write it, and draw its chart."""
-    print("\n".join(table.pformat(max_lines=-1, max_width=-1)))
+    print_table(table)
     write_table(table, output, overwrite=overwrite)
     _draw(lambda: draw(table)[0].figure, plot, overwrite=overwrite)
     print(f"wrote {output}\nwrote {plot}")

@@ -34,4 +34,4 @@ def collisions(
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def batches(instrument: _options.InstrumentOption = "lamost", repeats: Repeats = 5) -> None:
     """Time the scoring of many configurations at once, on processor threads and a GPU if there is one."""
-    print("\n".join(rs.benchmark_batches(_app.load_instrument(instrument), repeats=repeats).pformat(max_width=-1)))
+    _app.print_table(rs.benchmark_batches(_app.load_instrument(instrument), repeats=repeats))
