@@ -87,4 +87,6 @@ def test_the_kernels_compile_for_a_device():
     done = subprocess.run([sys.executable, "-c", COMPILE], capture_output=True, text=True, env=environment)
     if "NvvmSupportError" in done.stderr or "libNVVM" in done.stderr:
         pytest.skip("NVIDIA's compiler is not there: pip install 'rfpsurvey[cuda]'")
+    if "CudaSupportError" in done.stderr:
+        pytest.skip("this numba-cuda asks for a driver even to compile")
     assert done.stdout.split() == ["stand", "True", "False", "count", "True", "False", "list_pairs", "True", "False"]
