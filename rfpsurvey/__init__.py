@@ -7,7 +7,7 @@ arms, collisions, tile score.
 from rfpsurvey.allocation import Allocation, allocate
 from rfpsurvey.benchmark import benchmark_batches, benchmark_collisions
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.collision import Arms, CollisionCounts, CollisionReport, count_collisions, find_collisions
+from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
@@ -23,7 +23,6 @@ except ImportError:  # a source tree that was never built
 
 __all__ = [
     "Allocation",
-    "Arms",
     "Catalog",
     "CollisionCounts",
     "CollisionReport",

@@ -1,8 +1,9 @@
 """Methods side by side: how fast each of them is, and how often and how far it errs."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from importlib.util import find_spec
 from time import perf_counter
 
@@ -12,7 +13,7 @@ from astropy.table import MaskedColumn, QTable
 
 from rfpsurvey._kernels import reference
 from rfpsurvey._units import to_generator
-from rfpsurvey.collision import METHODS, Found, Scene, count_collisions, near_pairs, place_arms
+from rfpsurvey.collision import METHODS, Configuration, Found, count_collisions, keep_closer, near_pairs, place_arms
 from rfpsurvey.collision._exactly import closer_exactly, distance_exactly
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
@@ -23,34 +24,29 @@ __all__ = ["benchmark_batches", "benchmark_collisions"]
 log = logging.getLogger(__name__)
 
 
-def every_pair(scene: Scene) -> Found:
+def every_pair(case: Configuration) -> Found:
     """Look at all neighbors in a plain loop, by the exact distance, without a broad phase."""
-    first, second = scene.plane._neighbors.T.copy()
+    first, second = case.plane._neighbors.T.copy()
     squared = np.empty(len(first))
-    reference.all_pairs(scene.segments, first, second, squared)
-    return _closer(scene, first, second, np.sqrt(squared))
+    reference.all_pairs(case.segments, first, second, squared)
+    return keep_closer(case, first, second, np.sqrt(squared))
 
 
-def endpoints(scene: Scene) -> Found:
+def endpoints(case: Configuration) -> Found:
     """Look at the four ends of two arms alone, which misses crossings."""
-    first, second = near_pairs(scene)
+    first, second = near_pairs(case)
     squared = np.empty(len(first))
-    reference.endpoints(scene.segments, first, second, squared)
-    return _closer(scene, first, second, np.sqrt(squared))
+    reference.endpoints(case.segments, first, second, squared)
+    return keep_closer(case, first, second, np.sqrt(squared))
 
 
-def shapely(scene: Scene) -> Found:
+def shapely(case: Configuration) -> Found:
     """Let shapely find the distances, vectorized; its line strings are made within the time."""
     from shapely import distance, linestrings
 
-    first, second = near_pairs(scene)
-    lines = linestrings(scene.segments.T.reshape(-1, 2, 2))
-    return _closer(scene, first, second, distance(lines[first], lines[second]))
-
-
-def _closer(scene, first, second, distances):
-    near = distances < scene.plane._scene.separation
-    return Found(first[near], second[near], distances[near])
+    first, second = near_pairs(case)
+    lines = linestrings(case.segments.T.reshape(-1, 2, 2))
+    return keep_closer(case, first, second, distance(lines[first], lines[second]))
 
 
 COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
@@ -114,9 +110,9 @@ def benchmark_collisions(
     _check_positive(n_configurations=n_configurations, repeats=repeats)
     rng = to_generator(rng)
     runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
-    scenes = [_scene(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
-    found, times = _take_turns(runs, scenes, repeats, seconds)
-    truth = [_true_pairs(scene(2)) for scene in scenes]
+    cases = [_case(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
+    found, times = _take_turns(runs, cases, repeats, seconds)
+    truth = [_true_pairs(case) for case in cases]
     rows = [{"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
             | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])} for m, n in runs]  # fmt: skip
     table = QTable({name: [row[name] for row in rows] for name in ("method", "n_points", "device", "time")})
@@ -203,8 +199,8 @@ def _batch_seconds(plane, tips, device, workers):
     return perf_counter() - start
 
 
-def _take_turns(runs, scenes, repeats, seconds):
-    """Return what each run finds in each scene, and all its times; the first turn compiles and is not counted."""
+def _take_turns(runs, cases, repeats, seconds):
+    """Return what each run finds in each case, and all its times; the first turn compiles and is not counted."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     for turn in range(repeats + 1):
@@ -215,10 +211,9 @@ def _take_turns(runs, scenes, repeats, seconds):
                 continue
             log.info("turn %d of %d: %s", turn, repeats, run)
             results = []
-            for scene in scenes:
-                scene = scene(run[1])
+            for case in (replace(case, n_points=run[1]) for case in cases):
                 start = perf_counter()
-                results.append(COMPARED[run[0]](scene))
+                results.append(COMPARED[run[0]](case))
                 times[run].append(perf_counter() - start)
             if turn == 0:
                 found[run] = results
@@ -226,15 +221,15 @@ def _take_turns(runs, scenes, repeats, seconds):
     return found, times
 
 
-def _true_pairs(scene):
+def _true_pairs(case):
     """Colliding pairs and their distances in rational arithmetic on the floats as they are."""
-    first, second = scene.plane._neighbors.T
-    middle = 0.5 * (scene.segments[:2] + scene.segments[2:])
-    half = 0.5 * np.hypot(*(scene.segments[2:] - scene.segments[:2]))
-    separation = scene.plane._scene.separation
+    first, second = case.plane._neighbors.T
+    middle = 0.5 * (case.segments[:2] + case.segments[2:])
+    half = 0.5 * np.hypot(*(case.segments[2:] - case.segments[:2]))
+    separation = case.plane._scene.separation
     gap = np.hypot(*(middle[:, first] - middle[:, second])) - half[first] - half[second]
-    rows = scene.segments.T.tolist()
-    pairs = [(i, j) for i, j in scene.plane._neighbors[gap < 1.001 * separation].tolist()]
+    rows = case.segments.T.tolist()
+    pairs = [(i, j) for i, j in case.plane._neighbors[gap < 1.001 * separation].tolist()]
     return {
         (i, j): distance_exactly(rows[i], rows[j]) for i, j in pairs if closer_exactly(rows[i], rows[j], separation)
     }
@@ -257,11 +252,10 @@ def _errors(truth, found):
     }  # fmt: skip
 
 
-def _scene(plane, tips) -> Callable[[int], Scene]:
-    """Arms that stand, for any number of points."""
+def _case(plane, tips) -> Configuration:
+    """Arms that stand."""
     posed = place_arms(plane, tips * u.mm)
-    segments = np.ascontiguousarray(posed.segments.T)
-    return lambda n_points: Scene(plane, segments, n_points, lambda: posed)
+    return Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
 
 
 def _random_tips(plane, rng):

@@ -49,10 +49,12 @@ class Desk(NamedTuple):
 @kernel
 def count(stage, desk, counts, times):
     """Count the collisions of the arms on the desk; ``times`` gains one where a positioner collides."""
-    halve(desk.segments, desk.halves)
-    n, borderline = colliding_pairs(
-        desk.segments, desk.halves, stage.runs, stage.limits, desk.mask, desk.first, desk.second, desk.squared
-    )
+    n = borderline = 0
+    if stage.runs.shape[0] > 0:
+        halve(desk.segments, desk.halves)
+        n, borderline = colliding_pairs(
+            desk.segments, desk.halves, stage.runs, stage.limits, desk.mask, desk.first, desk.second, desk.squared
+        )
     desk.colliding[:] = False
     limit = stage.limits.separation**2
     counts[:] = 0
@@ -93,9 +95,10 @@ def count_tips(tips, geometry, side, stage, desk, counts, times):
     far = 0
     for c in range(tips.shape[0]):
         far += check(tips[c], geometry, desk.assigned, desk.far)
-        place(tips[c], geometry, side[min(c, side.shape[0] - 1)], desk.segments)
-        fill_idle(desk.assigned, stage.idle, desk.segments)
-        shape(desk.segments, stage.model, stage.length, stage.cosine, stage.sine)
+        if stage.runs.shape[0] > 0 or stage.obstacle_pairs.shape[0] > 0:  # else nothing can collide
+            place(tips[c], geometry, side[min(c, side.shape[0] - 1)], desk.segments)
+            fill_idle(desk.assigned, stage.idle, desk.segments)
+            shape(desk.segments, stage.model, stage.length, stage.cosine, stage.sine)
         count(stage, desk, counts[c], times)
     return far
 

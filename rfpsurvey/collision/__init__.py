@@ -3,10 +3,10 @@
 from rfpsurvey.collision._arms import Arms, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions
 from rfpsurvey.collision._find import find_collisions
-from rfpsurvey.collision._methods import METHODS, Found, Scene, near_pairs
+from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
-    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Found", "Scene", "count_collisions",
-    "find_collisions", "near_pairs", "nearest_distance", "place_arms",
+    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "count_collisions",
+    "find_collisions", "keep_closer", "near_pairs", "nearest_distance", "place_arms",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey.collision._arms import Arms, arm_angles, check_tips, place_arms, place_tips, to_sides, to_tips
-from rfpsurvey.collision._methods import METHODS, Found, Scene
+from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
@@ -100,7 +100,7 @@ def find_collisions(
     segments, assigned, parked, poses = _stand(focal_plane, tips, given, parked_obstacles)
     quiet = len(focal_plane._scene.runs) == 0
     first, second, distances, n_borderline = (
-        NOTHING if quiet else find(Scene(focal_plane, segments, int(n_points), poses))
+        NOTHING if quiet else find(Configuration(focal_plane, segments, int(n_points), poses))
     )
     # the positioners of a pair and the pairs in ascending order
     first, second = np.minimum(first, second), np.maximum(first, second)

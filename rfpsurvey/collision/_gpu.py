@@ -48,7 +48,7 @@ def count_tips(points, plane, stage, side):
         cuda.to_device(stage.idle), stage.model, stage.length, cuda.to_device(angles), segments, far,
     )  # fmt: skip
     limits = stage.limits
-    indptr, neighbor = _both_ways(plane._neighbors, n)
+    indptr, neighbor = plane._scene.both_ways
     hurdle_indptr = np.searchsorted(stage.obstacle_pairs[:, 0], np.arange(n + 1))
     hurdles = np.vstack([stage.obstacles[stage.obstacle_pairs[:, 1]], np.zeros((1, 3))])  # never empty
     gpu.count[grid, gpu.THREADS](
@@ -57,13 +57,6 @@ def count_tips(points, plane, stage, side):
         cuda.to_device(hurdles), stage.clearance, counts, times,
     )  # fmt: skip
     return counts.copy_to_host(), times.copy_to_host(), int(far.copy_to_host()[0])
-
-
-def _both_ways(pairs, n):
-    """All neighbors of each positioner (CSR)."""
-    both = np.vstack([pairs, pairs[:, ::-1]])
-    both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    return np.searchsorted(both[:, 0], np.arange(n + 1)), np.append(both[:, 1], 0)
 
 
 def _require_device():

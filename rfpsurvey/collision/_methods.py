@@ -11,11 +11,11 @@ from rfpsurvey.collision._arms import Arms
 from rfpsurvey.collision._exactly import closer_exactly
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["METHODS", "Found", "Scene", "near_pairs"]
+__all__ = ["METHODS", "Configuration", "Found", "near_pairs"]
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Configuration:
     """One configuration, as a method sees it."""
 
     plane: FocalPlane
@@ -35,39 +35,37 @@ class Found(NamedTuple):
     n_borderline: int | None = None
 
 
-def exact(scene: Scene) -> Found:
+def exact(case: Configuration) -> Found:
     """Distances with a proven error; pairs within it of the limit are settled in rational arithmetic."""
-    columns = scene.plane._scene
-    halves, mask, first, second = _scratch(scene)
+    columns = case.plane._scene
+    halves, mask, first, second = _scratch(case)
     squared = np.empty(len(first))
-    n, _ = collisions.colliding_pairs(
-        scene.segments, halves, columns.runs, columns.limits, mask, first, second, squared
-    )
-    return _settle(scene, first[:n], second[:n], squared[:n])
+    n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, mask, first, second, squared)
+    return _settle(case, first[:n], second[:n], squared[:n])
 
 
-def sampled(scene: Scene) -> Found:
+def sampled(case: Configuration) -> Found:
     """Least distance of ``n_points`` points on either arm: never too small, and blind to shallow crossings."""
-    first, second = near_pairs(scene)
+    first, second = near_pairs(case)
     squared = np.empty(len(first))
-    reference.sampled(scene.segments, first, second, scene.n_points, squared)
-    return _closer(scene, first, second, np.sqrt(squared))
+    reference.sampled(case.segments, first, second, case.n_points, squared)
+    return keep_closer(case, first, second, np.sqrt(squared))
 
 
-def sweep(scene: Scene) -> Found:
+def sweep(case: Configuration) -> Found:
     """Least distance of the areas that the arms sweep from home to their poses, joints moving together."""
-    plane, posed = scene.plane, scene.poses()
+    plane, posed = case.plane, case.poses()
     pairs = plane._neighbors[posed.present[plane._neighbors].all(axis=1)]
     first, second = pairs.T.copy()
-    poses = np.empty((scene.n_points, *scene.segments.shape))
+    poses = np.empty((case.n_points, *case.segments.shape))
     # the joints turn the short way round; idle arms stand at home all the time
     start = np.repeat(plane.positioner._home_rad[:, None], len(plane), axis=1)
     move = np.array([posed.theta - start[0], posed.phi - start[1]])
     move[0] -= 2 * np.pi * np.round(move[0] / (2 * np.pi))
-    for pose, part in zip(poses[:-1], np.linspace(0, 1, scene.n_points), strict=False):
+    for pose, part in zip(poses[:-1], np.linspace(0, 1, case.n_points), strict=False):
         arms.pose(*(start + part * move), plane._scene.geometry, pose)
         arms.shape(pose, plane._scene.model, plane._scene.length, *_capsule_angles(posed))
-    poses[-1] = scene.segments
+    poses[-1] = case.segments
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
     limits = plane._scene.limits
@@ -75,55 +73,61 @@ def sweep(scene: Scene) -> Found:
     return Found(first[near], second[near], np.sqrt(squared[near]))
 
 
-def scipy(scene: Scene) -> Found:
+def scipy(case: Configuration) -> Found:
     """Bounded least squares over the positions along both arms, by SciPy."""
     from scipy.optimize import lsq_linear
 
-    first, second = near_pairs(scene)
+    first, second = near_pairs(case)
     distances = np.empty(len(first))
     for k in range(len(first)):
-        p, q = scene.segments[:, first[k]].reshape(2, 2), scene.segments[:, second[k]].reshape(2, 2)
+        p, q = case.segments[:, first[k]].reshape(2, 2), case.segments[:, second[k]].reshape(2, 2)
         matrix, aim = np.column_stack([p[1] - p[0], q[0] - q[1]]), q[0] - p[0]
         found = lsq_linear(matrix, aim, bounds=(0, 1), method="bvls", tol=1e-14)
         distances[k] = np.hypot(*(matrix @ found.x - aim))
-    return _closer(scene, first, second, distances)
+    return keep_closer(case, first, second, distances)
 
 
-def cuda(scene: Scene) -> Found:
+def cuda(case: Configuration) -> Found:
     """Distances as in ``exact``, made by a GPU."""
     from rfpsurvey.collision import _gpu
 
-    return _settle(scene, *_gpu.find_pairs(scene.segments, scene.plane._neighbors, scene.plane._scene.limits))
+    return _settle(case, *_gpu.find_pairs(case.segments, case.plane._neighbors, case.plane._scene.limits))
 
 
 METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
-"""Name to function `Scene` -> `Found`."""
+"""Name to function `Configuration` -> `Found`."""
 
 
-def near_pairs(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
     """Return the neighbors that the broad phase does not reject."""
-    halves, mask, first, second = _scratch(scene)
-    n = collisions.near_pairs(halves, scene.plane._scene.runs, scene.plane._scene.limits, mask, first, second)
+    halves, mask, first, second = _scratch(case)
+    n = collisions.near_pairs(halves, case.plane._scene.runs, case.plane._scene.limits, mask, first, second)
     return first[:n], second[:n]
 
 
-def _scratch(scene):
+def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, distances: np.ndarray) -> Found:
+    """Return the pairs closer than the safe distance."""
+    near = distances < case.plane._scene.separation
+    return Found(first[near], second[near], distances[near])
+
+
+def _scratch(case):
     """Halves of the segments, and room for marks and for all pairs."""
-    room = len(scene.plane._neighbors) + 1  # rejected pairs are written too, and overwritten
-    halves = np.empty_like(scene.segments)
-    collisions.halve(scene.segments, halves)
-    mask = np.empty(scene.plane._scene.longest_run, dtype=np.bool_)
+    room = len(case.plane._neighbors) + 1  # rejected pairs are written too, and overwritten
+    halves = np.empty_like(case.segments)
+    collisions.halve(case.segments, halves)
+    mask = np.empty(case.plane._scene.longest_run, dtype=np.bool_)
     return halves, mask, np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
 
 
-def _settle(scene, first, second, squared):
+def _settle(case, first, second, squared):
     """Decide about the pairs within the band about the limit."""
-    limits = scene.plane._scene.limits
+    limits = case.plane._scene.limits
     edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
     if len(edge):
         keep = np.ones(len(squared), dtype=bool)
         for k in edge:
-            ends = scene.segments[:, first[k]].tolist(), scene.segments[:, second[k]].tolist()
+            ends = case.segments[:, first[k]].tolist(), case.segments[:, second[k]].tolist()
             keep[k] = closer_exactly(*ends, limits.separation)
         first, second, squared = first[keep], second[keep], squared[keep]
     return Found(first, second, np.sqrt(squared), len(edge))
@@ -135,8 +139,3 @@ def _capsule_angles(posed):
     scale = np.hypot(ux, uy) * np.hypot(vx, vy)
     scale[scale == 0] = 1  # a capsule without a length
     return (ux * vx + uy * vy) / scale, (ux * vy - uy * vx) / scale
-
-
-def _closer(scene, first, second, distances):
-    near = distances < scene.plane._scene.separation
-    return Found(first[near], second[near], distances[near])

@@ -83,6 +83,14 @@ class Scene:
         return runs[np.lexsort((runs[:, 1], runs[:, 0]))]
 
     @cached_property
+    def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
+        """All neighbors of each positioner: where its row begins, and the neighbors, never empty."""
+        pairs = self.plane._neighbors
+        both = np.vstack([pairs, pairs[:, ::-1]])
+        both = both[np.lexsort((both[:, 1], both[:, 0]))]
+        return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)
+
+    @cached_property
     def longest_run(self) -> int:
         """Length of the mask that the broad phase needs."""
         return int(self.runs[:, 2].max(initial=0))
