@@ -146,6 +146,8 @@ def to_labels(value: object, name: str) -> np.ndarray:
 def to_generator(rng: object) -> np.random.Generator:
     """Return a numpy Generator from a seed, a Generator or None."""
     try:
+        if isinstance(rng, np.random.RandomState):
+            raise TypeError
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
         raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {rng!r}") from None

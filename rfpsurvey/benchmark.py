@@ -1,9 +1,12 @@
 """Methods side by side: how fast each of them is, and how often and how far it errs."""
 
 import logging
+import os
+import platform
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from importlib.metadata import version
 from importlib.util import find_spec
 from time import perf_counter
 
@@ -67,7 +70,8 @@ def benchmark_collisions(
     """Time every way of finding collisions on the same arms, and compare what it finds with rational arithmetic.
 
     Targets are uniform in each patrol area, one a positioner. What is timed begins with arms that stand and ends
-    with the list of pairs. All methods take turns, so that a busy machine slows them alike; compiled code is warm.
+    with the list of pairs. All methods take turns in random order, so that a busy machine slows them alike; compiled
+    code is warm. With few repeats times are rough.
 
     Parameters
     ----------
@@ -75,13 +79,13 @@ def benchmark_collisions(
         Preset, instrument or focal plane.
     methods : sequence of str, optional
         Methods of `find_collisions`, and for comparison ``every_pair`` (no broad phase), ``endpoints`` (no test for
-        crossings) and ``shapely``. None: all that can run here.
+        crossings) and ``shapely`` (if it is installed). None: all that can run here.
     n_configurations : int, optional
         Configurations that each method is tried on.
     repeats : int, optional
         How often at most each method runs on each of them.
     seconds : float, optional
-        Time after which a slow method is not repeated.
+        Time (s) after which a slow method is not repeated.
     rng : int, Generator or None, optional
         Seed or source of the targets.
 
@@ -106,12 +110,12 @@ def benchmark_collisions(
     ['    exact          0', 'endpoints          0']
     """
     plane = _plane_of(instrument)
-    names = _available() if methods is None else [check_choice(m, COMPARED, "method") for m in methods]
+    names = _check_methods(methods)
     _check_positive(n_configurations=n_configurations, repeats=repeats)
     rng = to_generator(rng)
     runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
     cases = [_case(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
-    found, times = _take_turns(runs, cases, repeats, seconds)
+    found, times = _take_turns(runs, cases, repeats, seconds, rng)
     truth = [_true_pairs(case) for case in cases]
     rows = [{"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
             | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])} for m, n in runs]  # fmt: skip
@@ -123,7 +127,9 @@ def benchmark_collisions(
         table[name] = [row[name] for row in rows]
     for name in ("max_error", "mean_error"):
         table[name] = [row[name] for row in rows] * u.mm
-    table.meta.update(_provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats)
+    table.meta.update(
+        _provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats, seconds=seconds
+    )
     return table[np.isin(table["method"], names)] if "exact" not in names else table
 
 
@@ -142,7 +148,8 @@ def benchmark_batches(
     instrument : str, Instrument or FocalPlane, optional
         Preset, instrument or focal plane.
     sizes : sequence of int, optional
-        Configurations scored in one call; at most 256 different ones are made, and repeated.
+        Configurations scored in one call; at most 256 different ones are made, and repeated. Their tips lie in memory:
+        640 MB for 10,000 of 4000 positioners.
     workers : sequence of int, optional
         Numbers of threads.
     repeats : int, optional
@@ -168,8 +175,11 @@ def benchmark_batches(
     ['   CPU    1', '   CPU   10']
     """
     plane = _plane_of(instrument)
-    _check_positive(repeats=repeats, **{f"sizes[{k}]": n for k, n in enumerate(sizes)})
-    _check_positive(**{f"workers[{k}]": n for k, n in enumerate(workers)})
+    for name, values in (("sizes", sizes), ("workers", workers)):
+        if not isinstance(values, Sequence) or len(values) == 0:
+            raise InputError(f"{name} must be a list of whole numbers, got {values!r}")
+        _check_positive(**{f"{name}[{k}]": n for k, n in enumerate(values)})
+    _check_positive(repeats=repeats)
     rng = to_generator(rng)
     some = np.array([_random_tips(plane, rng) for _ in range(min(256, max(sizes)))])
     ways = [("CPU", n) for n in workers] + [("GPU", 1)] * _has_gpu()
@@ -199,15 +209,13 @@ def _batch_seconds(plane, tips, device, workers):
     return perf_counter() - start
 
 
-def _take_turns(runs, cases, repeats, seconds):
-    """Return what each run finds in each case, and all its times; the first turn compiles and is not counted."""
+def _take_turns(runs, cases, repeats, seconds, rng):
+    """Return what each run finds in each case, and all its times; the first turn compiles and hardly counts."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     for turn in range(repeats + 1):
-        for run in runs:
-            if turn > 1 and sum(times[run]) > seconds:
-                continue
-            if turn == 1 and times[run] and times[run][0] > seconds:
+        for run in (runs[k] for k in rng.permutation(len(runs))):
+            if sum(times[run]) > seconds:
                 continue
             log.info("turn %d of %d: %s", turn, repeats, run)
             results = []
@@ -217,7 +225,8 @@ def _take_turns(runs, cases, repeats, seconds):
                 times[run].append(perf_counter() - start)
             if turn == 0:
                 found[run] = results
-                times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
+                # the last call of a slow method counts, and may be all that there is time for
+                times[run] = times[run][-1:] if times[run][-1] > seconds / 4 or turn == repeats else []
     return found, times
 
 
@@ -259,23 +268,41 @@ def _case(plane, tips) -> Configuration:
 
 
 def _random_tips(plane, rng):
-    """One target a positioner, uniform in its patrol area, in mm."""
-    inner, outer = plane._inner_mm, plane._outer_mm
-    n = len(plane)
-    r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
-    alpha = rng.uniform(0, 2 * np.pi, n)
-    return plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+    """One target a positioner, uniform in what it reaches, in mm; NaN if nothing was found in a hundred attempts."""
+    inner, outer, n = plane._inner_mm, plane._outer_mm, len(plane)
+    tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
+    for _ in range(100):
+        r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
+        alpha = rng.uniform(0, 2 * np.pi, n)
+        drawn = plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+        tips[wanting] = drawn[wanting]
+        wanting = place_arms(plane, tips * u.mm, clip=True).clipped
+        if not wanting.any():
+            break
+    tips[wanting] = np.nan
+    return tips
 
 
 def _plane_of(instrument):
     if isinstance(instrument, FocalPlane):
         return instrument
-    return (Instrument.preset(instrument) if isinstance(instrument, str) else instrument).focal_plane
+    model = Instrument.preset(instrument) if isinstance(instrument, str) else instrument
+    if not isinstance(model, Instrument):
+        raise InputError(f"instrument must be a name, an Instrument or a FocalPlane, got {type(model).__name__}")
+    return model.focal_plane
 
 
-def _available():
-    gone = {"cuda"} - ({"cuda"} if _has_gpu() else set())
-    return [m for m in COMPARED if m not in gone and not (m == "shapely" and find_spec("shapely") is None)]
+def _check_methods(methods):
+    """Return the names asked for, or all that can run here."""
+    if isinstance(methods, str):
+        raise InputError(f"methods must be a list of names, got {methods!r}")
+    gone = {"shapely"} if find_spec("shapely") is None else set()
+    if methods is None:
+        return [m for m in COMPARED if m not in gone and (m != "cuda" or _has_gpu())]
+    names = list(dict.fromkeys(check_choice(m, COMPARED, "method") for m in methods))
+    if gone & set(names):
+        raise InputError("the method 'shapely' needs the package shapely, which is not installed")
+    return names
 
 
 def _has_gpu():
@@ -298,4 +325,6 @@ def _provenance(instrument, plane):
     return {
         "instrument": name, "n_positioners": len(plane), "n_neighbor_pairs": len(plane._neighbors),
         "min_separation_mm": plane.positioner._separation_mm,
+        "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
     }  # fmt: skip

@@ -159,11 +159,15 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     """
     from matplotlib.figure import Figure
 
+    if not isinstance(table, QTable):
+        raise InputError(f"table must be a QTable, got {type(table).__name__}")
     missing = {"method", "n_points", "time", "misclassified", "max_error"} - set(table.colnames)
     if missing:
         raise InputError(f"table must come from benchmark_collisions, but it has no {', '.join(sorted(missing))}")
     if axes is None:
         axes = tuple(Figure(figsize=(7.5, 7), layout="constrained").subplots(2, sharex=True))
+    if len(axes) != 2:
+        raise InputError(f"axes must be two Axes, got {len(axes)}")
     time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
     panels = (
         (np.asarray(table["misclassified"]), "misclassified pairs, for each colliding one"),
@@ -176,6 +180,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
             rows = np.flatnonzero(table["method"] == method)
             y = np.where(values[rows] > 0, values[rows], floor)
             style = {"color": SERIES[k % len(SERIES)], "marker": "osD^vP*X"[k % 8], "linestyle": ":", "label": method}
+            style["markerfacecolor"] = style["color"] if k == 0 else "none"  # let others shine through
             ax.plot(time[rows], y, **style)
             for row, height in zip(rows, y, strict=True):
                 if points[row] is not np.ma.masked:

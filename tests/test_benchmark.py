@@ -55,6 +55,13 @@ def test_the_truth_comes_from_rational_arithmetic(monkeypatch):
     assert rows(table, "scipy")["misclassified"] == [0]
 
 
+def test_a_comparison_that_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setattr(benchmark, "find_spec", lambda name: None)
+    assert "shapely" not in benchmark._check_methods(None)
+    with pytest.raises(rs.InputError, match="needs the package shapely"):
+        rs.benchmark_collisions("lamost", methods=["shapely"])
+
+
 def test_a_table_survives_the_round_trip(table, tmp_path):
     table.write(tmp_path / "t.ecsv")
     again = QTable.read(tmp_path / "t.ecsv")
@@ -70,9 +77,23 @@ def test_batches(monkeypatch):
     np.testing.assert_allclose((table["rate"] * table["time"]).to_value(u.one), table["size"])
 
 
+def test_joint_limits_are_kept(rng):
+    unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm, phi_range=[60, 180] * u.deg)
+    plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=25.6 * u.mm)
+    tips = benchmark._random_tips(plane, rng)
+    assert np.isfinite(tips).all()
+    assert (np.hypot(*(tips - plane._xy_mm).T) < 2 * 8.25 * np.cos(np.deg2rad(30)) + 1e-9).all()
+    assert len(rs.benchmark_batches(plane, sizes=[1], workers=[1], repeats=1)) == 1
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: rs.benchmark_collisions(3), "instrument must be a name, an Instrument or a FocalPlane, got int"),
+        (lambda: rs.benchmark_collisions("lamost", methods="exact"), "methods must be a list of names, got 'exact'"),
+        (lambda: rs.benchmark_batches("lamost", sizes=[]), r"sizes must be a list of whole numbers, got \[\]"),
+        (lambda: rs.benchmark_batches("lamost", workers=2), "workers must be a list of whole numbers, got 2"),
+        (lambda: rs.plot_speed_accuracy(None), "table must be a QTable, got NoneType"),
         (lambda: rs.benchmark_collisions("lamost", methods=["guess"]), "unknown method 'guess'; choose one of: "),
         (lambda: rs.benchmark_collisions("lamost", repeats=0), "repeats must be a whole number of at least 1, got 0"),
         (lambda: rs.benchmark_collisions("lamost", n_configurations=1.5), "n_configurations must be a whole number"),

@@ -92,7 +92,7 @@ def test_benchmark(run, tmp_path):
     assert QTable.read(chart.with_suffix(".ecsv"))["method"].tolist() == ["exact", "endpoints"]
     code, _, err = run(*call)
     assert code == 2
-    assert "chart.ecsv exists" in err
+    assert "chart.png exists" in err
     code, out, _ = run("benchmark", "batches", "--instrument", "sdss_apo", "--repeats", "1")
     assert code == 0
     assert "10000" in out

@@ -143,6 +143,7 @@ def test_nothing_to_count():
         ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
         ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach, the first that of positioner"),
         ({"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3}, "n_configurations belongs to an Allocation"),
+        ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
         ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
     ],
 )
@@ -162,5 +163,15 @@ def test_bad_draws_are_named():
         rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, method="cuda")
     with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
         rs.count_collisions(lamost_like(2), rs.allocate(xy, plane), n_configurations=3)
+    elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
+    with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
+        rs.count_collisions(elsewhere, rs.allocate(xy, plane), n_configurations=3)
+    with pytest.raises(rs.InputError, match="rng must be a seed of at least 0, a numpy Generator or None"):
+        rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, rng=np.random.RandomState(1))
+    for wrong in ("lamost", rs.Instrument.preset("lamost")):
+        with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
+            rs.count_collisions(wrong, xy)
+        with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
+            rs.find_collisions(wrong, xy)
     with pytest.raises(rs.InputError, match="an Allocation brings its own poses"):
         rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, handedness="left")

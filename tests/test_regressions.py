@@ -276,7 +276,10 @@ def test_meta_of_any_kind_can_be_written(small, tmp_path):
             lambda s: s.projection(CENTER).to_focal_plane(SkyCoord([[1, 2]], [[1, 2]], unit="deg")),
             r"coord must have the shape",
         ),
-        (lambda s: rs.find_collisions(s.focal_plane, s.focal_plane.xy, theta=np.zeros(37) * u.deg), "not both"),
+        (
+            lambda s: rs.find_collisions(s.focal_plane, s.focal_plane.xy, theta=np.zeros(37) * u.deg),
+            "give either tips, or both",
+        ),
         (
             lambda s: rs.find_collisions(
                 s.focal_plane, place_arms(rs.FocalPlane([[0, 0]] * MM, s.focal_plane.positioner), [[1, 0]] * MM)

@@ -10,14 +10,13 @@ from rfpsurvey._cli import _app, _options
 
 benchmark = typer.Typer(no_args_is_help=True, help="Time the methods side by side, on the arms of an instrument.")
 _app.app.add_typer(benchmark, name="benchmark")
-Repeats = Annotated[int, typer.Option(help="How often each method runs at most.")]
 
 
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
     method: Annotated[list[str] | None, typer.Option(help="These methods only; may be repeated.")] = None,
-    repeats: Repeats = 15,
+    repeats: Annotated[int, typer.Option(help="How often each method runs at most.")] = 15,
     seed: Annotated[int, typer.Option(help="Of the random targets.")] = 0,
     plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
         "benchmark_collisions.png"
@@ -25,13 +24,17 @@ def collisions(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Chart the speed of every method of finding collisions against its errors."""
+    _app.check_outputs(None, plot, overwrite=overwrite)
     output = plot.with_suffix(".ecsv")
-    _app.check_outputs(output, plot, overwrite=overwrite)
+    _app.check_outputs(output, None, overwrite=overwrite)
     table = rs.benchmark_collisions(_app.load_instrument(instrument), methods=method, repeats=repeats, rng=seed)
     _app.finish_table(table, rs.plot_speed_accuracy, output, plot, overwrite=overwrite)
 
 
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
-def batches(instrument: _options.InstrumentOption = "lamost", repeats: Repeats = 5) -> None:
+def batches(
+    instrument: _options.InstrumentOption = "lamost",
+    repeats: Annotated[int, typer.Option(help="Calls of each kind, of which the median counts.")] = 5,
+) -> None:
     """Time the scoring of many configurations at once, on processor threads and a GPU if there is one."""
     _app.print_table(rs.benchmark_batches(_app.load_instrument(instrument), repeats=repeats))

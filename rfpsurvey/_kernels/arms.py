@@ -122,7 +122,8 @@ def shape(segments, model, length, cosine, sine):
         for i in range(cosine.size):
             x[i], y[i] = capsule_end(ex[i], ey[i], x[i], y[i], length, cosine[i], sine[i])
     elif model == FIBER_TIP:
-        segments[:2] = segments[2:]
+        for i in range(cosine.size):
+            segments[0, i], segments[1, i] = segments[2, i], segments[3, i]
 
 
 @kernel

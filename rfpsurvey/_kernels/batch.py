@@ -113,7 +113,8 @@ def count_draws(uniform, indptr, entries, idle, stage, desk, counts, times):
     for i in range(n):
         desk.assigned[i] = indptr[i + 1] > indptr[i]
         if not desk.assigned[i]:
-            desk.segments[:, i] = idle[:, i]
+            for row in range(4):
+                desk.segments[row, i] = idle[row, i]
     for c in range(uniform.shape[0]):
         for i in range(n):
             length = indptr[i + 1] - indptr[i]

@@ -205,7 +205,9 @@ def nearest_arm(segments, halves, order, out):
     """
     out[:] = np.nan
     longest = 0.0
-    half = np.sqrt(halves[2] * halves[2] + halves[3] * halves[3])
+    half = np.empty(out.size)
+    for i in range(out.size):
+        half[i] = math.sqrt(halves[2, i] * halves[2, i] + halves[3, i] * halves[3, i])
     for k in range(order.size):
         longest = max(longest, half[order[k]])
     for k in range(order.size):

@@ -10,7 +10,17 @@ from rfpsurvey._units import to_points_mm, to_radian
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["Arms", "arm_angles", "check_tips", "nearest_distance", "place_arms", "place_tips", "to_sides", "to_tips"]
+__all__ = [
+    "Arms",
+    "arm_angles",
+    "check_plane",
+    "check_tips",
+    "nearest_distance",
+    "place_arms",
+    "place_tips",
+    "to_sides",
+    "to_tips",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +63,10 @@ def place_arms(
     """
     n, scene = len(focal_plane), focal_plane._scene
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
-        raise InputError("give tips, or theta and phi, not both")
+        raise InputError("give either tips, or both theta and phi")
     if tips is None:
+        if handedness is not None:
+            raise InputError("handedness belongs to tips; theta and phi say themselves where the elbow is")
         angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
         segments = np.empty((4, n))
         arms.pose(*angles, scene.geometry, segments)
@@ -76,6 +88,13 @@ def place_arms(
     return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped)
 
 
+def check_plane(focal_plane):
+    """Refuse what is no focal plane."""
+    if not isinstance(focal_plane, FocalPlane):
+        hint = "; an Instrument has one, its focal_plane" if hasattr(focal_plane, "focal_plane") else ""
+        raise InputError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
+
+
 def to_tips(tips, n):
     """Return tips in mm, a row for each positioner."""
     points = to_points_mm(tips, "tips")
@@ -92,7 +111,7 @@ def check_tips(plane, points, side, *, clip=False):
         k = int(np.flatnonzero(far)[0])
         raise InputError(
             f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
-            f"{np.hypot(*(points[k] - plane._xy_mm[k])):.4f} mm from its center, "
+            f"{np.hypot(*(points[k] - plane._xy_mm[k])):.7g} mm from its center, "
             f"must be {plane._inner_mm[k]:.4f} to {plane._outer_mm[k]:.4f} mm"
         )
     if not plane.positioner._joints_free:
@@ -145,6 +164,8 @@ def arm_angles(plane, fiber_type):
     types = np.asarray(fiber_type, dtype=str)
     if types.shape != (len(plane),):
         raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
+    if plane.fiber_types == ("",) and (types != "").any():
+        raise InputError(f"the positioners have no fiber types, got the fiber type {str(types[types != ''][0])!r}")
     types = np.where(types == "", plane._first_type, types)
     for name in np.unique(types):
         check_choice(str(name), plane.fiber_types, "fiber type")

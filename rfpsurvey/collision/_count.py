@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_generator, to_mm
-from rfpsurvey.collision._arms import arm_angles, check_tips, to_sides
+from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, to_sides
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -130,7 +130,10 @@ def count_collisions(
     >>> rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm).n_pairs
     array([1, 0])
     """
+    check_plane(focal_plane)
     check_choice(method, METHODS, "method of counting collisions")
+    if executor is not None and not isinstance(executor, Executor):
+        raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
             raise InputError("an Allocation brings its own poses; give no handedness or fiber_type")
@@ -213,8 +216,11 @@ def _entries(plane, allocation):
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
-    segments = np.empty((4, len(own)))
-    arms.place(points, plane._scene.geometry_of(own), plane._sides(points, own), segments)
+    segments, geometry = np.empty((4, len(own))), plane._scene.geometry_of(own)
+    far = np.empty(len(own), dtype=bool)
+    if arms.check(points, geometry, np.empty_like(far), far):
+        raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
+    arms.place(points, geometry, plane._sides(points, own), segments)
     types = plane._first_type[own]
     if allocation.wanted is not None:
         wanted = allocation.wanted[target]

@@ -4,7 +4,16 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
-from rfpsurvey.collision._arms import Arms, arm_angles, check_tips, place_arms, place_tips, to_sides, to_tips
+from rfpsurvey.collision._arms import (
+    Arms,
+    arm_angles,
+    check_plane,
+    check_tips,
+    place_arms,
+    place_tips,
+    to_sides,
+    to_tips,
+)
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice
@@ -12,6 +21,7 @@ from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["find_collisions"]
 
+MOST_POINTS = 10_000
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
 
 
@@ -41,7 +51,8 @@ def find_collisions(
         Where the fiber of each positioner is, NaN for those without a target; or an allocation, whose elbows and
         options are then used; or poses that are already there.
     theta, phi : Quantity, shape (n,), optional
-        Joint angles instead of ``tips``; NaN for positioners without a target.
+        Joint angles instead of ``tips``, taken as they are, within the joint limits or not; NaN for positioners
+        without a target.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
         Elbow of each arm, where it is not the positioner's own.
     fiber_type : array_like of str, shape (n,), optional
@@ -52,12 +63,12 @@ def find_collisions(
     method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
         ``exact``: distances with a proven error, and rational arithmetic where that could matter.
         ``sampled``: the least distance of ``n_points`` points on either arm; misses grazing pairs, and crossings
-        too if n_points <= 1 + l2 / (sqrt(2) D).
+        too if n_points <= 1 + length of the arm / (sqrt(2) D).
         ``sweep``: the areas that the two arms sweep on the way from home, both joints moving together the short
         way round, as ``n_points`` poses each; finds every collision, and many that are none.
         ``scipy``: minimization by SciPy, slow. ``cuda``: the exact distances on a GPU (``rfpsurvey[cuda]``).
     n_points : int, optional
-        Points on an arm (sampled) or poses on its way (sweep), at least 2.
+        Points on an arm (sampled) or poses on its way (sweep), 2 to 10,000.
 
     Returns
     -------
@@ -88,8 +99,9 @@ def find_collisions(
     <CollisionReport: 1 pairs, 0 with obstacles, 2 of 2 positioners>
     """
     find = METHODS[check_choice(method, METHODS, "collision method")]
-    if not (isinstance(n_points, int | np.integer) and n_points >= 2):
-        raise InputError(f"n_points must be a whole number of at least 2, got {n_points!r}")
+    check_plane(focal_plane)
+    if not (isinstance(n_points, int | np.integer) and 2 <= n_points <= MOST_POINTS):
+        raise InputError(f"n_points must be a whole number of at least 2 and at most {MOST_POINTS}, got {n_points!r}")
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
     if ready and any(value is not None for value in given.values()):
