@@ -1,8 +1,8 @@
 """Methods side by side: how fast each of them is, and how often and how far it errs."""
 
-import logging
 import os
 import platform
+import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,6 +13,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
+from astropy.utils.console import ProgressBar
 
 from rfpsurvey._kernels import reference
 from rfpsurvey._units import to_generator
@@ -23,8 +24,6 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 
 __all__ = ["benchmark_batches", "benchmark_collisions"]
-
-log = logging.getLogger(__name__)
 
 
 def every_pair(case: Configuration) -> Found:
@@ -66,6 +65,7 @@ def benchmark_collisions(
     repeats: int = 15,
     seconds: float = 2.0,
     rng: int | np.random.Generator | None = 0,
+    progress: bool = False,
 ) -> QTable:
     """Time every way of finding collisions on the same arms, and compare what it finds with rational arithmetic.
 
@@ -88,6 +88,8 @@ def benchmark_collisions(
         Time (s) after which a slow method is not repeated.
     rng : int, Generator or None, optional
         Seed or source of the targets.
+    progress : bool, optional
+        Show a bar on the standard error.
 
     Returns
     -------
@@ -115,7 +117,7 @@ def benchmark_collisions(
     rng = to_generator(rng)
     runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
     cases = [_case(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
-    found, times = _take_turns(runs, cases, repeats, seconds, rng)
+    found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
     rows = [{"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
             | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])} for m, n in runs]  # fmt: skip
@@ -209,15 +211,15 @@ def _batch_seconds(plane, tips, device, workers):
     return perf_counter() - start
 
 
-def _take_turns(runs, cases, repeats, seconds, rng):
+def _take_turns(runs, cases, repeats, seconds, rng, progress):
     """Return what each run finds in each case, and all its times; the first turn compiles and hardly counts."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
-    for turn in range(repeats + 1):
+    turns = range(repeats + 1)
+    for turn in ProgressBar(turns, file=sys.stderr) if progress else turns:
         for run in (runs[k] for k in rng.permutation(len(runs))):
             if sum(times[run]) > seconds:
                 continue
-            log.info("turn %d of %d: %s", turn, repeats, run)
             results = []
             for case in (replace(case, n_points=run[1]) for case in cases):
                 start = perf_counter()

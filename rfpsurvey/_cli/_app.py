@@ -15,8 +15,8 @@ from rfpsurvey._io import WRITABLE, check_output, output_path, read_table, write
 from rfpsurvey.catalog import UNITS
 
 __all__ = [
-    "app", "check_outputs", "finish", "finish_table", "instrument_of", "load_instrument", "main", "parse_center",
-    "parse_pairs", "print_table", "read_assignment", "targets_and_center", "units_of",
+    "app", "check_chart", "check_outputs", "finish", "finish_table", "instrument_of", "load_instrument", "main",
+    "parse_center", "parse_pairs", "print_table", "read_assignment", "targets_and_center", "units_of",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -191,6 +191,12 @@ def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) ->
         check_output(output, WRITABLE, overwrite=overwrite)
     if plot is not None:
         check_output(plot, PICTURES, overwrite=overwrite)
+
+
+def check_chart(plot: Path, *, overwrite: bool) -> Path:
+    """Return where the table goes that belongs to a chart, if both can be written."""
+    check_output(plot, PICTURES, overwrite=overwrite)
+    return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)
 
 
 def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite: bool) -> None:

@@ -1,5 +1,6 @@
 """``rfpsurvey benchmark``."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -24,10 +25,9 @@ def collisions(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Chart the speed of every method of finding collisions against its errors."""
-    _app.check_outputs(None, plot, overwrite=overwrite)
-    output = plot.with_suffix(".ecsv")
-    _app.check_outputs(output, None, overwrite=overwrite)
-    table = rs.benchmark_collisions(_app.load_instrument(instrument), methods=method, repeats=repeats, rng=seed)
+    output = _app.check_chart(plot, overwrite=overwrite)
+    options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
+    table = rs.benchmark_collisions(_app.load_instrument(instrument), **options)
     _app.finish_table(table, rs.plot_speed_accuracy, output, plot, overwrite=overwrite)
 
 
