@@ -14,6 +14,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 from astropy.utils.console import ProgressBar
+from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import reference
 from rfpsurvey._units import to_generator
@@ -233,14 +234,14 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
 
 
 def _true_pairs(case):
-    """Colliding pairs and their distances in rational arithmetic on the floats as they are."""
-    first, second = case.plane._neighbors.T
-    middle = 0.5 * (case.segments[:2] + case.segments[2:])
-    half = 0.5 * np.hypot(*(case.segments[2:] - case.segments[:2]))
-    separation = case.plane._scene.separation
-    gap = np.hypot(*(middle[:, first] - middle[:, second])) - half[first] - half[second]
+    """Colliding pairs and their distances in rational arithmetic on the floats as they are; all pairs are looked at."""
+    separation = case.plane._columns.separation
+    there = np.flatnonzero(np.isfinite(case.segments[0]))
+    ends = case.segments[:, there]
+    longest = np.hypot(*(ends[2:] - ends[:2])).max(initial=0.0)
+    tree = cKDTree(0.5 * (ends[:2] + ends[2:]).T)
+    pairs = np.sort(there[tree.query_pairs(longest + 1.001 * separation, output_type="ndarray")], axis=1).tolist()
     rows = case.segments.T.tolist()
-    pairs = [(i, j) for i, j in case.plane._neighbors[gap < 1.001 * separation].tolist()]
     return {
         (i, j): distance_exactly(rows[i], rows[j]) for i, j in pairs if closer_exactly(rows[i], rows[j], separation)
     }

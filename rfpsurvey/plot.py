@@ -115,7 +115,7 @@ def plot_focal_plane(
         style = {"linewidths": 1.0, "capstyle": "round", **kwargs}
         ax.add_collection(LineCollection(arms, colors=color, zorder=zorder, **style))
         # the space that an arm keeps free, to scale
-        bodies = [capsule(a, b, half) for a, b in zip(elbows[rows], ends[rows], strict=True)]
+        bodies = [_capsule(a, b, half) for a, b in zip(elbows[rows], ends[rows], strict=True)]
         ax.add_collection(PolyCollection(bodies, facecolors=color, edgecolors="none", alpha=0.2, zorder=zorder - 0.5))
         handles.append(Line2D([], [], color=color, label=label))
         circles(tips[rows], 0.06 * outer[rows], facecolors=color, zorder=zorder)
@@ -199,7 +199,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     return axes
 
 
-def capsule(a, b, radius):
+def _capsule(a, b, radius):
     """Outline of all points within ``radius`` of the segment from a to b."""
     angle = np.arctan2(*(b - a)[::-1]) + np.linspace(-np.pi / 2, np.pi / 2, 9)
     arc = radius * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -136,9 +136,7 @@ class Positioner:
         """Columns of n positioners about the origin, for the kernels."""
         zero, l1, l2 = np.zeros(n), np.full(n, self._l1), np.full(n, self._l2)
         home = self._home_rad[0]
-        return arms.Geometry(
-            zero, zero, l1, l2, zero, zero, np.ones(n, dtype=bool), float(np.cos(home)), float(np.sin(home))
-        )
+        return arms.Geometry(zero, zero, l1, l2, float(np.cos(home)), float(np.sin(home)))
 
     @cached_property
     def _home_rad(self) -> np.ndarray:
@@ -250,11 +248,15 @@ class Positioner:
 
     @cached_property
     def _joints_free(self) -> bool:
-        """Whether the joint limits leave the whole patrol area in reach."""
+        """Whether the joint limits leave the whole patrol area in reach, with the usual elbow."""
+        return self._joints_free_for(-1.0 if self.handedness == "left" else 1.0)
+
+    def _joints_free_for(self, side: float) -> bool:
+        """Whether the joint limits leave the whole patrol area in reach with an elbow, +1 right or -1 left."""
         theta, phi = self.theta_range, self.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
             return False
-        low, high = (-180 * u.deg, 0 * u.deg) if self.handedness == "left" else (0 * u.deg, 180 * u.deg)
+        low, high = (-180 * u.deg, 0 * u.deg) if side < 0 else (0 * u.deg, 180 * u.deg)
         return phi is None or bool(phi[0] <= low and phi[1] >= high)
 
     def _arm_angle_rad(self, fiber_types: tuple[str, ...]) -> np.ndarray:

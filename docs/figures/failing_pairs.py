@@ -1,10 +1,10 @@
-"""Pairs of arms on which some method fails: what exact, four ends and five points an arm make of them."""
+"""Pairs of arms on which some method fails: what exact, four ends and three points an arm make of them."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 from rfpsurvey._kernels import collisions, reference
-from rfpsurvey.plot import capsule
+from rfpsurvey.plot import _capsule
 
 SEPARATION, N_POINTS = 5.0782, 3
 PAIRS = {
@@ -25,7 +25,7 @@ for ax, (name, (first, second)) in zip(axes.flat, PAIRS.items(), strict=True):
     exact = np.sqrt(collisions.segments_squared(*pair.ravel()))
     sampled = np.sqrt(reference.sampled_squared(pair.T.copy(), 0, 1, N_POINTS))
     for (x0, y0, x1, y1), color in zip(pair, ("#0072B2", "#E69F00"), strict=True):
-        ax.fill(*capsule(np.array([x0, y0]), np.array([x1, y1]), SEPARATION / 2).T, color=color, alpha=0.2, lw=0)
+        ax.fill(*_capsule(np.array([x0, y0]), np.array([x1, y1]), SEPARATION / 2).T, color=color, alpha=0.2, lw=0)
         ax.plot([x0, x1], [y0, y1], color=color, lw=2, solid_capstyle="round")
         t = np.linspace(0, 1, N_POINTS)
         ax.plot(x0 + t * (x1 - x0), y0 + t * (y1 - y0), "o", color=color, ms=4)

@@ -19,20 +19,22 @@ ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
 class Geometry(NamedTuple):
-    """What poses depend on: columns of the positioners, and the direction of the home theta.
-
-    ``low`` and ``high`` are the squared radii that just pass as in reach.
-    """
+    """What poses depend on: columns of the positioners, and the direction of the home theta."""
 
     cx: np.ndarray
     cy: np.ndarray
     l1: np.ndarray
     l2: np.ndarray
+    home_x: float
+    home_y: float
+
+
+class Bounds(NamedTuple):
+    """Which tips a positioner takes: squared radii that just pass, and none if it is not usable."""
+
     low: np.ndarray
     high: np.ndarray
     usable: np.ndarray
-    home_x: float
-    home_y: float
 
 
 @kernel
@@ -127,10 +129,10 @@ def shape(segments, model, length, cosine, sine):
 
 
 @kernel
-def check(tips, geometry, assigned, far):
+def check(tips, geometry, bounds, assigned, far):
     """Mark positioners with a tip, and those whose tip is out of reach; returns the number of the latter."""
     n = 0
-    cx, cy, low, high, usable = geometry.cx, geometry.cy, geometry.low, geometry.high, geometry.usable
+    cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):
         dx, dy = tips[i, 0] - cx[i], tips[i, 1] - cy[i]
         r2 = dx * dx + dy * dy

@@ -10,6 +10,7 @@ from rfpsurvey._kernels.collisions import Limits, colliding_obstacles, colliding
 
 # Columns of ``counts``.
 PAIRS, OBSTACLE_PAIRS, COLLIDING, COLLIDING_ASSIGNED, ASSIGNED, COUNTED, BORDERLINE = range(7)
+N_COUNTS = 7
 
 
 class Stage(NamedTuple):
@@ -87,14 +88,14 @@ def count(stage, desk, counts, times):
 
 
 @kernel
-def count_tips(tips, geometry, side, stage, desk, counts, times):
+def count_tips(tips, geometry, bounds, side, stage, desk, counts, times):
     """Count for configurations given by their tips, (m, n, 2); returns the number of tips that are out of reach.
 
     ``side`` has one row for all configurations, or one for each.
     """
     far = 0
     for c in range(tips.shape[0]):
-        far += check(tips[c], geometry, desk.assigned, desk.far)
+        far += check(tips[c], geometry, bounds, desk.assigned, desk.far)
         if stage.runs.shape[0] > 0 or stage.obstacle_pairs.shape[0] > 0:  # else nothing can collide
             place(tips[c], geometry, side[min(c, side.shape[0] - 1)], desk.segments)
             fill_idle(desk.assigned, stage.idle, desk.segments)

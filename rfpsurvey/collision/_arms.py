@@ -11,16 +11,9 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
-    "Arms",
-    "arm_angles",
-    "check_plane",
-    "check_tips",
-    "nearest_distance",
-    "place_arms",
-    "place_tips",
-    "to_sides",
-    "to_tips",
-]
+    "Arms", "arm_angles", "check_arms", "check_plane", "check_tips", "nearest_distance", "place_arms", "stand",
+    "to_sides", "to_tips",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +54,7 @@ def place_arms(
 
     With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
     """
-    n, scene = len(focal_plane), focal_plane._scene
+    n, columns = len(focal_plane), focal_plane._columns
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("give either tips, or both theta and phi")
     if tips is None:
@@ -69,23 +62,31 @@ def place_arms(
             raise InputError("handedness belongs to tips; theta and phi say themselves where the elbow is")
         angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
         segments = np.empty((4, n))
-        arms.pose(*angles, scene.geometry, segments)
+        arms.pose(*angles, columns.geometry, segments)
         assigned = np.isfinite(segments[2]) & focal_plane._usable
         clipped = np.zeros(n, dtype=bool)
     else:
         points = to_tips(tips, n)
         side = to_sides(focal_plane, points, handedness)
-        assigned, clipped = check_tips(focal_plane, points, side, clip=clip)
-        segments = place_tips(focal_plane, points, side, clipped)
+        segments, assigned, clipped = stand(focal_plane, points, side, parked_obstacles, clip=clip)
         angles = np.empty((2, n))
-        arms.solve(points, scene.geometry, side, *angles)
-    idle = scene.idle(parked_obstacles)
+        arms.solve(points, columns.geometry, side, *angles)
+    idle = columns.idle(parked_obstacles)
+    if tips is None:
+        arms.fill_idle(assigned, idle.segments, segments)
     for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
         np.copyto(own, other, where=~assigned)
-    arms.fill_idle(assigned, idle.segments, segments)
     elbow, tip = segments[:2].T.copy(), segments[2:].T.copy()
-    arms.shape(segments, scene.model, scene.length, *arm_angles(focal_plane, fiber_type))
+    arms.shape(segments, columns.model, columns.length, *arm_angles(focal_plane, fiber_type))
     return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped)
+
+
+def stand(plane, points, side, parked_obstacles, *, clip=False):
+    """Elbows and tips (4, n), idle arms where they stand, with flags: assigned, and short of the target (clipped)."""
+    assigned, clipped = check_tips(plane, points, side, clip=clip)
+    segments = place_tips(plane, points, side, clipped)
+    arms.fill_idle(assigned, plane._columns.idle(parked_obstacles).segments, segments)
+    return segments, assigned, clipped
 
 
 def check_plane(focal_plane):
@@ -93,6 +94,18 @@ def check_plane(focal_plane):
     if not isinstance(focal_plane, FocalPlane):
         hint = "; an Instrument has one, its focal_plane" if hasattr(focal_plane, "focal_plane") else ""
         raise InputError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
+
+
+def check_arms(plane, posed):
+    """Refuse arms that do not stand at these positioners."""
+    if len(posed.segments) != len(plane):
+        raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
+    away = np.hypot(*(posed.elbow - plane._xy_mm).T) > plane._l1_mm * (1 + 1e-9) + arms.EQUAL_ARMS
+    if away.any():
+        raise InputError(
+            f"the arms are those of another focal plane: {int(away.sum())} elbows are farther than the central arm is "
+            "long from their center"
+        )
 
 
 def to_tips(tips, n):
@@ -107,16 +120,16 @@ def check_tips(plane, points, side, *, clip=False):
     """Mark positioners that take a target, and those that cannot get there; the latter are errors unless ``clip``."""
     n = len(plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
-    if arms.check(points, plane._scene.geometry, assigned, far) and not clip:
+    if arms.check(points, plane._columns.geometry, plane._columns.bounds, assigned, far) and not clip:
         k = int(np.flatnonzero(far)[0])
         raise InputError(
             f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
             f"{np.hypot(*(points[k] - plane._xy_mm[k])):.7g} mm from its center, "
             f"must be {plane._inner_mm[k]:.4f} to {plane._outer_mm[k]:.4f} mm"
         )
-    if not plane.positioner._joints_free:
+    if not all(plane.positioner._joints_free_for(s) for s in {side.min(), side.max()}):
         theta, phi = np.empty(n), np.empty(n)
-        arms.solve(points, plane._scene.geometry, side, theta, phi)
+        arms.solve(points, plane._columns.geometry, side, theta, phi)
         barred = assigned & ~far & ~plane.positioner._joints_allowed(theta, phi)
         if barred.any() and not clip:
             first = plane.id[np.flatnonzero(barred)[0]]
@@ -129,7 +142,7 @@ def check_tips(plane, points, side, *, clip=False):
 
 def place_tips(plane, points, side, clipped):
     """Elbows and tips, shape (4, n); those that are out of reach stretch toward their point."""
-    geometry = plane._scene.geometry
+    geometry, bounds = plane._columns.geometry, plane._columns.bounds
     segments = np.empty((4, len(plane)))
     arms.place(points, geometry, side, segments)
     if clipped.any():
@@ -138,7 +151,7 @@ def place_tips(plane, points, side, clipped):
         arms.pose(*angles, geometry, posed)
         # a pose that only the joint limits forbid reaches its point
         r2 = ((points - plane._xy_mm) ** 2).sum(axis=1)
-        far = clipped & ((r2 < geometry.low) | (r2 > geometry.high))
+        far = clipped & ((r2 < bounds.low) | (r2 > bounds.high))
         segments[2:, far] = posed[2:, far]
     return segments
 
@@ -160,7 +173,7 @@ def to_sides(plane, points, handedness):
 def arm_angles(plane, fiber_type):
     """Cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
     if fiber_type is None:
-        return plane._scene.angles
+        return plane._columns.angles
     types = np.asarray(fiber_type, dtype=str)
     if types.shape != (len(plane),):
         raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
@@ -169,7 +182,7 @@ def arm_angles(plane, fiber_type):
     types = np.where(types == "", plane._first_type, types)
     for name in np.unique(types):
         check_choice(str(name), plane.fiber_types, "fiber type")
-    return plane._scene.angles_of(types)
+    return plane._columns.angles_of(types)
 
 
 def nearest_distance(posed: Arms) -> np.ndarray:

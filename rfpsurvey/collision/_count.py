@@ -15,7 +15,6 @@ from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["CollisionCounts", "count_collisions", "stage_of"]
 
-METHODS = ("exact", "cuda")
 CHUNK = 64
 """Configurations that one task scores; draws do not depend on the number of workers, but on this."""
 GPU_CHUNK = 2048
@@ -81,8 +80,8 @@ def count_collisions(
 ) -> CollisionCounts:
     """Count the collisions of many configurations of one focal plane.
 
-    Each configuration is scored as by `find_collisions`, without Python in between; memory beyond the input is that
-    of a few configurations, however many there are.
+    Each configuration is scored as by `find_collisions`, without Python in between (unless joint limits bar tips that
+    are in reach); memory beyond the input and the counts is that of a few configurations, however many there are.
 
     Parameters
     ----------
@@ -131,7 +130,7 @@ def count_collisions(
     array([1, 0])
     """
     check_plane(focal_plane)
-    check_choice(method, METHODS, "method of counting collisions")
+    check_choice(method, SCORERS, "method of counting collisions")
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     if hasattr(tips, "target_of_positioner"):
@@ -142,9 +141,11 @@ def count_collisions(
         if n_configurations is not None:
             raise InputError("n_configurations belongs to an Allocation; tips say themselves how many they are")
         score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, method)
-    parts = list((map if executor is None else executor.map)(score, *chunks))
-    counts = np.concatenate([p[0] for p in parts]) if parts else np.empty((0, 7), dtype=np.int64)
-    times = sum((p[1] for p in parts), np.zeros(len(focal_plane), dtype=np.int64))
+    parts, times = [np.empty((0, batch.N_COUNTS), dtype=np.int64)], np.zeros(len(focal_plane), dtype=np.int64)
+    for part, hits in (map if executor is None else executor.map)(score, *chunks):
+        parts.append(part)
+        times += hits
+    counts = np.concatenate(parts)
     return CollisionCounts(
         counts[:, batch.PAIRS], counts[:, batch.OBSTACLE_PAIRS], counts[:, batch.COLLIDING],
         counts[:, batch.COLLIDING_ASSIGNED], counts[:, batch.COUNTED], counts[:, batch.ASSIGNED],
@@ -162,25 +163,42 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     side = None
     if handedness is not None or plane.positioner._joints_free:
         side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
-    step = CHUNK if method == "exact" else GPU_CHUNK
+    step, make_scorer = SCORERS[method]
     starts = range(0, len(tips), step)
-    return partial(_score_tips, plane, stage, side, method), ((tips[k : k + step] for k in starts), starts)
+    score = partial(_score_tips, plane, side, make_scorer(plane, stage))
+    return score, ((tips[k : k + step] for k in starts), starts)
 
 
-def _score_tips(plane, stage, side, method, tips, start):
+def _score_tips(plane, side, scorer, tips, start):
     points = to_mm(tips, "tips")
     side = _sides_of_chunk(plane, points, side, start)
-    if method == "cuda":
-        from rfpsurvey.collision import _gpu
-
-        counts, times, far = _gpu.count_tips(points, plane, stage, side)
-    else:
-        counts, times = np.empty((len(points), 7), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-        far = batch.count_tips(points, plane._scene.geometry, side, stage, _desk(plane), counts, times)
+    counts, times, far = scorer(points, side)
     if far:
         for c, row in enumerate(points):  # say which
             _check(plane, row, side[min(c, len(side) - 1)], start + c)
     return counts, times
+
+
+def _processor(plane, stage):
+    return partial(_on_processor, plane, stage)
+
+
+def _on_processor(plane, stage, points, side):
+    """Return counts, times, and the number of tips that are out of reach."""
+    counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
+    columns = plane._columns
+    far = batch.count_tips(points, columns.geometry, columns.bounds, side, stage, _desk(plane), counts, times)
+    return counts, times, far
+
+
+def _gpu(plane, stage):
+    from rfpsurvey.collision import _gpu
+
+    return _gpu.make_scorer(plane, stage)
+
+
+SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _gpu)}
+"""Name to the configurations of a chunk, and what makes a function (points, side) -> (counts, times, far)."""
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
@@ -197,13 +215,13 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
     indptr, entries = _entries(plane, allocation)
-    stage = stage_of(plane, plane._scene.angles, allocation.parked_obstacles)
+    stage = stage_of(plane, plane._columns.angles, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
     return partial(_score_draws, plane, stage, indptr, entries), (sizes, to_generator(rng).spawn(len(sizes)))
 
 
 def _score_draws(plane, stage, indptr, entries, size, rng):
-    counts, times = np.empty((size, 7), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
+    counts, times = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     idle = stage.idle.copy()
     arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
     uniform = rng.random((size, len(plane)))
@@ -216,34 +234,34 @@ def _entries(plane, allocation):
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
-    segments, geometry = np.empty((4, len(own))), plane._scene.geometry_of(own)
+    segments, geometry = np.empty((4, len(own))), plane._columns.geometry_of(own)
     far = np.empty(len(own), dtype=bool)
-    if arms.check(points, geometry, np.empty_like(far), far):
+    if arms.check(points, geometry, plane._columns.bounds_of(own), np.empty_like(far), far):
         raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
     arms.place(points, geometry, plane._sides(points, own), segments)
     types = plane._first_type[own]
     if allocation.wanted is not None:
         wanted = allocation.wanted[target]
         types = np.where(wanted == "", types, wanted)
-    arms.shape(segments, plane._scene.model, plane._scene.length, *plane._scene.angles_of(types))
+    arms.shape(segments, plane._columns.model, plane._columns.length, *plane._columns.angles_of(types))
     return indptr, segments
 
 
 def stage_of(plane, angles, parked_obstacles) -> batch.Stage:
     """Return what all configurations share."""
-    scene = plane._scene
-    idle = scene.idle(parked_obstacles)
+    columns = plane._columns
+    idle = columns.idle(parked_obstacles)
     return batch.Stage(
-        scene.runs, scene.limits, scene.model, scene.length, *angles, idle.segments, idle.parked,
-        plane._obstacle_pairs, plane._obstacles_mm, scene.clearance,
+        columns.runs, columns.limits, columns.model, columns.length, *angles, idle.segments, idle.parked,
+        plane._obstacle_pairs, plane._obstacles_mm, columns.clearance,
     )  # fmt: skip
 
 
 def _desk(plane) -> batch.Desk:
     """Scratch for one configuration."""
-    n, room, m = len(plane), len(plane._neighbors) + 1, len(plane._obstacle_pairs)
+    n, room, m = len(plane), len(plane._neighbors), len(plane._obstacle_pairs)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
-    mask = np.empty(plane._scene.longest_run, dtype=np.bool_)
+    mask = np.empty(plane._columns.longest_run, dtype=np.bool_)
     pairs = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
     return batch.Desk(
         np.empty((4, n)), np.empty((4, n)), *flags, mask, *pairs, np.empty((m, 2), dtype=np.int64), np.empty(m)
@@ -252,7 +270,7 @@ def _desk(plane) -> batch.Desk:
 
 def _sides_of_chunk(plane, points, side, start):
     """Elbows of a chunk: one row for all configurations, unless the joint limits have a say."""
-    if side is not None and plane.positioner._joints_free:
+    if side is not None and all(plane.positioner._joints_free_for(s) for s in {side.min(), side.max()}):
         return side
     rows = [plane._sides(p) if side is None else side[0] for p in points]
     for c, (tips, row) in enumerate(zip(points, rows, strict=True)):

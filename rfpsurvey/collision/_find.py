@@ -7,13 +7,14 @@ from rfpsurvey._kernels import arms, collisions
 from rfpsurvey.collision._arms import (
     Arms,
     arm_angles,
+    check_arms,
     check_plane,
     check_tips,
     place_arms,
-    place_tips,
+    stand,
     to_sides,
     to_tips,
-)
+)  # fmt: skip
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice
@@ -110,12 +111,10 @@ def find_collisions(
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles
     segments, assigned, parked, poses = _stand(focal_plane, tips, given, parked_obstacles)
-    quiet = len(focal_plane._scene.runs) == 0
+    quiet = len(focal_plane._columns.runs) == 0
     first, second, distances, n_borderline = (
         NOTHING if quiet else find(Configuration(focal_plane, segments, int(n_points), poses))
     )
-    # the positioners of a pair and the pairs in ascending order
-    first, second = np.minimum(first, second), np.maximum(first, second)
     order = np.argsort(first * len(focal_plane) + second)
     pairs = np.column_stack([first[order], second[order]])
     hits, gaps = _touched(focal_plane, segments)
@@ -134,19 +133,17 @@ def _stand(plane, tips, given, parked_obstacles):
 
     if isinstance(tips, Arms) or tips is None or given["theta"] is not None or given["phi"] is not None:
         posed = tips if isinstance(tips, Arms) else poses()
-        if len(posed.segments) != len(plane):
-            raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
+        check_arms(plane, posed)
         return np.ascontiguousarray(posed.segments.T), posed.assigned, posed.parked, lambda: posed
-    scene, idle = plane._scene, plane._scene.idle(parked_obstacles)
+    columns = plane._columns
     points = to_tips(tips, len(plane))
     side, angles = to_sides(plane, points, given["handedness"]), arm_angles(plane, given["fiber_type"])
-    assigned, clipped = check_tips(plane, points, side)
-    segments = None
-    if len(scene.runs) or len(plane._obstacle_pairs):  # else nothing can collide, wherever the arms stand
-        segments = place_tips(plane, points, side, clipped)
-        arms.fill_idle(assigned, idle.segments, segments)
-        arms.shape(segments, scene.model, scene.length, *angles)
-    return segments, assigned, idle.parked & ~assigned, poses
+    if len(columns.runs) or len(plane._obstacle_pairs):
+        segments, assigned, _ = stand(plane, points, side, parked_obstacles)
+        arms.shape(segments, columns.model, columns.length, *angles)
+    else:  # nothing can collide, wherever the arms stand
+        segments, (assigned, _) = None, check_tips(plane, points, side)
+    return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 
 def _touched(plane, segments):
@@ -155,5 +152,5 @@ def _touched(plane, segments):
     hits, gaps = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:
         return hits, gaps
-    n = collisions.colliding_obstacles(segments, pairs, plane._obstacles_mm, plane._scene.clearance, hits, gaps)
+    n = collisions.colliding_obstacles(segments, pairs, plane._obstacles_mm, plane._columns.clearance, hits, gaps)
     return hits[:n], gaps[:n]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rfpsurvey._kernels.batch import N_COUNTS
 from rfpsurvey.errors import InputError
 
 try:
@@ -13,7 +14,7 @@ except ImportError as error:
         f"the method 'cuda' needs the package numba-cuda, as in pip install 'rfpsurvey[cuda]' ({error})"
     ) from None
 
-__all__ = ["count_tips", "find_pairs"]
+__all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
@@ -30,38 +31,40 @@ def find_pairs(segments, pairs, limits):
     return pairs[rows, 0], pairs[rows, 1], squared.copy_to_host()[:n]
 
 
-def count_tips(points, plane, stage, side):
-    """Return counts, times, and the number of tips that are out of reach; arguments as in the kernels' ``batch``."""
+def make_scorer(plane, stage):
+    """Return a function (points, side) -> (counts, times, tips out of reach), with all that stays on the device."""
     _require_device()
-    m, n = points.shape[:2]
-    columns = plane._scene.geometry
-    points = np.where(columns.usable[None, :, None], points, np.nan)
-    points[np.isnan(points).any(axis=2)] = np.nan
-    tips = cuda.to_device(points)
-    geometry = np.array([columns.cx, columns.cy, columns.l1, columns.l2, columns.low, columns.high])
-    segments, far = cuda.device_array((m, 4, n)), cuda.to_device(np.zeros(1, dtype=np.int64))
-    counts, times = cuda.to_device(np.zeros((m, 7), np.int64)), cuda.to_device(np.zeros(n, np.int64))
-    grid = -(-n // gpu.THREADS), m
-    angles = np.array([stage.cosine, stage.sine])
-    gpu.stand[grid, gpu.THREADS](
-        tips, cuda.to_device(geometry), cuda.to_device(side), columns.home_x, columns.home_y,
-        cuda.to_device(stage.idle), stage.model, stage.length, cuda.to_device(angles), segments, far,
-    )  # fmt: skip
-    limits = stage.limits
-    indptr, neighbor = plane._scene.both_ways
-    hurdle_indptr = np.searchsorted(stage.obstacle_pairs[:, 0], np.arange(n + 1))
-    hurdles = np.vstack([stage.obstacles[stage.obstacle_pairs[:, 1]], np.zeros((1, 3))])  # never empty
-    gpu.count[grid, gpu.THREADS](
-        tips, segments, cuda.to_device(indptr), cuda.to_device(neighbor), (limits.separation + limits.slack) ** 2,
-        limits.separation**2, limits.band, cuda.to_device(stage.parked), cuda.to_device(hurdle_indptr),
-        cuda.to_device(hurdles), stage.clearance, counts, times,
-    )  # fmt: skip
-    return counts.copy_to_host(), times.copy_to_host(), int(far.copy_to_host()[0])
+    n, limits, columns = len(plane), stage.limits, plane._columns
+    g, bounds = columns.geometry, columns.bounds
+    geometry = cuda.to_device(np.array([g.cx, g.cy, g.l1, g.l2, bounds.low, bounds.high]))
+    idle, angles = cuda.to_device(stage.idle), cuda.to_device(np.array([stage.cosine, stage.sine]))
+    indptr, neighbor, parked = (cuda.to_device(v) for v in (*columns.both_ways, stage.parked))
+    hurdle_indptr = cuda.to_device(np.searchsorted(stage.obstacle_pairs[:, 0], np.arange(n + 1)))
+    hurdles = cuda.to_device(np.vstack([stage.obstacles[stage.obstacle_pairs[:, 1]], np.zeros((1, 3))]))  # never empty
+    reject2, limit = (limits.separation + limits.slack) ** 2, limits.separation**2
+
+    def score(points, side):
+        m = len(points)
+        tips = cuda.to_device(np.where(bounds.usable[None, :, None], points, np.nan))
+        segments, far = cuda.device_array((m, 4, n)), cuda.to_device(np.zeros(1, dtype=np.int64))
+        counts, times = cuda.to_device(np.zeros((m, N_COUNTS), np.int64)), cuda.to_device(np.zeros(n, np.int64))
+        launch = (-(-n // gpu.THREADS), m), gpu.THREADS
+        gpu.stand[launch](
+            tips, geometry, cuda.to_device(side), g.home_x, g.home_y, idle, stage.model, stage.length, angles, segments,
+            far,
+        )  # fmt: skip
+        gpu.count[launch](
+            tips, segments, indptr, neighbor, reject2, limit, limits.band, parked, hurdle_indptr, hurdles,
+            stage.clearance, counts, times,
+        )  # fmt: skip
+        return counts.copy_to_host(), times.copy_to_host(), int(far.copy_to_host()[0])
+
+    return score
 
 
 def _require_device():
     if not cuda.is_available():
         raise InputError(
-            "the method 'cuda' needs a GPU that numba can use, and found none; with NUMBA_ENABLE_CUDASIM=1 in the "
-            "environment a small one is simulated"
+            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), and found none that works; "
+            "with NUMBA_ENABLE_CUDASIM=1 in the environment a small one is simulated"
         )

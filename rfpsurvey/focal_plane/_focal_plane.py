@@ -13,9 +13,9 @@ from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import _tables
+from rfpsurvey.focal_plane._columns import Columns
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
-from rfpsurvey.focal_plane._scene import Scene
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["FocalPlane"]
@@ -217,7 +217,7 @@ class FocalPlane:
     @cached_property
     def _neighbors(self):
         """Pairs to test; those that only rounding could let collide are among them."""
-        slack = 4 * (self._scene.reach_slack + arms.EQUAL_ARMS)
+        slack = 4 * (self._columns.reach_slack + arms.EQUAL_ARMS)
         limit = 2 * self._arm_reach_mm.max() + self.positioner._separation_mm + slack
         pairs = cKDTree(self._xy_mm).query_pairs(limit, output_type="ndarray")
         pairs = np.sort(pairs[self._can_touch(pairs, slack)], axis=1).astype(np.int64)
@@ -236,12 +236,12 @@ class FocalPlane:
             return np.empty((0, 2), dtype=np.int64)
         apart = np.hypot(*(self._xy_mm[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
         limit = self._arm_reach_mm[:, None] + circles[None, :, 2] + self.positioner._clearance_mm
-        return np.argwhere(apart < limit + 4 * (self._scene.reach_slack + arms.EQUAL_ARMS))
+        return np.argwhere(apart < limit + 4 * (self._columns.reach_slack + arms.EQUAL_ARMS))
 
     @cached_property
-    def _scene(self):
+    def _columns(self):
         """What the collision kernels read."""
-        return Scene(self)
+        return Columns(self)
 
     def neighbor_pairs(self) -> np.ndarray:
         """Return the pairs of positioners whose arms can come closer than the safe distance.

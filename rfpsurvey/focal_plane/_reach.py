@@ -127,5 +127,5 @@ def _in_annulus_exactly(plane, i, point):
 def _joints_allow(plane, own, points, side):
     """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
     theta, phi = np.empty(len(own)), np.empty(len(own))
-    arms.solve(points, plane._scene.geometry_of(own), np.full(len(own), side), theta, phi)
+    arms.solve(points, plane._columns.geometry_of(own), np.full(len(own), side), theta, phi)
     return plane.positioner._joints_allowed(theta, phi)

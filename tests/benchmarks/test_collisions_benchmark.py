@@ -38,7 +38,7 @@ class Tile:
         self.segments = [np.ascontiguousarray(arms.segments.T) for arms in self.arms]
         self.next = cycle(self.segments)
         self.halves = np.empty_like(self.segments[0])
-        self.scene = self.plane._scene
+        self.columns = self.plane._columns
         room = len(self.plane._neighbors) + 1
         self.first, self.second = self.plane._neighbors.T.copy()
         self.rows = np.empty(room, bool), np.empty(room, np.int64), np.empty(room, np.int64)
@@ -63,11 +63,11 @@ def test_0_floor_copy_the_segments(benchmark, tile):
 def kernel(tile, runs):
     segments = next(tile.next)
     collisions.halve(segments, tile.halves)
-    return collisions.colliding_pairs(segments, tile.halves, runs, tile.scene.limits, *tile.rows, tile.squared)
+    return collisions.colliding_pairs(segments, tile.halves, runs, tile.columns.limits, *tile.rows, tile.squared)
 
 
 def test_1_kernel(benchmark, tile):
-    benchmark(kernel, tile, tile.scene.runs)
+    benchmark(kernel, tile, tile.columns.runs)
 
 
 def test_1_kernel_with_unsorted_neighbors(benchmark, tile):

@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
 
-__all__ = ["Scene"]
+__all__ = ["Columns"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Idle:
     """Usable positioners that then stand at home, in the way."""
 
 
-class Scene:
+class Columns:
     """Columns of a focal plane for the kernels; ``plane`` is a `FocalPlane`."""
 
     def __init__(self, plane):
@@ -40,16 +40,22 @@ class Scene:
         """What poses depend on."""
         plane = self.plane
         cx, cy = plane._xy_mm.T.copy()
-        low = np.maximum(plane._inner_mm - self.reach_slack, 0.0) ** 2
-        high = (plane._outer_mm + self.reach_slack) ** 2
         home = plane.positioner._home_rad[0]
-        return arms.Geometry(
-            cx, cy, plane._l1_mm, plane._l2_mm, low, high, plane._usable, float(np.cos(home)), float(np.sin(home))
-        )
+        return arms.Geometry(cx, cy, plane._l1_mm, plane._l2_mm, float(np.cos(home)), float(np.sin(home)))
 
     def geometry_of(self, own: np.ndarray) -> arms.Geometry:
         """Return the same for any list of positioners."""
         return arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
+
+    @cached_property
+    def bounds(self) -> arms.Bounds:
+        """Which tips are taken."""
+        low = np.maximum(self.plane._inner_mm - self.reach_slack, 0.0) ** 2
+        return arms.Bounds(low, (self.plane._outer_mm + self.reach_slack) ** 2, self.plane._usable)
+
+    def bounds_of(self, own: np.ndarray) -> arms.Bounds:
+        """Return the same for any list of positioners."""
+        return arms.Bounds(*(c[own] for c in self.bounds))
 
     @cached_property
     def reach_slack(self) -> float:
