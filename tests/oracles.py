@@ -100,3 +100,81 @@ def tangent_plane_mm(coord, center, mm_per_deg, position_angle_deg):
     # intermediate world coordinates (east, north) of one mm along +x and +y
     wcs.wcs.cd = np.array([[np.cos(pa), np.sin(pa)], [-np.sin(pa), np.cos(pa)]]) / mm_per_deg
     return np.column_stack(wcs.wcs_world2pix(coord.ra.deg, coord.dec.deg, 0))
+
+
+def standing_arms(plane, tips, handedness=None, fiber_type=None, parked_obstacles=True):
+    """Where every arm stands, one positioner at a time, as complex numbers: segment (or None), assigned, counted."""
+    unit = plane.positioner
+    arms, assigned, counted = [], [], []
+    for i, (x, y) in enumerate(plane.xy.to_value("mm").tolist()):
+        center = complex(x, y)
+        l1 = (unit.central_arm if plane.central_arm is None else plane.central_arm[i]).to_value("mm")
+        l2 = (unit.eccentric_arm if plane.eccentric_arm is None else plane.eccentric_arm[i]).to_value("mm")
+        home = (0.0, np.pi) if unit.home is None else unit.home.to_value("rad").tolist()
+        stuck = None if plane.stuck is None else plane.stuck[i].to_value("rad")
+        tip = complex(*tips[i])
+        pose, takes = None, False
+        if stuck is not None and np.isfinite(stuck).all():
+            pose = stuck
+        elif plane.disabled[i]:
+            pose = home
+        elif np.isfinite(tip.real) and np.isfinite(tip.imag):
+            takes = True
+            sides = [handedness] if isinstance(handedness, str) else list(_HANDS[unit.handedness])
+            poses = [_two_arms(tip - center, l1, l2, home[0], -1 if side == "left" else 1) for side in sides]
+            allowed = [p for p in poses if _within(p[0], unit.theta_range) and _within(p[1], unit.phi_range)]
+            pose = (allowed or poses)[0]
+        elif parked_obstacles and abs(l1 - l2) < 1e-9:
+            pose = home
+        assigned.append(takes)
+        counted.append(takes or (pose is home and not plane.disabled[i]))
+        arms.append(None if pose is None else _body(plane, i, center, l1, l2, *pose, fiber_type))
+    return arms, np.array(assigned), np.array(counted)
+
+
+_HANDS = {"right": ("right",), "left": ("left",), "both": ("right", "left")}
+
+
+def _two_arms(tip, l1, l2, home_theta, side):
+    """Joint angles by the law of cosines."""
+    r = abs(tip)
+    if r == 0:
+        return home_theta, side * np.pi
+    at_center = np.arccos(np.clip((l1**2 + r**2 - l2**2) / (2 * l1 * r), -1, 1))
+    theta = np.angle(tip) - side * at_center
+    return theta, np.angle((tip - l1 * np.exp(1j * theta)) / np.exp(1j * theta))
+
+
+def _within(angle, limits):
+    if limits is None:
+        return True
+    low, high = limits.to_value("rad")
+    return any(low - 1e-9 <= angle + 2 * np.pi * k <= high + 1e-9 for k in (-2, -1, 0, 1, 2))
+
+
+def _body(plane, i, center, l1, l2, theta, phi, fiber_type):
+    unit = plane.positioner
+    elbow = center + l1 * np.exp(1j * theta)
+    direction = np.exp(1j * (theta + phi))
+    if unit.arm_model == "fiber_tip":
+        return elbow + l2 * direction, elbow + l2 * direction
+    if unit.arm_model == "capsule":
+        used = str(plane.fiber_type[i]).split("+")[0] if fiber_type is None or not fiber_type[i] else fiber_type[i]
+        angle = unit.arm_angle[used] if isinstance(unit.arm_angle, dict) else unit.arm_angle
+        turn = 0.0 if angle is None else angle.to_value("rad")
+        return elbow, elbow + unit.arm_length.to_value("mm") * direction * np.exp(1j * turn)
+    return elbow, elbow + l2 * direction
+
+
+def collisions_of(plane, arms):
+    """Pairs and pairs with obstacles by shapely, every arm with every other."""
+    there = [i for i, arm in enumerate(arms) if arm is not None]
+    lines = {i: shapely.linestrings([(z.real, z.imag) for z in arms[i]]) for i in there}
+    separation, clearance = plane.positioner.min_separation.to_value("mm"), plane.positioner.clearance.to_value("mm")
+    pairs = [[i, j] for i in there for j in there if i < j and shapely.distance(lines[i], lines[j]) < separation]
+    circles = [] if plane.obstacles is None else plane.obstacles.to_value("mm").tolist()
+    hits = [
+        [i, k] for i in there for k, (x, y, r) in enumerate(circles)
+        if shapely.distance(lines[i], shapely.points(x, y)) - r < clearance
+    ]  # fmt: skip
+    return pairs, hits

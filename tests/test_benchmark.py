@@ -2,10 +2,10 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable
-from test_collision import sdss_like
 
 import rfpsurvey as rs
 from rfpsurvey import benchmark
+from scenes import sdss_like
 
 METHODS_HERE = ["exact", "sampled", "sweep", "scipy", "every_pair", "endpoints", "shapely"]
 

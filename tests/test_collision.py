@@ -11,28 +11,8 @@ import rfpsurvey as rs
 from oracles import segment_distances, tip_and_elbow
 from rfpsurvey._kernels import collisions
 from rfpsurvey.collision import nearest_distance, place_arms
+from scenes import MM, lamost_like, random_tips, sdss_like
 from strategies import coarse
-
-MM = u.mm
-
-
-def lamost_like(rings=3, **options):
-    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
-    return rs.FocalPlane.hexagonal(unit, rings=rings, pitch=25.6 * MM, **options)
-
-
-def sdss_like(rings=4, l2=15.0, **options):
-    unit = rs.Positioner(7.4 * MM, l2 * MM, 2.5 * MM, step=0.1 * u.deg, **options)
-    return rs.FocalPlane.hexagonal(unit, rings=rings, pitch=22.4 * MM)
-
-
-def random_tips(plane, rng, part=1.0):
-    n = len(plane)
-    r = np.sqrt(rng.uniform(plane._inner_mm**2, plane._outer_mm**2)) * (1 - 1e-12)
-    alpha = rng.uniform(0, 2 * np.pi, n)
-    tips = plane._xy_mm + np.maximum(r, plane._inner_mm)[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
-    tips[rng.random(n) > part] = np.nan
-    return tips * MM
 
 
 @pytest.mark.parametrize("method", ["exact", "scipy"])
@@ -128,7 +108,7 @@ def test_a_larger_clearance_never_removes_a_pair(rng):
 
 
 def test_parked_equal_arms_stand_in_the_way():
-    plane = lamost_like(rings=0, id=["only"])
+    plane = lamost_like(rings=0)
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, plane.positioner)
     tips = [[16, 0], [np.nan, np.nan]] * MM  # reaches the neighbor's home arm, which lies from (25.6, 0) to elbow
     parked_home = replace(plane, positioner=replace(plane.positioner, home=[180, 180] * u.deg))

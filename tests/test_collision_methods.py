@@ -9,12 +9,12 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from test_collision import MM, lamost_like, random_tips, sdss_like
 
 import rfpsurvey as rs
 from oracles import closer_than
 from rfpsurvey._kernels import collisions, reference
 from rfpsurvey.collision import METHODS, place_arms
+from scenes import MM, SCENES, lamost_like, random_tips, sdss_like
 
 METHODS_HERE = [m for m in METHODS if m != "cuda"]  # that one has tests of its own
 
@@ -109,6 +109,54 @@ def test_sweeping_finds_every_collision_and_more(plane, rng):
         assert pairs_of(exact) <= pairs_of(swept)
         n_exact, n_swept = n_exact + len(exact.pairs), n_swept + len(swept.pairs)
     assert n_swept > 1.5 * n_exact
+
+
+@pytest.mark.parametrize("name", ["equal arms", "unequal arms", "capsules", "troubles", "fiber tips", "both hands"])
+def test_no_method_misses_what_it_must_find(name, rng):
+    plane, options = SCENES[name]
+    n_found = 0
+    for _ in range(5):
+        tips = random_tips(plane, rng, 0.8)
+        exact, sampled, swept, scipy = (
+            pairs_of(rs.find_collisions(plane, tips, method=m, n_points=9, **options))
+            for m in ("exact", "sampled", "sweep", "scipy")
+        )
+        assert sampled <= exact <= swept
+        assert scipy == exact
+        n_found += len(exact)
+    assert n_found > 0
+
+
+@pytest.mark.parametrize("method", METHODS_HERE)
+@pytest.mark.parametrize("plane", [lamost_like(), sdss_like()], ids=["equal arms", "unequal arms"])
+def test_the_mirror_image_has_the_same_pairs(plane, method, rng):
+    """Left elbows, y turned over, home too."""
+    mirrored = replace(plane, xy=plane.xy * [1, -1])
+    for _ in range(3):
+        tips = random_tips(plane, rng, 0.9)
+        here = rs.find_collisions(plane, tips, method=method, n_points=9)
+        there = rs.find_collisions(mirrored, tips * [1, -1], method=method, n_points=9, handedness="left")
+        np.testing.assert_array_equal(there.pairs, here.pairs)
+        np.testing.assert_allclose(there.distances.value, here.distances.value, atol=1e-9)
+
+
+def test_a_swept_capsule_keeps_its_angle():
+    """On its way from 90 to 0 deg a capsule bent by 40 deg passes a neighbor that one bent by -40 deg does not."""
+    for angle, n in ((40, 1), (-40, 0)):
+        unit = rs.Positioner(
+            4 * MM,
+            4 * MM,
+            1 * MM,
+            arm_model="capsule",
+            arm_length=8 * MM,
+            arm_angle=angle * u.deg,
+            home=[90, 0] * u.deg,
+        )
+        stuck = [[np.nan, np.nan], [-90, 0]] * u.deg
+        plane = rs.FocalPlane([[0, 0], [-5, 19]] * MM, unit, stuck=stuck)
+        pose = {"theta": [0, np.nan] * u.deg, "phi": [0, np.nan] * u.deg}
+        assert len(rs.find_collisions(plane, **pose).pairs) == 0
+        assert len(rs.find_collisions(plane, **pose, method="sweep").pairs) == n
 
 
 def test_sweeping_goes_the_short_way_round():

@@ -6,45 +6,10 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from test_collision import MM, lamost_like, random_tips, sdss_like
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import allocation as kernels
-
-CAPSULE = {"arm_model": "capsule", "arm_length": 14.5 * MM, "arm_angle": {"B": 2 * u.deg, "A": -3 * u.deg}}
-
-
-def two_fibers():
-    unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM, **CAPSULE)
-    return rs.FocalPlane.hexagonal(unit, rings=3, pitch=22.4 * MM, fiber_type=["B+A"] * 20 + ["B"] * 17)
-
-
-def with_troubles():
-    """Stuck, disabled and individual units, and obstacles."""
-    plane = sdss_like()
-    n = len(plane)
-    stuck = np.full((n, 2), np.nan)
-    stuck[7] = [30, 40]
-    return replace(
-        plane, stuck=stuck * u.deg, disabled=np.arange(n) == 11, eccentric_arm=np.linspace(14, 15, n) * MM,
-        obstacles=[[11.2, 6.5, 2], [-40, 1, 3]] * MM,
-    )  # fmt: skip
-
-
-def both_hands():
-    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, handedness="both", theta_range=[-120, 150] * u.deg)
-    return rs.FocalPlane.hexagonal(unit, rings=2, pitch=25 * MM)
-
-
-PLANES = {
-    "equal arms": (lamost_like(), {}),
-    "parked arms ignored": (lamost_like(), {"parked_obstacles": False}),
-    "unequal arms": (sdss_like(), {}),
-    "left": (sdss_like(), {"handedness": "left"}),
-    "capsules": (two_fibers(), {"fiber_type": np.array(["A"] * 10 + ["B"] * 27)}),
-    "troubles": (with_troubles(), {}),
-    "fiber tips": (sdss_like(arm_model="fiber_tip"), {}),
-}
+from scenes import MM, SCENES, both_hands, lamost_like, random_tips, sdss_like, two_fibers, with_troubles
 
 
 def many_tips(plane, rng, m, part=0.8):
@@ -63,27 +28,20 @@ def assert_same(counts, reports):
     np.testing.assert_array_equal(counts.per_positioner, sum(r.in_collision.astype(int) for r in reports))
 
 
-@pytest.mark.parametrize("name", PLANES)
+@pytest.mark.parametrize("name", SCENES)
 def test_counts_are_those_of_single_configurations(name, rng):
-    plane, options = PLANES[name]
+    plane, options = SCENES[name]
     tips = many_tips(plane, rng, 70)
     reports = [rs.find_collisions(plane, t, **options) for t in tips]
     assert sum(len(r.pairs) for r in reports) > 5
     assert_same(rs.count_collisions(plane, tips, **options), reports)
 
 
-def test_joint_limits_choose_the_elbow(rng):
-    plane = both_hands()
-    tips = many_tips(plane, rng, 200).value
-    for k, t in enumerate(tips):  # leave only tips that one of the elbows can take
-        reach = plane.reachable(np.nan_to_num(t, nan=1e6) * MM).toarray()
-        tips[k][~np.diag(reach)] = np.nan
-    reports = [rs.find_collisions(plane, t * MM) for t in tips]
-    assert any((plane._sides(t) < 0).any() for t in tips)
-    assert_same(rs.count_collisions(plane, tips * MM), reports)
-
-
-@pytest.mark.parametrize("plane", [lamost_like(), two_fibers(), with_troubles()], ids=["equal", "capsules", "troubles"])
+@pytest.mark.parametrize(
+    "plane",
+    [lamost_like(), two_fibers(), with_troubles(sdss_like()), both_hands()],
+    ids=["equal arms", "capsules", "troubles", "both hands"],
+)
 def test_draws_are_configurations_of_the_queues(plane, rng):
     """The same uniform numbers, taken through the public path of one configuration at a time."""
     edge = np.abs(plane._xy_mm).max()
@@ -91,6 +49,8 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
     types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
     allocation = rs.allocate(xy * MM, plane, fiber_type=types)
     counts = rs.count_collisions(plane, allocation, n_configurations=70, rng=5)
+    if plane.positioner.handedness == "both":
+        assert (allocation.handedness == "left").any()
     uniform = np.concatenate(
         [g.random((m, len(plane))) for g, m in zip(np.random.default_rng(5).spawn(2), (64, 6), strict=True)]
     )
@@ -102,6 +62,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
         tips = np.where(used[:, None], xy[target], np.nan)
         drawn = replace(
             allocation, target_of_positioner=target, tips=tips * MM,
+            handedness=np.where(plane._sides(tips) < 0, "left", "right"),
             fiber_type=np.where(used & (types is not None), types[target] if types is not None else "", ""),
         )  # fmt: skip
         reports.append(rs.find_collisions(plane, drawn))
@@ -121,6 +82,42 @@ def test_an_executor_changes_nothing(pool, rng):
             assert there.n_pairs.sum() > 0
             for field in here.__dataclass_fields__:
                 np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
+
+
+def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
+    plane = lamost_like()
+    for parked in (True, False):
+        allocation = rs.allocate(rng.uniform(-70, 70, (12, 2)) * MM, plane, parked_obstacles=parked)
+        counts = rs.count_collisions(plane, allocation, n_configurations=3)
+        assert (counts.n_counted == (len(plane) if parked else allocation.n_assigned)).all()
+        assert rs.find_collisions(plane, allocation).counted.sum() == counts.n_counted[0]
+
+
+def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
+    plane = lamost_like(1)
+    tips = np.stack([plane.xy + 3 * MM] * 140)
+    tips[130, 2] += 50 * MM
+    with pytest.raises(
+        rs.InputError, match="configuration 130: 1 tips are out of reach, the first that of positioner 2"
+    ):
+        rs.count_collisions(plane, tips)
+    limited = replace(plane, positioner=replace(plane.positioner, phi_range=[0, 170] * u.deg))
+    tips = np.stack([plane.xy + 3 * MM] * 140)
+    tips[130, 2] = limited.xy[2] + 0.1 * MM
+    with pytest.raises(rs.InputError, match="configuration 130: 1 tips are beyond the joint limits"):
+        rs.count_collisions(limited, tips)
+
+
+def test_joint_limits_hold_for_the_elbow_in_use():
+    """A right-handed unit with phi in [0, 180] deg cannot be told to use its left elbow."""
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, phi_range=[0, 180] * u.deg)
+    plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, unit)
+    tips = plane.xy + 5 * MM
+    assert len(rs.find_collisions(plane, tips).pairs) == 0
+    for call in (lambda: rs.find_collisions(plane, tips, handedness="left"),
+                 lambda: rs.count_collisions(plane, tips[None], handedness="left")):  # fmt: skip
+        with pytest.raises(rs.InputError, match="2 tips are beyond the joint limits"):
+            call()
 
 
 def test_nothing_to_count():

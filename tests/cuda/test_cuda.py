@@ -3,33 +3,39 @@
 The simulator has to be switched on before numba is imported. On a machine with a GPU, run the same tests without it.
 """
 
+import importlib
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from test_collision import MM, lamost_like, random_tips
-from test_count_collisions import PLANES, many_tips
+from test_count_collisions import many_tips
 
 import rfpsurvey as rs
+from rfpsurvey.collision import _count as count
 from rfpsurvey.collision import place_arms
+from scenes import MM, SCENES, lamost_like, random_tips
 
 numba_cuda = pytest.importorskip("numba.cuda")
 if not numba_cuda.is_available():
     pytest.skip("no GPU, and NUMBA_ENABLE_CUDASIM is not set to 1", allow_module_level=True)
 
 
-def small(name):
-    plane, options = PLANES[name]
-    assert len(plane) <= 61
-    return plane, options
+@pytest.fixture(autouse=True)
+def _several_blocks(monkeypatch):
+    """Blocks smaller than a scene, and chunks smaller than a batch."""
+    gpu = importlib.import_module("rfpsurvey._kernels.gpu")
+    monkeypatch.setattr(gpu, "THREADS", 16)
+    monkeypatch.setitem(count.SCORERS, "cuda", (2, count.SCORERS["cuda"][1]))
 
 
-@pytest.mark.parametrize("name", PLANES)
+@pytest.mark.parametrize("name", SCENES)
 def test_a_gpu_counts_as_the_processor(name, rng):
-    plane, options = small(name)
-    tips = many_tips(plane, rng, 2)
+    plane, options = SCENES[name]
+    assert len(plane) <= 50
+    tips = many_tips(plane, rng, 3)
+    tips[0, 3, 1] = np.nan * MM  # half a tip is none
     here, there = (rs.count_collisions(plane, tips, method=m, **options) for m in ("exact", "cuda"))
     for field in here.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
@@ -59,6 +65,9 @@ def test_tips_out_of_reach_are_named():
     tips[1, 4] += 50 * MM
     with pytest.raises(rs.InputError, match="configuration 1: 1 tips are out of reach, the first that of positioner 4"):
         rs.count_collisions(plane, tips, method="cuda")
+    unequal = rs.FocalPlane(plane.xy, rs.Positioner(7 * MM, 9 * MM, 2 * MM))
+    with pytest.raises(rs.InputError, match="configuration 0: 7 tips are out of reach"):
+        rs.count_collisions(unequal, unequal.xy[None] + 1 * MM, method="cuda")
 
 
 COMPILE = """

@@ -1,0 +1,75 @@
+"""Focal planes with every trouble that an instrument can have, and the options to score them with."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+
+import rfpsurvey as rs
+
+MM = u.mm
+SEPARATE_HOME = {"home": [40, 180] * u.deg}
+CAPSULE = {"arm_model": "capsule", "arm_length": 14.5 * MM, "arm_angle": {"B": 2 * u.deg, "A": -3 * u.deg}}
+
+
+def lamost_like(rings=3, **options):
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM, **options)
+    return rs.FocalPlane.hexagonal(unit, rings=rings, pitch=25.6 * MM)
+
+
+def sdss_like(rings=3, l2=15.0, **options):
+    unit = rs.Positioner(7.4 * MM, l2 * MM, 2.5 * MM, step=0.1 * u.deg, **options)
+    return rs.FocalPlane.hexagonal(unit, rings=rings, pitch=22.4 * MM)
+
+
+def two_fibers():
+    unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM, **CAPSULE)
+    return rs.FocalPlane.hexagonal(unit, rings=3, pitch=22.4 * MM, fiber_type=["B+A"] * 20 + ["A+B"] * 17)
+
+
+def with_troubles(plane):
+    """Stuck, disabled and individual units, and obstacles."""
+    n = len(plane)
+    stuck = np.full((n, 2), np.nan)
+    stuck[[7, 18]] = [30, 40], [-100, 90]
+    return replace(
+        plane, stuck=stuck * u.deg, disabled=np.arange(n) % 11 == 5,
+        eccentric_arm=(plane._l2_mm - np.where(np.arange(n) % 2, 0.5, 0)) * MM,
+        obstacles=[[11.2, 6.5, 2], [-40, 1, 3], [30, -20, 1]] * MM,
+    )  # fmt: skip
+
+
+def both_hands():
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, handedness="both", theta_range=[-120, 150] * u.deg)
+    return rs.FocalPlane.hexagonal(unit, rings=3, pitch=25 * MM)
+
+
+SCENES = {
+    "equal arms": (lamost_like(), {}),
+    "parked arms ignored": (lamost_like(), {"parked_obstacles": False}),
+    "home elsewhere": (lamost_like(**SEPARATE_HOME), {}),
+    "unequal arms": (sdss_like(), {}),
+    "long central arms": (sdss_like(l2=6.0), {}),
+    "left": (sdss_like(), {"handedness": "left"}),
+    "left positioners": (lamost_like(handedness="left"), {}),
+    "capsules": (two_fibers(), {"fiber_type": np.array(["A"] * 10 + ["B"] * 20 + [""] * 7)}),
+    "first fibers": (two_fibers(), {}),
+    "troubles": (with_troubles(sdss_like()), {}),
+    "troubles of equal arms": (with_troubles(lamost_like()), {}),
+    "fiber tips": (sdss_like(arm_model="fiber_tip"), {}),
+    "both hands": (both_hands(), {}),
+}
+
+
+def random_tips(plane, rng, part=1.0):
+    """Tips in mm, uniform in each patrol area, within the joint limits; some at the very center; NaN for none."""
+    inner, outer, n = plane._inner_mm, plane._outer_mm, len(plane)
+    r = np.maximum(np.sqrt(rng.uniform(inner**2, outer**2)) * (1 - 1e-12), inner)
+    r[(inner == 0) & (rng.random(n) < 0.05)] = 0
+    alpha = rng.uniform(0, 2 * np.pi, n)
+    tips = plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+    tips[rng.random(n) > part] = np.nan
+    if not plane.positioner._joints_free:
+        reach = np.diag(plane.reachable(np.nan_to_num(tips, nan=1e6) * MM).toarray())
+        tips[~reach] = np.nan
+    return tips * MM
