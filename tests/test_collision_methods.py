@@ -159,6 +159,15 @@ def test_a_swept_capsule_keeps_its_angle():
         assert len(rs.find_collisions(plane, **pose, method="sweep").pairs) == n
 
 
+def test_an_arm_that_does_not_move_does_not_sweep():
+    """A stuck arm points away; on a way from home, which it never went, it would have met its neighbor."""
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, home=[180, 0] * u.deg)
+    for stuck, n in (([0, 0], 0), ([150, 0], 1)):
+        plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, stuck=[[np.nan, np.nan], stuck] * u.deg)
+        pose = {"theta": [60, np.nan] * u.deg, "phi": [0, np.nan] * u.deg}
+        assert len(rs.find_collisions(plane, **pose, method="sweep").pairs) == n
+
+
 def test_sweeping_goes_the_short_way_round():
     """On its way from 100 to -79 deg an arm passes the neighbor at 0 deg; on its way to -81 deg it turns by 180."""
     unit = rs.Positioner(8 * MM, 8 * MM, 3 * MM, home=[100, 180] * u.deg)
@@ -258,6 +267,8 @@ def test_borderline_pairs_are_counted_and_settled():
         report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
         assert len(report.pairs) == n
         assert report.n_borderline == (abs(gap - 4.5) < 1e-10)
+        counts = rs.count_collisions(plane, [[[8, 0], [8, gap]]] * MM)
+        assert (counts.n_pairs[0], counts.n_borderline[0]) == (n, report.n_borderline)
 
 
 def test_random_scenes_have_no_borderline_pairs(rng):

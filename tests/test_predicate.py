@@ -118,6 +118,7 @@ def test_the_largest_error_that_was_found():
 
 def test_segments_too_short_to_square_are_not_lost():
     assert decide((0, 0, 2e-162, 0), (0, 4.25, 0, 5), 4.5) is True
+    assert decide((0, 4.25, 0, 5), (0, 0, 2e-162, 0), 4.5) is True
 
 
 def test_a_limit_of_nothing_is_never_met():

@@ -27,6 +27,8 @@ def test_arms_and_collisions_are_those_of_slow_geometry(name, rng):
         for segment, arm in zip(posed.segments, expected, strict=True):
             if arm is not None:
                 np.testing.assert_allclose(segment, [arm[0].real, arm[0].imag, arm[1].real, arm[1].imag], atol=2e-7)
+        equal = posed.parked & (plane.positioner._home_rad[1] == np.pi)
+        np.testing.assert_array_equal(posed.tip[equal], plane._xy_mm[equal])  # to the last digit
         pairs, hits = collisions_of(plane, expected)
         again = {k: v for k, v in options.items() if k != "handedness"}
         for report in (

@@ -66,7 +66,7 @@ def find_collisions(
         ``sampled``: the least distance of ``n_points`` points on either arm; misses grazing pairs, and crossings
         too if n_points <= 1 + length of the arm / (sqrt(2) D).
         ``sweep``: the areas that the two arms sweep on the way from home, both joints moving together the short
-        way round, as ``n_points`` poses each; finds every collision, and many that are none.
+        way round (hard stops or not), as ``n_points`` poses each; finds every collision, and many that are none.
         ``scipy``: minimization by SciPy, slow. ``cuda``: the exact distances on a GPU (``rfpsurvey[cuda]``).
     n_points : int, optional
         Points on an arm (sampled) or poses on its way (sweep), 2 to 10,000.

@@ -31,7 +31,7 @@ class CollisionReport:
         Positioners that the rate refers to: assigned ones and parked equal-arm ones.
     n_borderline : int or None, optional
         Pairs so near to the safe distance that rounding could put them on either side; ``exact`` and ``cuda`` settle
-        them in rational arithmetic. None: the method has no proven error.
+        them in rational arithmetic. None: the method has no proven error. 0 where no two arms can touch.
     """
 
     pairs: np.ndarray
