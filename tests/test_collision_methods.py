@@ -300,12 +300,19 @@ def test_almost_equal_arms_are_as_long_as_equal_ones():
     assert rs.find_collisions(plane, plane.xy).pairs.tolist() == [[0, 1]]
 
 
-def test_sweeping_misses_nothing_at_the_limit():
+def test_sweeping_misses_nothing_at_the_limit(rng):
+    """Parallel arms D apart but for a few units in the last place."""
     unit = rs.Positioner(8 * MM, 8 * MM, 1.2345 * MM)
-    plane = rs.FocalPlane([[0, 0], [-14.580727256827604, 13.68949935761]] * MM, unit)
-    tips = [[-7.050616496677247, 6.619656777189988], [-8.850607276532612, 8.309625472886944]] * MM
-    assert len(rs.find_collisions(plane, tips).pairs) == 1
-    assert len(rs.find_collisions(plane, tips, method="sweep").pairs) == 1
+    n_found = 0
+    for angle in rng.uniform(0, 2 * np.pi, 400):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        gap = unit.min_separation.value * (1 + rng.integers(-3, 4) * 2.0**-53) * np.array([-along[1], along[0]])
+        plane = rs.FocalPlane([[0, 0], gap] * MM, unit)
+        tips = [16 * along, 16 * along + gap] * MM
+        exact, swept = (len(rs.find_collisions(plane, tips, method=m, n_points=2).pairs) for m in ("exact", "sweep"))
+        assert exact <= swept
+        n_found += exact
+    assert 50 < n_found < 350
 
 
 def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):

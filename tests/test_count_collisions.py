@@ -39,8 +39,8 @@ def test_counts_are_those_of_single_configurations(name, rng):
 
 @pytest.mark.parametrize(
     "plane",
-    [lamost_like(), two_fibers(), with_troubles(sdss_like()), both_hands()],
-    ids=["equal arms", "capsules", "troubles", "both hands"],
+    [lamost_like(), two_fibers(), with_troubles(sdss_like()), with_troubles(two_fibers()), both_hands()],
+    ids=["equal arms", "capsules", "troubles", "capsules with troubles", "both hands"],
 )
 def test_draws_are_configurations_of_the_queues(plane, rng):
     """The same uniform numbers, taken through the public path of one configuration at a time."""

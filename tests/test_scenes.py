@@ -22,7 +22,10 @@ def test_arms_and_collisions_are_those_of_slow_geometry(name, rng):
         expected, assigned, counted = standing_arms(plane, tips.value, **options)
         posed = place_arms(plane, tips, **options)
         np.testing.assert_array_equal(posed.assigned, assigned)
-        np.testing.assert_array_equal(posed.assigned | posed.parked, counted)
+        np.testing.assert_array_equal(posed.parked, counted & ~assigned)
+        turn = np.exp(1j * np.array([posed.theta, posed.theta + posed.phi]))
+        tip = plane._xy_mm @ [1, 1j] + plane._l1_mm * turn[0] + plane._l2_mm * turn[1]
+        np.testing.assert_allclose(posed.tip @ [1, 1j], tip, atol=1e-6)  # idle arms have angles, too
         np.testing.assert_array_equal(posed.present, [arm is not None for arm in expected])
         for segment, arm in zip(posed.segments, expected, strict=True):
             if arm is not None:

@@ -34,7 +34,7 @@ def _several_blocks(monkeypatch):
 def test_a_gpu_counts_as_the_processor(name, rng):
     plane, options = SCENES[name]
     assert len(plane) <= 50
-    tips = many_tips(plane, rng, 3)
+    tips = many_tips(plane, rng, 9 if name == "both hands" else 3)
     tips[0, 3, 1] = np.nan * MM  # half a tip is none
     here, there = (rs.count_collisions(plane, tips, method=m, **options) for m in ("exact", "cuda"))
     for field in here.__dataclass_fields__:
