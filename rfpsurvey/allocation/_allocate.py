@@ -163,7 +163,7 @@ def allocate(
     seconds = {"reach": middle - start, "allocation": perf_counter() - middle}
     return Allocation(
         method, target_of, positioner_of, hand, tips * u.mm, types, reach.n_reachable, parked_obstacles,
-        seconds, points * u.mm, wanted, queues,
+        seconds, points << u.mm, wanted, queues,
     )  # fmt: skip
 
 
