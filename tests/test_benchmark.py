@@ -41,6 +41,9 @@ def test_errors_are_those_that_each_method_must_have(table):
     assert (np.diff(sampled["max_error"].value) < 0).all()
     assert sampled["max_error"][-1] < 15 / 128 * u.mm
     assert sampled["n_missed"][0] > 0
+    assert (table["mean_error"] <= table["max_error"]).all()
+    assert (sampled["mean_error"] < 0.6 * sampled["max_error"]).all()
+    assert set(table["device"]) == {"CPU"}
     swept = rows(table, "sweep")
     assert (swept["n_missed"] == 0).all()
     assert (swept["n_spurious"] > 0).all()
