@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rfpsurvey as rs
-from oracles import closer_than
+from oracles import closer_than, squared_distance
 from rfpsurvey._kernels import collisions, reference
 from rfpsurvey.collision import METHODS, place_arms
 from scenes import MM, SCENES, lamost_like, random_tips, sdss_like
@@ -269,6 +269,23 @@ def test_borderline_pairs_are_counted_and_settled():
         assert report.n_borderline == (abs(gap - 4.5) < 1e-10)
         counts = rs.count_collisions(plane, [[[8, 0], [8, gap]]] * MM)
         assert (counts.n_pairs[0], counts.n_borderline[0]) == (n, report.n_borderline)
+
+
+@given(st.floats(0.5, 4), st.floats(0, 3), st.integers(-5, 5), st.floats(0, 15))
+def test_obstacles_that_just_touch_are_settled(clearance, radius, ulps, along):
+    """Circles beside, ahead of and behind an arm, a few units in the last place from the clearance."""
+    unit = rs.Positioner(7.4 * MM, 15 * MM, clearance * MM)
+    edge = radius + clearance + ulps * np.spacing(radius + clearance)
+    circles = [[7.4 + along, edge, radius], [22.4 + edge, 0, radius], [22.4 + 0.6 * edge, 0.8 * edge, radius]]
+    plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=circles * MM)
+    report = rs.find_collisions(plane, [[22.4, 0]] * MM)
+    arm = place_arms(plane, [[22.4, 0]] * MM).segments[0]
+    expected = [
+        k for k, (x, y, r) in enumerate(circles)
+        if squared_distance(arm, (x, y, x, y)) < (Fraction(r) + Fraction(clearance)) ** 2
+    ]  # fmt: skip
+    assert report.obstacle_pairs[:, 1].tolist() == expected
+    assert report.n_borderline > 0
 
 
 def test_random_scenes_have_no_borderline_pairs(rng):

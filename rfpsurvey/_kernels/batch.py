@@ -66,7 +66,7 @@ def count(stage, desk, counts, times):
             desk.colliding[desk.first[k]] = desk.colliding[desk.second[k]] = True
     if stage.obstacle_pairs.shape[0] > 0:
         m = colliding_obstacles(
-            desk.segments, stage.obstacle_pairs, stage.obstacles, stage.clearance, desk.hits, desk.gaps
+            desk.segments, stage.obstacle_pairs, stage.obstacles, stage.clearance, 0.0, desk.hits, desk.gaps
         )
         counts[OBSTACLE_PAIRS] = m
         for k in range(m):

@@ -182,16 +182,19 @@ def colliding_pairs(segments, halves, runs, limits, mask, first, second, squared
 
 
 @kernel
-def colliding_obstacles(segments, pairs, obstacles, clearance, out, distance):
-    """Pairs (positioner, obstacle) whose arm comes nearer than ``clearance`` to the circle's edge."""
+def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, distance):
+    """Pairs (positioner, obstacle) whose arm comes nearer than ``clearance + slack`` to the circle's edge.
+
+    Returns their number; ``distance`` is that of the circle's center.
+    """
     n = 0
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         ends = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
         d = math.sqrt(point_segment_squared(obstacles[j, 0], obstacles[j, 1], *ends))
-        if d < obstacles[j, 2] + clearance:
+        if d < obstacles[j, 2] + clearance + slack:
             out[n, 0], out[n, 1] = i, j
-            distance[n] = max(0.0, d - obstacles[j, 2])
+            distance[n] = d
             n += 1
     return n
 

@@ -6,12 +6,12 @@ from math import lcm, sqrt
 __all__ = ["closer_exactly", "distance_exactly"]
 
 
-def closer_exactly(first, second, separation: float) -> bool:
-    """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, for the floats as they are.
+def closer_exactly(first, second, separation: float | Fraction) -> bool:
+    """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, for the numbers as they are.
 
     All numbers are brought to one denominator, and no division follows: everything is an integer.
     """
-    ratios = [float(v).as_integer_ratio() for v in (*first, *second, separation)]
+    ratios = [Fraction(v).as_integer_ratio() for v in (*first, *second, separation)]
     common = lcm(*(q for _, q in ratios))
     *ends, limit = (p * (common // q) for p, q in ratios)
     a, b, c, d = zip(ends[::2], ends[1::2], strict=True)

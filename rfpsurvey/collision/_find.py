@@ -1,5 +1,7 @@
 """Which arms of one configuration are closer than the safe distance."""
 
+from fractions import Fraction
+
 import astropy.units as u
 import numpy as np
 
@@ -15,6 +17,7 @@ from rfpsurvey.collision._arms import (
     to_sides,
     to_tips,
 )  # fmt: skip
+from rfpsurvey.collision._exactly import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice
@@ -117,7 +120,9 @@ def find_collisions(
     )
     order = np.argsort(first * len(focal_plane) + second)
     pairs = np.column_stack([first[order], second[order]])
-    hits, gaps = _touched(focal_plane, segments)
+    hits, gaps, n_edge = _touched(focal_plane, segments)
+    if n_borderline is not None:
+        n_borderline += n_edge
     colliding = np.zeros(len(focal_plane), dtype=bool)
     colliding[first] = colliding[second] = colliding[hits[:, 0]] = True
     return CollisionReport(
@@ -147,10 +152,19 @@ def _stand(plane, tips, given, parked_obstacles):
 
 
 def _touched(plane, segments):
-    """Pairs (positioner, obstacle) closer than the clearance, and the distances to the edge."""
-    pairs = plane._obstacle_pairs
-    hits, gaps = np.empty_like(pairs), np.empty(len(pairs))
+    """Pairs (positioner, obstacle) closer than the clearance, distances to the edge, and how many were borderline."""
+    pairs, circles, clearance = plane._obstacle_pairs, plane._obstacles_mm, plane._columns.clearance
+    hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:
-        return hits, gaps
-    n = collisions.colliding_obstacles(segments, pairs, plane._obstacles_mm, plane._columns.clearance, hits, gaps)
-    return hits[:n], gaps[:n]
+        return hits, distances, 0
+    slack = plane._columns.obstacle_slack
+    n = collisions.colliding_obstacles(segments, pairs, circles, clearance, slack, hits, distances)
+    hits, distances = hits[:n], distances[:n]
+    radius = circles[hits[:, 1], 2]
+    edge = np.flatnonzero(distances >= radius + clearance - slack)
+    keep = np.ones(n, dtype=bool)
+    for k in edge:
+        i, j = hits[k]
+        x, y, r = circles[j].tolist()
+        keep[k] = closer_exactly(segments[:, i].tolist(), (x, y, x, y), Fraction(r) + Fraction(clearance))
+    return hits[keep], np.maximum(distances - radius, 0.0)[keep], len(edge)

@@ -30,8 +30,9 @@ class CollisionReport:
     counted : ndarray of bool, shape (n,)
         Positioners that the rate refers to: assigned ones and parked equal-arm ones.
     n_borderline : int or None, optional
-        Pairs so near to the safe distance that rounding could put them on either side; ``exact`` and ``cuda`` settle
-        them in rational arithmetic. None: the method has no proven error. 0 where no two arms can touch.
+        Pairs so near to the safe distance (or arms to the clearance from an obstacle) that rounding could put them on
+        either side; ``exact`` and ``cuda`` settle them in rational arithmetic, as obstacles always are. None: the
+        method has no proven error. 0 where no two arms can touch.
     """
 
     pairs: np.ndarray

@@ -65,13 +65,25 @@ class Columns:
     @cached_property
     def limits(self) -> collisions.Limits:
         """Safe distance and the slack for rounding."""
-        longest = {arms.ELBOW_TO_TIP: self.plane._l2_mm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}
-        # almost equal arms count as equal, which moves their elbow
-        length = (1.0 + 1e-12) * (longest[self.model] + 2 * self.reach_slack + arms.EQUAL_ARMS)
         extent = np.hypot(*self.plane._xy_mm.T) + self.plane._arm_reach_mm
         return collisions.limits(
-            self.separation, float(length), float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS
+            self.separation, self.longest, float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS
         )
+
+    @cached_property
+    def longest(self) -> float:
+        """No segment is longer."""
+        length = {arms.ELBOW_TO_TIP: self.plane._l2_mm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[
+            self.model
+        ]
+        # almost equal arms count as equal, which moves their elbow
+        return (1.0 + 1e-12) * (float(length) + 2 * self.reach_slack + arms.EQUAL_ARMS)
+
+    @cached_property
+    def obstacle_slack(self) -> float:
+        """What rounding may do to the distance of an arm from an obstacle that it just touches."""
+        size = self.plane._obstacles_mm[:, 2].max(initial=0.0) + self.clearance + self.longest
+        return 1.2 * collisions.DISTANCE_ERROR * float(size)
 
     @cached_property
     def runs(self) -> np.ndarray:
