@@ -103,7 +103,7 @@ def benchmark_collisions(
     Raises
     ------
     InputError
-        If a method is unknown or cannot run here.
+        If a method is unknown or cannot run here, or a number is not positive.
 
     Examples
     --------
@@ -115,6 +115,8 @@ def benchmark_collisions(
     plane = _plane_of(instrument)
     names = _check_methods(methods)
     _check_positive(n_configurations=n_configurations, repeats=repeats)
+    if not (isinstance(seconds, int | float) and seconds >= 0):
+        raise InputError(f"seconds must be a number of at least 0, got {seconds!r}")
     rng = to_generator(rng)
     runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
     cases = [_case(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
@@ -229,7 +231,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
             if turn == 0:
                 found[run] = results
                 # the last call of a slow method counts, and may be all that there is time for
-                times[run] = times[run][-1:] if times[run][-1] > seconds / 4 or turn == repeats else []
+                times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
     return found, times
 
 
@@ -252,8 +254,8 @@ def _errors(truth, found):
     n = missed = spurious = 0
     errors = []
     for true, got in zip(truth, found, strict=True):
-        keys = np.sort(np.column_stack([got.first, got.second]), axis=1).tolist()
-        distances = dict(zip(map(tuple, keys), got.distances.tolist(), strict=True))
+        keys = zip(got.first.tolist(), got.second.tolist(), strict=True)
+        distances = dict(zip(keys, got.distances.tolist(), strict=True))
         both = true.keys() & distances.keys()
         n, missed, spurious = n + len(true), missed + len(true) - len(both), spurious + len(distances) - len(both)
         errors += [abs(distances[k] - true[k]) for k in both]

@@ -147,7 +147,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     Raises
     ------
     InputError
-        If the table has other columns.
+        If the table has other columns, or there are not two axes.
 
     Examples
     --------

@@ -92,6 +92,7 @@ def test_joint_limits_are_kept(rng):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: rs.benchmark_collisions("lamost", seconds=-1), "seconds must be a number of at least 0, got -1"),
         (lambda: rs.benchmark_collisions(3), "instrument must be a name, an Instrument or a FocalPlane, got int"),
         (lambda: rs.benchmark_collisions("lamost", methods="exact"), "methods must be a list of names, got 'exact'"),
         (lambda: rs.benchmark_batches("lamost", sizes=[]), r"sizes must be a list of whole numbers, got \[\]"),

@@ -120,6 +120,15 @@ def apart(mx, my, ax, ay, bx, by, squared):
 
 
 @kernel
+def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
+    """Squared distance of the segments a-b and c-d; infinity if an axis keeps them apart by the root of ``squared``."""
+    mx, my = 0.5 * ((cx + dx) - (ax + bx)), 0.5 * ((cy + dy) - (ay + by))
+    if apart(mx, my, 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (dx - cx), 0.5 * (dy - cy), squared):
+        return math.inf
+    return segments_squared(ax, ay, bx, by, cx, cy, dx, dy)
+
+
+@kernel
 def halve(segments, halves):
     """Middle and half of each segment: rows mx, my, hx, hy."""
     for k in range(2):

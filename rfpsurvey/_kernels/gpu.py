@@ -19,7 +19,7 @@ from rfpsurvey._kernels.batch import (
     OBSTACLE_PAIRS,
     PAIRS,
 )  # fmt: skip
-from rfpsurvey._kernels.collisions import apart, point_segment_squared, segments_squared
+from rfpsurvey._kernels.collisions import near_squared, point_segment_squared
 
 __all__ = ["THREADS", "count", "list_pairs", "stand"]
 
@@ -73,15 +73,12 @@ def count(
         for k in range(indptr[i], indptr[i + 1]):
             j = neighbor[k]
             px, py, qx, qy = segments[c, 0, j], segments[c, 1, j], segments[c, 2, j], segments[c, 3, j]
-            mx, my = 0.5 * ((px + qx) - (ax + bx)), 0.5 * ((py + qy) - (ay + by))
-            hx, hy, gx, gy = 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (qx - px), 0.5 * (qy - py)
-            if not apart(mx, my, hx, hy, gx, gy, reject2):
-                d2 = segments_squared(ax, ay, bx, by, px, py, qx, qy)
-                if d2 < limit:
-                    hit = True
-                    pairs += j > i
-                if j > i and abs(d2 - limit) <= band:
-                    borderline += 1
+            d2 = near_squared(ax, ay, bx, by, px, py, qx, qy, reject2)
+            if d2 < limit:
+                hit = True
+                pairs += j > i
+            if j > i and abs(d2 - limit) <= band:
+                borderline += 1
         for k in range(hurdle_indptr[i], hurdle_indptr[i + 1]):
             d2 = point_segment_squared(hurdles[k, 0], hurdles[k, 1], ax, ay, bx, by)
             if math.sqrt(d2) < hurdles[k, 2] + clearance:
@@ -115,9 +112,7 @@ def list_pairs(segments, first, second, reject2, limit, found, squared, n):
     i, j = first[k], second[k]
     ax, ay, bx, by = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
     px, py, qx, qy = segments[0, j], segments[1, j], segments[2, j], segments[3, j]
-    mx, my = 0.5 * ((px + qx) - (ax + bx)), 0.5 * ((py + qy) - (ay + by))
-    if not apart(mx, my, 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (qx - px), 0.5 * (qy - py), reject2):
-        d2 = segments_squared(ax, ay, bx, by, px, py, qx, qy)
-        if d2 < limit:
-            row = cuda.atomic.add(n, 0, 1)
-            found[row], squared[row] = k, d2
+    d2 = near_squared(ax, ay, bx, by, px, py, qx, qy, reject2)
+    if d2 < limit:
+        row = cuda.atomic.add(n, 0, 1)
+        found[row], squared[row] = k, d2

@@ -11,8 +11,8 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
-    "Arms", "arm_angles", "check_arms", "check_plane", "check_tips", "nearest_distance", "place_arms", "stand",
-    "to_sides", "to_tips",
+    "Arms", "arm_angles", "check_arms", "check_plane", "check_tips", "joints_free", "nearest_distance", "place_arms",
+    "stand", "to_sides", "to_tips",
 ]  # fmt: skip
 
 
@@ -55,6 +55,7 @@ def place_arms(
     With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
     """
     n, columns = len(focal_plane), focal_plane._columns
+    idle = columns.idle(parked_obstacles)
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("give either tips, or both theta and phi")
     if tips is None:
@@ -64,6 +65,7 @@ def place_arms(
         segments = np.empty((4, n))
         arms.pose(*angles, columns.geometry, segments)
         assigned = np.isfinite(segments[2]) & focal_plane._usable
+        arms.fill_idle(assigned, idle.segments, segments)
         clipped = np.zeros(n, dtype=bool)
     else:
         points = to_tips(tips, n)
@@ -71,9 +73,6 @@ def place_arms(
         segments, assigned, clipped = stand(focal_plane, points, side, parked_obstacles, clip=clip)
         angles = np.empty((2, n))
         arms.solve(points, columns.geometry, side, *angles)
-    idle = columns.idle(parked_obstacles)
-    if tips is None:
-        arms.fill_idle(assigned, idle.segments, segments)
     for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
         np.copyto(own, other, where=~assigned)
     elbow, tip = segments[:2].T.copy(), segments[2:].T.copy()
@@ -127,7 +126,7 @@ def check_tips(plane, points, side, *, clip=False):
             f"{np.hypot(*(points[k] - plane._xy_mm[k])):.7g} mm from its center, "
             f"must be {plane._inner_mm[k]:.4f} to {plane._outer_mm[k]:.4f} mm"
         )
-    if not all(plane.positioner._joints_free_for(s) for s in {side.min(), side.max()}):
+    if not joints_free(plane, side):
         theta, phi = np.empty(n), np.empty(n)
         arms.solve(points, plane._columns.geometry, side, theta, phi)
         barred = assigned & ~far & ~plane.positioner._joints_allowed(theta, phi)
@@ -138,6 +137,11 @@ def check_tips(plane, points, side, *, clip=False):
             )
         far |= barred
     return assigned, far & assigned
+
+
+def joints_free(plane, side):
+    """Say whether the joint limits leave the whole patrol areas in reach with these elbows."""
+    return all(plane.positioner._joints_free_for(s) for s in {side.min(), side.max()})
 
 
 def place_tips(plane, points, side, clipped):

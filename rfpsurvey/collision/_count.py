@@ -9,11 +9,11 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_generator, to_mm
-from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, to_sides
+from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["CollisionCounts", "count_collisions", "stage_of"]
+__all__ = ["CollisionCounts", "count_collisions"]
 
 CHUNK = 64
 """Configurations that one task scores; draws do not depend on the number of workers, but on this."""
@@ -113,7 +113,8 @@ def count_collisions(
     Raises
     ------
     InputError
-        If a tip lies outside its patrol area or beyond the joint limits, or a shape does not fit.
+        If a tip lies outside its patrol area or beyond the joint limits, the allocation is for another focal plane or
+        has no queues, arguments exclude each other, the method cannot run here, or a shape does not fit.
 
     See Also
     --------
@@ -159,7 +160,7 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
         raise InputError(f"tips must be an Allocation or a Quantity of shape (m, {len(plane)}, 2), got {kind}")
-    stage = stage_of(plane, arm_angles(plane, fiber_type), parked_obstacles)
+    stage = _stage(plane, arm_angles(plane, fiber_type), parked_obstacles)
     side = None
     if handedness is not None or plane.positioner._joints_free:
         side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
@@ -191,13 +192,13 @@ def _on_processor(plane, stage, points, side):
     return counts, times, far
 
 
-def _gpu(plane, stage):
+def _device(plane, stage):
     from rfpsurvey.collision import _gpu
 
     return _gpu.make_scorer(plane, stage)
 
 
-SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _gpu)}
+SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
 """Name to the configurations of a chunk, and what makes a function (points, side) -> (counts, times, far)."""
 
 
@@ -215,15 +216,15 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
     indptr, entries = _entries(plane, allocation)
-    stage = stage_of(plane, plane._columns.angles, allocation.parked_obstacles)
+    stage = _stage(plane, plane._columns.angles, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
-    return partial(_score_draws, plane, stage, indptr, entries), (sizes, to_generator(rng).spawn(len(sizes)))
-
-
-def _score_draws(plane, stage, indptr, entries, size, rng):
-    counts, times = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     idle = stage.idle.copy()
     arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
+    return partial(_score_draws, plane, stage, idle, indptr, entries), (sizes, to_generator(rng).spawn(len(sizes)))
+
+
+def _score_draws(plane, stage, idle, indptr, entries, size, rng):
+    counts, times = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     uniform = rng.random((size, len(plane)))
     batch.count_draws(uniform, indptr, entries, idle, stage, _desk(plane), counts, times)
     return counts, times
@@ -247,7 +248,7 @@ def _entries(plane, allocation):
     return indptr, segments
 
 
-def stage_of(plane, angles, parked_obstacles) -> batch.Stage:
+def _stage(plane, angles, parked_obstacles) -> batch.Stage:
     """Return what all configurations share."""
     columns = plane._columns
     idle = columns.idle(parked_obstacles)
@@ -270,7 +271,7 @@ def _desk(plane) -> batch.Desk:
 
 def _sides_of_chunk(plane, points, side, start):
     """Elbows of a chunk: one row for all configurations, unless the joint limits have a say."""
-    if side is not None and all(plane.positioner._joints_free_for(s) for s in {side.min(), side.max()}):
+    if side is not None and joints_free(plane, side):
         return side
     rows = [plane._sides(p) if side is None else side[0] for p in points]
     for c, (tips, row) in enumerate(zip(points, rows, strict=True)):

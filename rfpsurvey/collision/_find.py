@@ -16,7 +16,7 @@ from rfpsurvey.collision._arms import (
     stand,
     to_sides,
     to_tips,
-)  # fmt: skip
+)
 from rfpsurvey.collision._exactly import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
@@ -58,7 +58,7 @@ def find_collisions(
         Joint angles instead of ``tips``, taken as they are, within the joint limits or not; NaN for positioners
         without a target.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
-        Elbow of each arm, where it is not the positioner's own.
+        Elbow of each arm at its tip, where it is not the positioner's own; not with ``theta`` and ``phi``.
     fiber_type : array_like of str, shape (n,), optional
         Fiber in use, for arm models that depend on it.
     parked_obstacles : bool, optional
@@ -82,7 +82,8 @@ def find_collisions(
     Raises
     ------
     InputError
-        If a tip lies outside its patrol area or beyond the joint limits, or a shape does not fit.
+        If a tip lies outside its patrol area or beyond the joint limits, an allocation or arms belong to another focal
+        plane, arguments exclude each other, the method cannot run here, or a shape does not fit.
 
     See Also
     --------
@@ -138,7 +139,8 @@ def _stand(plane, tips, given, parked_obstacles):
 
     if isinstance(tips, Arms) or tips is None or given["theta"] is not None or given["phi"] is not None:
         posed = tips if isinstance(tips, Arms) else poses()
-        check_arms(plane, posed)
+        if posed is tips:
+            check_arms(plane, posed)
         return np.ascontiguousarray(posed.segments.T), posed.assigned, posed.parked, lambda: posed
     columns = plane._columns
     points = to_tips(tips, len(plane))

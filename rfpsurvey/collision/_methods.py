@@ -11,7 +11,7 @@ from rfpsurvey.collision._arms import Arms
 from rfpsurvey.collision._exactly import closer_exactly
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["METHODS", "Configuration", "Found", "near_pairs"]
+__all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Least distance of ``n_points`` points on either arm: never too small, and blind to shallow crossings."""
+    """Least distance of ``n_points`` points on either arm: never too small but for rounding, blind between them."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -62,9 +62,10 @@ def sweep(case: Configuration) -> Found:
     start = np.repeat(plane.positioner._home_rad[:, None], len(plane), axis=1)
     move = np.array([posed.theta - start[0], posed.phi - start[1]])
     move -= 2 * np.pi * np.round(move / (2 * np.pi))
+    angles = _capsule_angles(posed)
     for pose, part in zip(poses[:-1], np.linspace(0, 1, case.n_points), strict=False):
         arms.pose(*(start + part * move), plane._columns.geometry, pose)
-        arms.shape(pose, plane._columns.model, plane._columns.length, *_capsule_angles(posed))
+        arms.shape(pose, plane._columns.model, plane._columns.length, *angles)
     poses[-1] = case.segments
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)

@@ -63,6 +63,11 @@ class Columns:
         return 1e-12 * float(self.plane._outer_mm.max() + np.abs(self.plane._xy_mm).max())
 
     @cached_property
+    def touch_slack(self) -> float:
+        """What rounding, and arms that count as equal, may do to the gap of two arms stretched toward each other."""
+        return 4 * (self.reach_slack + arms.EQUAL_ARMS)
+
+    @cached_property
     def limits(self) -> collisions.Limits:
         """Safe distance and the slack for rounding."""
         extent = np.hypot(*self.plane._xy_mm.T) + self.plane._arm_reach_mm

@@ -217,7 +217,7 @@ class FocalPlane:
     @cached_property
     def _neighbors(self):
         """Pairs to test; those that only rounding could let collide are among them."""
-        slack = 4 * (self._columns.reach_slack + arms.EQUAL_ARMS)
+        slack = self._columns.touch_slack
         limit = 2 * self._arm_reach_mm.max() + self.positioner._separation_mm + slack
         pairs = cKDTree(self._xy_mm).query_pairs(limit, output_type="ndarray")
         pairs = np.sort(pairs[self._can_touch(pairs, slack)], axis=1).astype(np.int64)
@@ -236,7 +236,7 @@ class FocalPlane:
             return np.empty((0, 2), dtype=np.int64)
         apart = np.hypot(*(self._xy_mm[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
         limit = self._arm_reach_mm[:, None] + circles[None, :, 2] + self.positioner._clearance_mm
-        return np.argwhere(apart < limit + 4 * (self._columns.reach_slack + arms.EQUAL_ARMS))
+        return np.argwhere(apart < limit + self._columns.touch_slack)
 
     @cached_property
     def _columns(self):

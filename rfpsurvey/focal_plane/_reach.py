@@ -77,12 +77,12 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 def find_reach(plane, points, accepts) -> Reach:
     """Return the reachable pairs of targets in mm; ``accepts`` as `accepted_types` makes it."""
     x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-    cx, cy = plane._xy_mm.T.copy()
+    geometry = plane._columns.geometry
     indptr = np.empty(len(points) + 1, dtype=np.int64)
     room = 2 * len(points) + 1024
     while True:
         owner, r2, code = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
-        positioners = (cx, cy, plane._inner_mm, plane._outer_mm, plane._offers)
+        positioners = (geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, plane._offers)
         n = reach.reachable_pairs(x, y, accepts, *positioners, *plane._grid, indptr, owner, r2, code)
         if n <= room:
             break
