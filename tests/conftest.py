@@ -1,6 +1,7 @@
 import os
 from pathlib import Path
 
+import astropy.units as u
 import matplotlib
 import numpy as np
 import pytest
@@ -45,3 +46,11 @@ def real_data():
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def small():
+    """A small instrument with equal arms."""
+    unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
+    return rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg)
