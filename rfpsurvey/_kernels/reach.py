@@ -1,4 +1,4 @@
-"""Which positioner reaches which target: a grid of positioners, then exact annulus tests."""
+"""Which positioner reaches which target: a grid that knows who comes where, then exact annulus tests."""
 
 import math
 
@@ -16,18 +16,31 @@ def cell_of(value, origin, size, n):
 
 
 @kernel
-def fill_grid(cx, cy, x0, y0, size, nx, ny, start, order):
-    """Sort positioners into cells: those of cell c are ``order[start[c]:start[c + 1]]``, in ascending order."""
-    start[:] = 0
-    for i in range(cx.size):
-        start[cell_of(cy[i], y0, size, ny) * nx + cell_of(cx[i], x0, size, nx) + 1] += 1
-    for c in range(nx * ny):
-        start[c + 1] += start[c]
+def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
+    """List for each cell the positioners whose reach comes into it: ``order[start[c]:start[c + 1]]``, ascending.
+
+    With an empty ``order`` only ``start`` is filled in.
+    """
+    if order.size == 0:
+        start[:] = 0
     fill = start[:-1].copy()
     for i in range(cx.size):
-        c = cell_of(cy[i], y0, size, ny) * nx + cell_of(cx[i], x0, size, nx)
-        order[fill[c]] = i
-        fill[c] += 1
+        left, right = cell_of(cx[i] - reach[i], x0, size, nx), cell_of(cx[i] + reach[i], x0, size, nx)
+        for row in range(cell_of(cy[i] - reach[i], y0, size, ny), cell_of(cy[i] + reach[i], y0, size, ny) + 1):
+            dy = max(y0 + row * size - cy[i], cy[i] - (y0 + (row + 1) * size), 0.0)
+            for column in range(left, right + 1):
+                dx = max(x0 + column * size - cx[i], cx[i] - (x0 + (column + 1) * size), 0.0)
+                if dx * dx + dy * dy > reach[i] * reach[i]:
+                    continue
+                c = row * nx + column
+                if order.size == 0:
+                    start[c + 1] += 1
+                else:
+                    order[fill[c]] = i
+                    fill[c] += 1
+    if order.size == 0:
+        for c in range(nx * ny):
+            start[c + 1] += start[c]
 
 
 @kernel
@@ -35,11 +48,9 @@ def annulus(r2, inner, outer):
     """Is the squared radius in the closed annulus? BORDERLINE where rounding could decide."""
     outer2 = outer * outer
     inner2 = inner * inner
-    if r2 > outer2 * (1.0 + BAND) or r2 < inner2 * (1.0 - BAND):
-        return OUTSIDE
-    if r2 < outer2 * (1.0 - BAND) and (inner == 0.0 or r2 > inner2 * (1.0 + BAND)):
-        return INSIDE
-    return BORDERLINE
+    possible = (r2 <= outer2 * (1.0 + BAND)) & (r2 >= inner2 * (1.0 - BAND))
+    certain = (r2 < outer2 * (1.0 - BAND)) & ((inner == 0.0) | (r2 > inner2 * (1.0 + BAND)))
+    return INSIDE if certain else (BORDERLINE if possible else OUTSIDE)
 
 
 @kernel
@@ -52,36 +63,22 @@ def reachable_pairs(
     and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
     """
     n = 0
-    reach = 0.0
-    for i in range(outer.size):
-        reach = max(reach, outer[i])
-    reach *= 1.0 + 1e-6
-    low_x, high_x = x0 - reach, x0 + nx * size + reach
-    low_y, high_y = y0 - reach, y0 + ny * size + reach
+    right, top = x0 + nx * size, y0 + ny * size
     for t in range(tx.size):
         indptr[t] = n
         x, y = tx[t], ty[t]
-        if not (low_x <= x <= high_x and low_y <= y <= high_y):  # also NaN
+        if not (x0 <= x <= right and y0 <= y <= top):  # also NaN
             continue
-        first = n
-        for row in range(cell_of(y - reach, y0, size, ny), cell_of(y + reach, y0, size, ny) + 1):
-            for column in range(cell_of(x - reach, x0, size, nx), cell_of(x + reach, x0, size, nx) + 1):
-                cell = row * nx + column
-                for k in range(start[cell], start[cell + 1]):
-                    i = order[k]
-                    dx = x - cx[i]
-                    dy = y - cy[i]
-                    d2 = dx * dx + dy * dy
-                    verdict = annulus(d2, inner[i], outer[i])
-                    if verdict == OUTSIDE or accepts[t] & offers[i] == 0:
-                        continue
-                    if n < owner.size:
-                        j = n
-                        while j > first and owner[j - 1] > i:
-                            owner[j], r2[j], code[j] = owner[j - 1], r2[j - 1], code[j - 1]
-                            j -= 1
-                        owner[j], r2[j], code[j] = i, d2, verdict
-                    n += 1
+        cell = cell_of(y, y0, size, ny) * nx + cell_of(x, x0, size, nx)
+        for k in range(start[cell], start[cell + 1]):
+            i = order[k]
+            dx = x - cx[i]
+            dy = y - cy[i]
+            d2 = dx * dx + dy * dy
+            verdict = annulus(d2, inner[i], outer[i])
+            if n < owner.size:
+                owner[n], r2[n], code[n] = i, d2, verdict
+            n += (verdict != OUTSIDE) & (accepts[t] & offers[i] != 0)  # a toss-up: no branch
     indptr[tx.size] = n
     return n
 

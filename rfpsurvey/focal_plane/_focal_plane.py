@@ -212,7 +212,7 @@ class FocalPlane:
 
     @cached_property
     def _grid(self):
-        return make_grid(self._xy_mm, self._outer_mm.max())
+        return make_grid(self._xy_mm, self._outer_mm)
 
     @cached_property
     def _neighbors(self):

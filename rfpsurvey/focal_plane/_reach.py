@@ -47,16 +47,19 @@ class Reach:
         return indptr, target, self.r2[source]
 
 
-def make_grid(xy, cell):
-    """Sort positioners into square cells: x0, y0, size, nx, ny, start, order."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
+def make_grid(xy, outer):
+    """Square cells with the positioners that reach into each: x0, y0, size, nx, ny, start, order."""
+    reaches = outer * (1 + 1e-6)
+    low, high = (xy - reaches[:, None]).min(axis=0), (xy + reaches[:, None]).max(axis=0)
     # no more than a few cells a positioner, however far apart they stand
-    size = max(cell, np.sqrt(np.prod(high - low) / (4 * len(xy))), (high - low).max() / 4096)
+    size = max(outer.max() / 2, np.sqrt(np.prod(high - low) / (16 * len(xy))), (high - low).max() / 4096)
     nx, ny = (int(n) for n in (high - low) // size + 1)
-    start, order = np.zeros(nx * ny + 1, dtype=np.int64), np.empty(len(xy), dtype=np.int64)
+    grid = float(low[0]), float(low[1]), float(size), nx, ny, np.zeros(nx * ny + 1, dtype=np.int64)
     x, y = xy.T.copy()
-    reach.fill_grid(x, y, low[0], low[1], size, nx, ny, start, order)
-    return float(low[0]), float(low[1]), float(size), nx, ny, start, order
+    reach.fill_grid(x, y, reaches, *grid, np.empty(0, dtype=np.int64))
+    order = np.empty(grid[-1][-1], dtype=np.int64)
+    reach.fill_grid(x, y, reaches, *grid, order)
+    return *grid, order
 
 
 def accepted_types(plane, fiber_type, n) -> np.ndarray:
