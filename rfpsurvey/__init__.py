@@ -13,6 +13,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
 from rfpsurvey.plot import plot_focal_plane, plot_speed_accuracy
 from rfpsurvey.positioner import Positioner
+from rfpsurvey.probability import Estimate, collision_probability
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
@@ -26,6 +27,7 @@ __all__ = [
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
+    "Estimate",
     "FocalPlane",
     "InputError",
     "Instrument",
@@ -39,6 +41,7 @@ __all__ = [
     "available_instruments",
     "benchmark_batches",
     "benchmark_collisions",
+    "collision_probability",
     "count_collisions",
     "find_collisions",
     "plan_tile",

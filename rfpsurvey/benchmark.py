@@ -22,7 +22,7 @@ from rfpsurvey.collision import METHODS, Configuration, Found, count_collisions,
 from rfpsurvey.collision._exactly import closer_exactly, distance_exactly
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument
+from rfpsurvey.instrument import Instrument, as_focal_plane
 
 __all__ = ["benchmark_batches", "benchmark_collisions"]
 
@@ -112,7 +112,7 @@ def benchmark_collisions(
     >>> table["method", "n_spurious"].pformat()[2:]
     ['    exact          0', 'endpoints          0']
     """
-    plane = _plane_of(instrument)
+    plane = as_focal_plane(instrument)
     names = _check_methods(methods)
     _check_positive(n_configurations=n_configurations, repeats=repeats)
     if not (isinstance(seconds, int | float) and seconds >= 0):
@@ -179,7 +179,7 @@ def benchmark_batches(
     >>> rs.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)["device", "size"].pformat()[2:]
     ['   CPU    1', '   CPU   10']
     """
-    plane = _plane_of(instrument)
+    plane = as_focal_plane(instrument)
     for name, values in (("sizes", sizes), ("workers", workers)):
         if not isinstance(values, Sequence) or len(values) == 0:
             raise InputError(f"{name} must be a list of whole numbers, got {values!r}")
@@ -286,15 +286,6 @@ def _random_tips(plane, rng):
             break
     tips[wanting] = np.nan
     return tips
-
-
-def _plane_of(instrument):
-    if isinstance(instrument, FocalPlane):
-        return instrument
-    model = Instrument.preset(instrument) if isinstance(instrument, str) else instrument
-    if not isinstance(model, Instrument):
-        raise InputError(f"instrument must be a name, an Instrument or a FocalPlane, got {type(model).__name__}")
-    return model.focal_plane
 
 
 def _check_methods(methods):

@@ -139,6 +139,18 @@ def halve(segments, halves):
 
 
 @kernel
+def keep_near(halves, m, squared, first, second):
+    """Of m pairs keep those that no axis keeps apart by the root of ``squared``; returns how many."""
+    n = 0
+    for k in range(m):
+        i, j = first[k], second[k]
+        mx, my = halves[0, j] - halves[0, i], halves[1, j] - halves[1, i]
+        first[n], second[n] = i, j
+        n += not apart(mx, my, halves[2, i], halves[3, i], halves[2, j], halves[3, j], squared)
+    return n
+
+
+@kernel
 def near_pairs(halves, runs, limits, mask, first, second):
     """Neighbors that may be closer than the safe distance; returns how many, written to ``first`` and ``second``.
 
@@ -163,13 +175,7 @@ def near_pairs(halves, runs, limits, mask, first, second):
         for k in range(n):
             first[m], second[m] = i + k, j + k
             m += marks[k]
-    n = 0
-    for k in range(m):
-        i, j = first[k], second[k]
-        mx, my = halves[0, j] - halves[0, i], halves[1, j] - halves[1, i]
-        first[n], second[n] = i, j
-        n += not apart(mx, my, halves[2, i], halves[3, i], halves[2, j], halves[3, j], limit2)
-    return n
+    return keep_near(halves, m, limit2, first, second)
 
 
 @kernel

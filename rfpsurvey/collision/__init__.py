@@ -1,12 +1,12 @@
 """Static collisions: where the arms stand, and which of them are closer than the safe distance."""
 
 from rfpsurvey.collision._arms import Arms, nearest_distance, place_arms
-from rfpsurvey.collision._count import CollisionCounts, count_collisions
+from rfpsurvey.collision._count import CollisionCounts, count_collisions, lay_out, make_desk, make_stage
 from rfpsurvey.collision._find import find_collisions
 from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
     "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "count_collisions",
-    "find_collisions", "keep_closer", "near_pairs", "nearest_distance", "place_arms",
+    "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs", "nearest_distance", "place_arms",
 ]  # fmt: skip

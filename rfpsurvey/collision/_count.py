@@ -13,7 +13,7 @@ from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joint
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["CollisionCounts", "count_collisions"]
+__all__ = ["CollisionCounts", "count_collisions", "lay_out", "make_desk", "make_stage"]
 
 CHUNK = 64
 """Configurations that one task scores; draws do not depend on the number of workers, but on this."""
@@ -160,7 +160,7 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
         raise InputError(f"tips must be an Allocation or a Quantity of shape (m, {len(plane)}, 2), got {kind}")
-    stage = _stage(plane, arm_angles(plane, fiber_type), parked_obstacles)
+    stage = make_stage(plane, arm_angles(plane, fiber_type), parked_obstacles)
     side = None
     if handedness is not None or plane.positioner._joints_free:
         side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
@@ -188,7 +188,7 @@ def _on_processor(plane, stage, points, side):
     """Return counts, times, and the number of tips that are out of reach."""
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     columns = plane._columns
-    far = batch.count_tips(points, columns.geometry, columns.bounds, side, stage, _desk(plane), counts, times)
+    far = batch.count_tips(points, columns.geometry, columns.bounds, side, stage, make_desk(plane), counts, times)
     return counts, times, far
 
 
@@ -215,8 +215,8 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
         raise InputError(f"n_configurations must say how many to draw, a whole number of at least 0, got {n!r}")
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
-    indptr, entries = _entries(plane, allocation)
-    stage = _stage(plane, plane._columns.angles, allocation.parked_obstacles)
+    indptr, entries = lay_out(plane, allocation)
+    stage = make_stage(plane, plane._columns.angles, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
     idle = stage.idle.copy()
     arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
@@ -226,12 +226,12 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
 def _score_draws(plane, stage, idle, indptr, entries, size, rng):
     counts, times = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     uniform = rng.random((size, len(plane)))
-    batch.count_draws(uniform, indptr, entries, idle, stage, _desk(plane), counts, times)
+    batch.count_draws(uniform, indptr, entries, idle, stage, make_desk(plane), counts, times)
     return counts, times
 
 
-def _entries(plane, allocation):
-    """All queues, one after the other: the segment of each entry."""
+def lay_out(plane, allocation):
+    """Return where the queues begin, and the segments of their entries, one queue after the other, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
@@ -248,7 +248,7 @@ def _entries(plane, allocation):
     return indptr, segments
 
 
-def _stage(plane, angles, parked_obstacles) -> batch.Stage:
+def make_stage(plane, angles, parked_obstacles) -> batch.Stage:
     """Return what all configurations share."""
     columns = plane._columns
     idle = columns.idle(parked_obstacles)
@@ -258,7 +258,7 @@ def _stage(plane, angles, parked_obstacles) -> batch.Stage:
     )  # fmt: skip
 
 
-def _desk(plane) -> batch.Desk:
+def make_desk(plane) -> batch.Desk:
     """Scratch for one configuration."""
     n, room, m = len(plane), len(plane._neighbors), len(plane._obstacle_pairs)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))

@@ -18,7 +18,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.projection import RadialMap, TangentPlane
 
-__all__ = ["Instrument", "available_instruments"]
+__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments"]
 
 ENTRY_POINTS = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
@@ -128,6 +128,16 @@ class Instrument:
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 
+    def _needs(self, types: np.ndarray | None, n: int) -> np.ndarray | None:
+        """Fiber type that each of n targets needs; None where any will do."""
+        if self.focal_plane.fiber_types == ("",):
+            return None  # one unnamed fiber type serves every target
+        if isinstance(self.distortion, dict):
+            # each type has its own image of the sky: a target without a type is one for the first
+            first = next(iter(self.distortion))
+            return np.full(n, first) if types is None else np.where(types == "", first, types)
+        return types
+
     @classmethod
     def preset(cls, name: str) -> "Instrument":
         """Return an instrument by name.
@@ -203,6 +213,24 @@ class Instrument:
         for column in (plane._xy_mm, plane._l1_mm, plane._l2_mm, plane.disabled, plane._stuck_rad, plane._obstacles_mm):
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}
+
+
+def as_instrument(instrument: Instrument | str) -> Instrument:
+    """Return an instrument from itself or from the name of a preset."""
+    if isinstance(instrument, str):
+        return Instrument.preset(instrument)
+    if not isinstance(instrument, Instrument):
+        raise InputError(f"instrument must be an Instrument or the name of a preset, got {instrument!r}")
+    return instrument
+
+
+def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
+    """Return the focal plane of an instrument, of a preset, or itself."""
+    if isinstance(instrument, FocalPlane):
+        return instrument
+    if not isinstance(instrument, str | Instrument):
+        raise InputError(f"instrument must be a name, an Instrument or a FocalPlane, got {type(instrument).__name__}")
+    return as_instrument(instrument).focal_plane
 
 
 def available_instruments() -> list[str]:

@@ -15,9 +15,9 @@ from rfpsurvey.allocation import allocate
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.collision import find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
-from rfpsurvey.instrument import Instrument
+from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
-from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
+from rfpsurvey.tile._tile import Tile, build_tile
 
 __all__ = ["plan_tile"]
 
@@ -112,7 +112,7 @@ def plan_tile(
     if n_twice:
         warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)
     needs = None if catalog.fiber_type is None else catalog.fiber_type[science]
-    needs = _needs(instrument, needs, len(science))
+    needs = instrument._needs(needs, len(science))
     xy = plane._project(catalog._vectors[science], needs)
     seconds["projection"] = perf_counter() - start
     priority = None if catalog.priority is None else catalog.priority[science]
@@ -158,17 +158,6 @@ def plan_tile(
         instrument, catalog.id[rows], np.array([icrs.ra.deg, icrs.dec.deg]), row_of, allocation.fiber_type, posed,
         report, summary, parameters, catalog.meta,
     )  # fmt: skip
-
-
-def _needs(instrument: Instrument, types: np.ndarray | None, n: int) -> np.ndarray | None:
-    """Fiber type that each target needs; None where any will do."""
-    if instrument.focal_plane.fiber_types == ("",):
-        return None  # one unnamed fiber type serves every target
-    if isinstance(instrument.distortion, dict):
-        # each type has its own image of the sky: a target without a type is one for the first
-        first = next(iter(instrument.distortion))
-        return np.full(n, first) if types is None else np.where(types == "", first, types)
-    return types
 
 
 def _as_catalog(catalog) -> Catalog:

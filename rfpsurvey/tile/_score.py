@@ -14,9 +14,9 @@ from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import accepted_types
-from rfpsurvey.instrument import Instrument
+from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
-from rfpsurvey.tile._tile import Tile, as_instrument, build_tile
+from rfpsurvey.tile._tile import Tile, build_tile
 
 __all__ = ["score_tile"]
 

@@ -18,7 +18,7 @@ from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
 
-__all__ = ["Tile", "as_instrument", "build_tile"]
+__all__ = ["Tile", "build_tile"]
 
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 
@@ -229,15 +229,6 @@ def build_tile(
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold
     return Tile(table)
-
-
-def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return an instrument from itself or from the name of a preset."""
-    if isinstance(instrument, str):
-        return Instrument.preset(instrument)
-    if not isinstance(instrument, Instrument):
-        raise InputError(f"instrument must be an Instrument or the name of a preset, got {instrument!r}")
-    return instrument
 
 
 def _target_column(ids, has_target) -> MaskedColumn:

@@ -1,0 +1,99 @@
+"""Formulas without an error: overlap of patrol areas, the closed form of Chen et al., close pairs of targets."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rfpsurvey._kernels import areas
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["VARIANTS", "close_pair", "closed_form", "overlap_ratio"]
+
+VARIANTS = ("corrected", "pitch", "printed")
+N_CIRCLES = 400
+
+
+def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
+    """Return the part of each patrol area that others reach, too."""
+    return _covered(plane, _overlapping(plane, both_ways=True)), {}
+
+
+def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
+    """Return the sum over neighbors of two ratios of areas (Chen et al., Eq. 5 to 9)."""
+    check_choice(variant, VARIANTS, "variant of the closed form")
+    d, l1, l2 = plane.positioner._clearance_mm, plane._l1_mm, plane._l2_mm
+    outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)
+    if variant == "printed":
+        outer, inner = l2 - l1 + d, l2 - l1 - d
+    cover = np.pi * (outer**2 - inner**2)
+    if ((outer <= 0) | (cover <= 1e-9 * outer**2)).any():
+        raise InputError(
+            "the closed form as it is printed has no coverage area for equal arms: its outer radius l2 - l1 + d is a "
+            "misprint of l1 + l2 + d; use variant='corrected'"
+        )
+    inner = np.maximum(inner, 0.0)
+    pairs = _pairs_within(plane, outer)
+    i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
+    distance = np.hypot(*(plane._xy_mm[i] - plane._xy_mm[j]).T)
+    shared = (
+        _lens(outer[i], outer[j], distance) - _lens(outer[i], inner[j], distance)
+        - _lens(inner[i], outer[j], distance) + _lens(inner[i], inner[j], distance)
+    )  # fmt: skip
+    reach = distance if variant == "corrected" else _pitch(plane)
+    swept = d * (l2[i] + d) * np.maximum(0.0, (l1[i] + l2[i] - reach / 2) / (l2[i] / 2))
+    risk = np.zeros(len(plane))
+    np.add.at(risk, i, shared / cover[i] * swept / cover[i])
+    return risk, {"variant": variant}
+
+
+def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
+    """Return the chance that one of the other observed targets lies within the safe distance, one a positioner.
+
+    They are as if uniform in the area that positioners reach, which makes their number near one of them binomial.
+    """
+    area = np.pi * (plane._outer_mm**2 - plane._inner_mm**2)
+    # each point counts for the last positioner that reaches it
+    union = float(area @ (1 - _covered(plane, _overlapping(plane, both_ways=False))))
+    near = min(1.0, np.pi * plane._columns.separation**2 / union)
+    others = np.count_nonzero(plane._usable) - 1
+    return np.full(len(plane), 1 - (1 - near) ** max(others, 0)), {"reached_area_mm2": union}
+
+
+def _pairs_within(plane, radius):
+    """Pairs of positioners with circles that overlap."""
+    pairs = cKDTree(plane._xy_mm).query_pairs(2 * radius.max(), output_type="ndarray")
+    distance = np.hypot(*(plane._xy_mm[pairs[:, 0]] - plane._xy_mm[pairs[:, 1]]).T)
+    return pairs[distance < radius[pairs].sum(axis=1)]
+
+
+def _overlapping(plane, *, both_ways):
+    """Rows of positioners whose patrol areas may overlap (CSR); without ``both_ways`` the later ones alone."""
+    pairs = np.sort(_pairs_within(plane, plane._outer_mm), axis=1)
+    pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
+    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
+    return np.searchsorted(pairs[:, 0], np.arange(len(plane) + 1)), np.append(pairs[:, 1], 0).astype(np.int64)
+
+
+def _covered(plane, rows):
+    out, geometry = np.empty(len(plane)), plane._columns.geometry
+    areas.covered_parts(*rows, geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, N_CIRCLES, out)
+    return out
+
+
+def _pitch(plane):
+    """Distance of nearest neighbors."""
+    return float(np.median(cKDTree(plane._xy_mm).query(plane._xy_mm, k=2)[0][:, 1])) if len(plane) > 1 else np.inf
+
+
+def _lens(a, b, d):
+    """Area common to circles of the radii a and b at distance d."""
+    small, large = np.minimum(a, b), np.maximum(a, b)
+    apart, within = d >= a + b, d <= large - small
+    partly = ~apart & ~within
+    area = np.where(within, np.pi * small**2, 0.0)
+    a, b, d = a[partly], b[partly], d[partly]
+    one = a**2 * np.arccos(np.clip((d**2 + a**2 - b**2) / (2 * d * a), -1, 1))
+    other = b**2 * np.arccos(np.clip((d**2 + b**2 - a**2) / (2 * d * b), -1, 1))
+    kite = 0.5 * np.sqrt(np.maximum((-d + a + b) * (d + a - b) * (d - a + b) * (d + a + b), 0.0))
+    area[partly] = one + other - kite
+    return area

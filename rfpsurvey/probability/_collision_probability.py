@@ -1,0 +1,226 @@
+"""The one door of collision probabilities."""
+
+import warnings
+from collections.abc import Callable
+from concurrent.futures import Executor
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey._units import to_generator
+from rfpsurvey.allocation import METHODS as ALLOCATORS
+from rfpsurvey.allocation import Allocation
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
+from rfpsurvey.probability._estimate import Estimate, with_dynamic
+from rfpsurvey.probability._intervals import INTERVALS
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, cheapest
+from rfpsurvey.probability._quadrature import MOST_POINTS
+from rfpsurvey.probability._run import Precision
+from rfpsurvey.probability._targets import make_source
+
+__all__ = ["collision_probability"]
+
+PRECISION = 1e-3
+MOST = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
+
+
+def collision_probability(
+    focal_plane: FocalPlane | Instrument | str,
+    *,
+    method: str = "conditional",
+    estimand: str | None = None,
+    targets: Catalog | u.Quantity | Callable | str | None = None,
+    n_targets: float | None = None,
+    target_radius: u.Quantity | None = None,
+    min_separation: u.Quantity | None = None,
+    center: SkyCoord | None = None,
+    allocator: str = "balanced",
+    parked_obstacles: bool = True,
+    density: str | Callable | Allocation | list[Allocation] | None = None,
+    variant: str = "corrected",
+    precision: float | None = None,
+    max_iterations: int | None = None,
+    confidence: float = 0.95,
+    interval: str = "wilson",
+    stop: str = "interval",
+    dynamic: float = 0.0,
+    rng: int | np.random.Generator | None = 0,
+    executor: Executor | None = None,
+    progress: bool = False,
+) -> Estimate:
+    """Estimate how likely a positioner is to collide with another one when all stand at their targets.
+
+    The probability is the expected part of the positioners that are in collision, of those with a target and, with equal
+    arms, those parked at home. Methods answer one of two questions: targets are **allocated** to queues, of which a
+    configuration takes one each, or every positioner draws its own target **independently** of all others. The answers
+    differ by up to a factor of five, so that methods can be compared within one question only.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane, Instrument or str
+        The positioners; a str is the name of a preset.
+    method : str, optional
+        ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
+        ``monte_carlo`` (allocated): one configuration for each realization, as in the paper. ``quadrature``
+        (independent): scrambled Sobol points for each positioner and its neighbors. Without an error: ``closed_form``
+        (Eq. 5 to 9 of the paper), ``overlap_ratio`` (part of the patrol area that others reach), ``close_pair`` (chance
+        that another observed target lies within the safe distance). ``auto``: the cheapest one of the estimand that
+        has an error.
+    estimand : {"allocated", "independent"}, optional
+        For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
+    targets : Catalog, Quantity (n, 2), callable or str, optional
+        Allocated targets. ``"uniform"`` (default): ``n_targets`` independent points in a circle; ``"poisson"``: their
+        number is Poisson distributed; ``"poisson_disc"``: none nearer to another than ``min_separation``. A function
+        of a Generator that returns a Quantity of shape (n, 2), new at each call. Or one sky: points on the focal plane,
+        or a Catalog, whose science targets an Instrument projects.
+    n_targets : float, optional
+        Number of random targets (expected number for ``poisson``). By default that of the instrument, or four a
+        positioner.
+    target_radius : Quantity, optional
+        Radius of the circle about the origin where random targets fall. By default it covers all patrol areas.
+    min_separation : Quantity, optional
+        Least distance of two targets of ``poisson_disc``.
+    center : SkyCoord, optional
+        Field center for a Catalog; its mean direction by default.
+    allocator : str, optional
+        Rule that assigns targets, see `allocate`. Without queues (``lamost``) a realization has one configuration.
+    parked_obstacles : bool, optional
+        Do equal-arm positioners without a target stand in the way, and count?
+    density : str, callable, Allocation or list of Allocation, optional
+        Independent targets: ``"uniform"`` (default) over the patrol area, ``"shared"`` with weight 1/k where k
+        positioners reach, ``"voronoi"`` where one's own center is the nearest; a function of points (Quantity of
+        shape (n, 2)) that returns their density up to a factor; or the queues of allocations, put together.
+    variant : {"corrected", "pitch", "printed"}, optional
+        Of the closed form: with misprints corrected and the distance of each neighbor; with the pitch in its place; or
+        as it is printed, which equal arms make 0/0.
+    precision : float, optional
+        Standard error to reach: iterations end when the interval is no wider than one of a normal distribution with this
+        standard error. 0.001 by default, unless ``max_iterations`` is given.
+    max_iterations : int, optional
+        Most iterations, realizations or points to use; without ``precision`` exactly so many iterations.
+    confidence : float, optional
+        Of the interval.
+    interval : {"wilson", "wilson_naive", "bootstrap"}, optional
+        ``wilson``: Wilson's with the effective number of independent trials from the scatter between iterations.
+        ``wilson_naive``: with every positioner of every iteration as a trial, which is too narrow. ``bootstrap``:
+        percentiles of resampled iterations.
+    stop : {"interval", "convergence"}, optional
+        ``convergence``: stop when the running mean moves by less than ``precision`` three times in a row. It says
+        nothing about the error and is here for comparison.
+    dynamic : float, optional
+        Rate at which positioners fail to reach their target for dynamic reasons, independently; LAMOST's is 0.025.
+    rng : int, Generator or None, optional
+        Seed or source of random numbers. Results do not depend on the number of workers.
+    executor : concurrent.futures.Executor, optional
+        Where parts of the simulation run; kernels release the GIL, so that threads do. None: here.
+    progress : bool, optional
+        Show a bar on the standard error.
+
+    Returns
+    -------
+    Estimate
+        The probability with its interval, per positioner, and pairs. For one sky the value is that of its targets, and
+        the error says how far another patch of such a sky may differ.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, numbers are impossible, or options do not belong to the method.
+
+    Warns
+    -----
+    RfpsurveyWarning
+        If the precision was not reached.
+
+    References
+    ----------
+    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi Positioners".
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
+    >>> answer = rs.collision_probability(plane, n_targets=500, precision=0.002)
+    >>> abs(answer.value - 0.052) < 0.01, answer.low < answer.value < answer.high
+    (True, True)
+    >>> round(rs.collision_probability(plane, method="quadrature").value, 2)
+    0.09
+    """
+    start = perf_counter()
+    plane = as_focal_plane(focal_plane)
+    instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
+    name = _method(method, estimand, allocator)
+    if ESTIMANDS[name] == "allocated" and density is not None:
+        raise InputError(f"density belongs to independent targets; {name!r} allocates targets")
+    check_choice(interval, INTERVALS, "interval")
+    check_choice(stop, ("interval", "convergence"), "stopping rule")
+    if executor is not None and not isinstance(executor, Executor):
+        raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+    for what, value in (("confidence", confidence), ("dynamic", dynamic)):
+        if not (isinstance(value, int | float) and 0 <= value < 1) or (what == "confidence" and value == 0):
+            raise InputError(
+                f"{what} must be a number {'above' if value == 0 else 'of at least'} 0 and below 1, got {value!r}"
+            )
+    source = None
+    if ESTIMANDS[name] == "allocated":
+        source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)
+    question = Question(
+        plane, source, allocator, "uniform" if density is None else density, variant, bool(parked_obstacles),
+        _precision(name, precision, max_iterations, confidence, interval, stop), to_generator(rng), executor, progress,
+    )  # fmt: skip
+    nothing_can_touch = len(plane._neighbors) == len(plane._obstacle_pairs) == 0
+    found = _zero(plane, source) if nothing_can_touch and name in MOST else METHODS[name](question)
+    if precision is not None and not found.pop("met", True):
+        warnings.warn(
+            f"the standard error of {found['standard_error']:.2g} after {found['n']} iterations is more than the precision "
+            f"asked for, {precision:g}: max_iterations came first",
+            RfpsurveyWarning,
+            stacklevel=2,
+        )
+    found.pop("met", None)
+    meta = {"confidence": confidence, "interval": interval, "n_positioners": len(plane), **found.pop("meta")}
+    estimate = Estimate(**found, method=name, estimand=ESTIMANDS[name], seconds=perf_counter() - start, meta=meta)
+    return with_dynamic(estimate, float(dynamic))
+
+
+def _method(method, estimand, allocator):
+    """Return the name of the method to use."""
+    check_choice(method, [*METHODS, "auto"], "method of collision probability")
+    check_choice(allocator, ALLOCATORS, "allocator")
+    if estimand is not None:
+        check_choice(estimand, ("allocated", "independent"), "estimand")
+    if method == "auto":
+        return cheapest(estimand or "allocated", allocator)
+    if estimand not in (None, ESTIMANDS[method]):
+        raise InputError(f"{method!r} estimates {ESTIMANDS[method]!r} targets, not {estimand!r} ones")
+    return method
+
+
+def _precision(name, precision, max_iterations, confidence, interval, stop):
+    """Return when to stop."""
+    if precision is not None and not (isinstance(precision, int | float) and 0 < precision < 1):
+        raise InputError(f"precision must be a standard error between 0 and 1, got {precision!r}")
+    if max_iterations is None:
+        precision, most = PRECISION if precision is None else precision, MOST.get(name, 1)
+    else:
+        if not (isinstance(max_iterations, int | np.integer) and max_iterations >= 1):
+            raise InputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
+        most = int(max_iterations)
+        if name == "quadrature":  # Sobol points come in powers of two
+            most = 2 ** int(np.log2(min(most, MOST_POINTS)))
+    return Precision(precision, most, confidence, interval, stop)
+
+
+def _zero(plane, source):
+    """No two arms can ever touch, nor an obstacle: nothing has to be drawn."""
+    nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
+    per_positioner = np.where(plane._usable, 0.0, np.nan)
+    meta = {"certain": "no two arms can touch", **(source.describe() if source else {})}
+    return {**nothing, "n": 0, "n_effective": np.inf, "per_positioner": per_positioner, "meta": meta}

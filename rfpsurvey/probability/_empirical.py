@@ -1,0 +1,39 @@
+"""Independent targets whose density is that of real queues."""
+
+import numpy as np
+
+from rfpsurvey._kernels import simulate
+from rfpsurvey.allocation import Allocation
+from rfpsurvey.collision import lay_out, make_stage
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._scratch import make_array, make_hall
+from rfpsurvey.probability._simulate import Tally
+
+__all__ = ["as_allocations", "pool"]
+
+
+def as_allocations(density: object) -> list[Allocation] | None:
+    """Return the allocations whose queues are the density; None if it is something else."""
+    some = [density] if isinstance(density, Allocation) else density
+    if not isinstance(some, list | tuple) or not some:
+        return None
+    for one in some:
+        if not isinstance(one, Allocation) or one.queues is None:
+            raise InputError(f"density must be Allocations by 'balanced', whose queues are taken, got {one!r}")
+    return list(some)
+
+
+def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
+    """Return the expectations where each positioner draws from its queues in all allocations, put together."""
+    parts = [lay_out(plane, allocation) for allocation in allocations]
+    own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
+    order = np.argsort(own, kind="stable")
+    indptr = np.searchsorted(own[order], np.arange(len(plane) + 1))
+    hall = make_hall(len(plane), len(own))
+    hall.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
+    stage = make_stage(plane, plane._columns.angles, parked_obstacles)
+    sums, times, counted = np.empty((1, 5)), np.zeros(len(plane)), np.zeros(len(plane), dtype=np.int64)
+    array = make_array(plane, stage)
+    simulate.expect_given(indptr, plane._neighbors, array, stage, hall, np.empty(len(plane)), sums[0], times, counted)
+    return Tally(sums[:, :4], sums[:, 4], times, counted)

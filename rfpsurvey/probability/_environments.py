@@ -1,0 +1,65 @@
+"""Which positioners see the same neighbors: on a lattice a few environments stand for all."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["environments"]
+
+RESOLUTION = 1e-6
+"""Positions that differ by less count as equal (mm)."""
+
+
+def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a positioner for each distinct environment, and the number of the environment of each positioner.
+
+    Two are the same if everything within the radius (mm) is, after a turn by a multiple of 60 deg where nothing singles
+    out a direction. A positioner is known by a sum of hashes of what it sees, which does not depend on the order; what
+    a turn might change is hashed for all six.
+    """
+    n, xy = len(plane), plane._xy_mm
+    pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
+    i, j = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)]).T
+    kinds = np.column_stack([_codes(plane._l1_mm), _codes(plane._l2_mm), _codes(plane._first_type)])
+    kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
+    # who does not move is alone of its kind: its pose does not turn with its surroundings
+    kinds = np.where(plane._usable, kinds, n + np.arange(n))
+    away, what = xy[j] - xy[i], kinds[j]
+    circles = plane._obstacles_mm
+    if len(circles):
+        rows = cKDTree(circles[:, :2]).query_ball_point(xy, radius + circles[:, 2].max())
+        own = np.repeat(np.arange(n), [len(r) for r in rows])
+        k = np.concatenate([np.array(r, dtype=int) for r in rows])
+        i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
+        what = np.append(what, 2 * n + k)  # obstacles differ by their radius, and are few: each is its own kind
+    turns = range(6) if plane.positioner._joints_free else range(1)
+    keys = np.array([_hash(n, i, away, what, turn * np.pi / 3) for turn in turns])
+    _, first, number = np.unique(keys.min(axis=0), return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
+
+
+def _codes(values):
+    return np.unique(values, return_inverse=True)[1].reshape(-1)
+
+
+def _hash(n, i, away, what, angle):
+    """Sum over what each positioner sees of a hash of where and what it is."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]
+    # a broken offset keeps multiples of the resolution off the edges of rounding
+    cells = (np.floor(v / RESOLUTION + 0.37) for v in (x, y))
+    value = _mix(what.astype(np.uint64))
+    for cell in cells:
+        value = _mix(value ^ cell.astype(np.int64).astype(np.uint64))
+    out = np.zeros(n, dtype=np.uint64)
+    np.add.at(out, i, value)
+    return out
+
+
+def _mix(value):
+    """Scatter 64 bits (the finalizer of splitmix64)."""
+    value = (value + np.uint64(0x9E3779B97F4A7C15)).astype(np.uint64)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))

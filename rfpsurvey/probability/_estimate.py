@@ -1,0 +1,73 @@
+"""What every method returns."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+__all__ = ["Estimate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """An estimate of the static-collision probability.
+
+    Parameters
+    ----------
+    value : float
+        Expected part of the positioners that are in collision: of the assigned ones and, with equal arms, those parked.
+    value_assigned : float
+        The same of the assigned ones alone.
+    low, high : float
+        Interval about ``value`` at the confidence in ``meta``; NaN for methods without an error.
+    standard_error : float
+        Of ``value``; NaN for methods without an error.
+    n : int
+        Iterations (``monte_carlo``), realizations (``conditional``) or points a positioner and scramble
+        (``quadrature``); 0 if nothing had to be computed.
+    n_effective : float
+        Independent trials that would be as informative.
+    pairs_per_positioner : float
+        Expected number of colliding pairs over the number of positioners that count.
+    per_positioner : ndarray of float, shape (n_positioners,)
+        Probability of each positioner to be in collision where it counts, NaN where it never does.
+    method : str
+        The method that was used.
+    estimand : str
+        ``allocated`` or ``independent``: what is estimated.
+    seconds : float
+        Time it took.
+    meta : dict
+        How it was made.
+    """
+
+    value: float
+    value_assigned: float
+    low: float
+    high: float
+    standard_error: float
+    n: int
+    n_effective: float
+    pairs_per_positioner: float
+    per_positioner: np.ndarray
+    method: str
+    estimand: str
+    seconds: float
+    meta: dict = field(default_factory=dict)
+
+    def __repr__(self):
+        error = "" if np.isnan(self.low) else f" [{self.low:.4g}, {self.high:.4g}]"
+        return f"<Estimate by {self.method!r} of {self.estimand!r} targets: {self.value:.4g}{error}, n = {self.n}>"
+
+
+def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
+    """Return the estimate with an independent dynamic failure of each positioner on top."""
+    if rate == 0:
+        return estimate
+
+    def either(p):
+        return 1 - (1 - p) * (1 - rate)
+
+    names = ("value", "value_assigned", "low", "high", "per_positioner")
+    changed = {name: either(getattr(estimate, name)) for name in names}
+    error = (1 - rate) * estimate.standard_error
+    return replace(estimate, **changed, standard_error=error, meta={**estimate.meta, "dynamic": rate})

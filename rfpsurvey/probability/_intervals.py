@@ -1,0 +1,57 @@
+"""Intervals for a probability whose trials are not independent."""
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+__all__ = ["INTERVALS", "converged", "effective_number", "wilson"]
+
+
+def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
+    """Wilson's interval for ``n`` independent trials, of which the part ``p`` succeeded; ``n`` may be broken."""
+    if not n > 0:
+        return 0.0, 1.0
+    q2 = quantile**2 / n if n < np.inf else 0.0
+    middle = (p + q2 / 2) / (1 + q2)
+    half = np.sqrt(q2 * p * (1 - p) + q2**2 / 4) / (1 + q2)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def effective_number(p: float, standard_error: float, n: float) -> float:
+    """Independent trials that would have this standard error; ``n`` where nothing scatters."""
+    return p * (1 - p) / standard_error**2 if standard_error > 0 and 0 < p < 1 else n
+
+
+def _effective(rates, p, number, trials, quantile, confidence, rng):
+    """Wilson's interval with the effective number of trials."""
+    return wilson(p, number, quantile)
+
+
+def _naive(rates, p, number, trials, quantile, confidence, rng):
+    """Wilson's interval with every positioner of every iteration as a trial of its own, as if they were independent."""
+    return wilson(p, trials, float(ndtri((1 + confidence) / 2)))
+
+
+def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
+    """Percentiles of the mean of rates drawn with replacement."""
+    n = len(rates)
+    means = np.array([rng.multinomial(n, np.full(n, 1 / n)) @ rates for _ in range(n_samples)]) / n
+    return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())
+
+
+INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstrap}
+"""Name to function (rates, p, effective number, trials, quantile, confidence, rng) -> (low, high)."""
+
+
+def quantile(confidence: float, freedom: float) -> float:
+    """Two-sided quantile of Student's distribution; that of the normal one for infinitely many degrees of freedom."""
+    level = (1 + confidence) / 2
+    return float(ndtri(level) if freedom == np.inf else stdtrit(max(freedom, 1), level))
+
+
+def converged(means: list[float], tolerance: float, looks: int = 3) -> bool:
+    """Say whether the running mean has moved by less than ``tolerance`` in each of the last looks.
+
+    This says nothing about the error that is left: it is here for comparison.
+    """
+    steps = np.abs(np.diff(means[-looks - 1 :]))
+    return len(steps) == looks and bool((steps < tolerance).all())

@@ -1,0 +1,139 @@
+"""The table of methods: each takes a question and returns the fields of an estimate."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
+from rfpsurvey.probability._empirical import as_allocations, pool
+from rfpsurvey.probability._quadrature import DENSITIES, Quadrature, integrate
+from rfpsurvey.probability._run import Precision, run, summarize
+from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._targets import Source
+
+__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "Question", "cheapest"]
+
+CHUNK = {"monte_carlo": 64, "conditional": 4}
+"""Realizations of one task. Results depend on this, not on the number of workers."""
+QUEUEING = ("balanced",)
+"""Allocators that make queues, over which `conditional` averages."""
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked, in plain numbers."""
+
+    plane: FocalPlane
+    source: Source | None
+    allocator: str
+    density: object
+    variant: str
+    parked_obstacles: bool
+    precision: Precision
+    rng: np.random.Generator
+    executor: Executor | None
+    progress: bool
+
+
+def _formula(function, question: Question) -> dict:
+    per_positioner, meta = function(question.plane, question.variant)
+    used = question.plane._usable
+    if not used.any():
+        raise InputError("every positioner is disabled or stuck: there is nothing to score")
+    value = float(per_positioner[used].mean())
+    nothing = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
+    return {
+        "value": value, "value_assigned": value, **nothing, "n": 0,
+        "per_positioner": np.where(used, per_positioner, np.nan), "meta": meta,
+    }  # fmt: skip
+
+
+def _simulated(name: str, question: Question) -> dict:
+    source = question.source
+    simulation = Simulation(question.plane, source, question.allocator, question.parked_obstacles)
+    given = source.kind == "given"
+    task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
+    if given and name == "conditional":  # once is enough
+        tally = task(1, question.rng)
+        found = {**summarize(tally, question.plane, precision, question.rng, given=True), "met": True}
+    else:
+        tally, found = run(
+            task,
+            CHUNK[name],
+            precision,
+            question.plane,
+            question.rng,
+            question.executor,
+            question.progress,
+            given=given,
+        )
+    return {
+        **_of_tally(tally, found), "n": len(tally.pairs), "met": found["met"],
+        "meta": {
+            **source.describe(), "allocator": question.allocator, "design_effect": found["design_effect"],
+            "trials": tally.trials,
+        },
+    }  # fmt: skip
+
+
+def _integrated(question: Question) -> dict:
+    allocations = as_allocations(question.density)
+    if allocations is not None:
+        tally = pool(question.plane, allocations, parked_obstacles=question.parked_obstacles)
+        found = summarize(tally, question.plane, question.precision, question.rng, given=True)
+        meta = {"density": "empirical", "n_allocations": len(allocations)}
+        return {**_of_tally(tally, found), "n": int(np.mean([len(a.queues[1]) for a in allocations])), "meta": meta}
+    density = question.density
+    if not callable(density) and density not in DENSITIES:
+        raise InputError(
+            f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points on "
+            f"the focal plane, got {density!r}"
+        )
+    if not question.plane._usable.any():
+        raise InputError("every positioner is disabled or stuck: there is nothing to score")
+    found = integrate(
+        Quadrature(question.plane, density), question.precision, question.rng, question.executor, question.progress
+    )
+    environments = found.pop("n_environments")
+    name = density if isinstance(density, str) else "given"
+    return {**found, "value_assigned": found["value"], "meta": {"density": name, "environments": environments}}
+
+
+def _of_tally(tally, found) -> dict:
+    assigned = tally.rates(2)
+    return {
+        **{k: found[k] for k in ("value", "low", "high", "standard_error", "n_effective")},
+        "value_assigned": float(assigned.mean()) if len(assigned) else np.nan,
+        "pairs_per_positioner": float(tally.pair_rates.mean()), "per_positioner": tally.per_positioner,
+    }  # fmt: skip
+
+
+METHODS = {
+    "overlap_ratio": partial(_formula, overlap_ratio),
+    "closed_form": partial(_formula, closed_form),
+    "close_pair": partial(_formula, close_pair),
+    "quadrature": _integrated,
+    "monte_carlo": partial(_simulated, "monte_carlo"),
+    "conditional": partial(_simulated, "conditional"),
+}
+"""Name to function of a `Question`."""
+
+ESTIMANDS = {
+    "overlap_ratio": "independent", "closed_form": "independent", "close_pair": "independent",
+    "quadrature": "independent", "monte_carlo": "allocated", "conditional": "allocated",
+}  # fmt: skip
+
+
+def cheapest(estimand: str, allocator: str) -> str:
+    """Return the cheapest method of an estimand that has an error.
+
+    Averaging over the queues costs time in proportion to their length beyond what a realization costs anyway, and saves
+    variance in the same proportion, with a factor that is far in its favor; queues of one cost and save nothing.
+    """
+    if estimand == "independent":
+        return "quadrature"
+    return "conditional" if allocator in QUEUEING else "monte_carlo"

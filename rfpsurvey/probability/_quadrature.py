@@ -1,0 +1,149 @@
+"""Independent targets: every positioner draws its own from a density over its patrol area."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+
+from rfpsurvey._kernels import arms, queues
+from rfpsurvey._units import to_plain
+from rfpsurvey.collision import make_stage
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._environments import environments
+from rfpsurvey.probability._intervals import effective_number, quantile, wilson
+from rfpsurvey.probability._run import Precision, Progress
+from rfpsurvey.probability._scratch import make_array, make_hall
+
+__all__ = ["DENSITIES", "Quadrature", "integrate"]
+
+DENSITIES = ("uniform", "shared", "voronoi")
+SCRAMBLES = 8
+FIRST_POINTS, MOST_POINTS = 128, 2**14
+RATE = 1.0
+"""The error falls about as the number of points to minus this power."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quadrature:
+    """A task: the risk of one positioner by so many scrambled points for it and each of its neighbors."""
+
+    plane: FocalPlane
+    density: object
+
+    @cached_property
+    def environments(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positioners that stand for all, and who stands for whom."""
+        plane = self.plane
+        if not isinstance(self.density, str):
+            return np.arange(len(plane)), np.arange(len(plane))
+        sight = 2 * float(plane._arm_reach_mm.max()) + plane._columns.separation + plane._columns.touch_slack
+        if self.density != "uniform":  # who shares the neighbors' patrol areas matters, too
+            sight += 2 * float(plane._outer_mm.max())
+        return environments(plane, sight)
+
+    def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
+        """Return the risk of a positioner, and how many neighbors are expected to collide with it."""
+        plane, (starts, neighbor) = self.plane, self.plane._columns.both_ways
+        own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
+        moving = plane._usable[own]
+        rows = np.repeat(own[moving], n_points)
+        # a pair of dimensions for each: they are scrambled independently
+        points = qmc.Sobol(2 * moving.sum(), scramble=True, seed=rng).random(n_points)
+        tips = self._tips(rows, points.reshape(n_points, -1, 2).swapaxes(0, 1).reshape(-1, 2))
+        hall = make_hall(len(own), len(rows))
+        hall.weight[: len(rows)] = self._weight(rows, tips)
+        segments = np.empty((4, len(rows)))
+        arms.place(tips, plane._columns.geometry_of(rows), plane._sides(tips, rows), segments)
+        angles = plane._columns.angles_of(plane._first_type[rows])
+        arms.shape(segments, plane._columns.model, plane._columns.length, *angles)
+        hall.segments[:, : len(rows)] = segments
+        queues.line_up(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), hall)
+        if not (hall.total[moving] > 0).all():
+            where = plane._xy_mm[own[moving][hall.total[moving] <= 0][0]]
+            raise InputError(
+                f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} points around "
+                f"({where[0]:.4g}, {where[1]:.4g}) mm"
+            )
+        pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
+        obstacles = self._stage.obstacle_pairs
+        obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
+        risk = np.empty(len(own))
+        n_pairs = queues.expect(
+            pairs, plane._columns.geometry_of(own), self._stage.limits, obstacles, self._stage.obstacles,
+            self._stage.clearance, hall, risk,
+        )  # fmt: skip
+        return float(risk[0]), n_pairs
+
+    def _tips(self, rows, points):
+        """Map the unit square onto patrol areas, true to area; in mm."""
+        inner, outer = self.plane._inner_mm[rows], self.plane._outer_mm[rows]
+        r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
+        alpha = 2 * np.pi * points[:, 1]
+        return self.plane._xy_mm[rows] + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+
+    def _weight(self, rows, tips):
+        """Density at each point, up to a factor."""
+        weight = np.ones(len(rows))
+        if self.density == "voronoi":
+            weight = (cKDTree(self.plane._xy_mm).query(tips)[1] == rows).astype(float)
+        elif not isinstance(self.density, str):
+            weight = to_plain(self.density(tips << u.mm)).astype(float)
+            if weight.shape != (len(rows),) or not ((weight >= 0) & (weight < np.inf)).all():
+                raise InputError("density must return a finite number of at least 0 for each of the points")
+        if self.density == "shared" or not self.plane.positioner._joints_free:
+            reach = self.plane._reach(tips)
+            many = np.diff(reach.indptr)
+            mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
+            weight = weight * mine / (np.maximum(many, 1) if self.density == "shared" else 1)
+        return weight
+
+    @cached_property
+    def _stage(self):
+        return make_stage(self.plane, self.plane._columns.angles, parked_obstacles=False)
+
+    @cached_property
+    def _idle(self):
+        """Units that cannot move, as they can collide; NaN for all others."""
+        return make_array(self.plane, self._stage).idle
+
+
+def integrate(
+    task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, progress: bool
+) -> dict:
+    """Return value, interval and error, with as many points as the precision needs."""
+    plane, (first, number) = task.plane, task.environments
+    used = np.flatnonzero(plane._usable[first])
+    share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane._usable)
+    bar = Progress(progress)
+    n_points = min(FIRST_POINTS, precision.max_iterations)
+    while True:
+        jobs = np.repeat(first[used], SCRAMBLES)
+        sizes, sources = [n_points] * len(jobs), rng.spawn(len(jobs))
+        results = np.empty((len(jobs), 2))
+        for k, result in enumerate((map if executor is None else executor.map)(task, jobs.tolist(), sizes, sources)):
+            results[k] = result
+            bar(n_points / precision.max_iterations * (k + 1) / len(jobs))
+        risks, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)
+        values = risks @ share
+        p, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(SCRAMBLES))
+        trials = effective_number(p, error, SCRAMBLES * n_points)
+        low, high = wilson(p, trials, quantile(precision.confidence, SCRAMBLES - 1))
+        half = (high - low) / 2
+        met = precision.standard_error is not None and half <= precision.half_width
+        if met or 2 * n_points > precision.max_iterations:
+            break
+        more = 4.0 if precision.half_width == 0 else (half / precision.half_width) ** (1 / RATE)
+        n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
+    bar.close()
+    per_positioner = np.full(len(first), np.nan)
+    per_positioner[used] = risks.mean(axis=0)
+    return {
+        "value": p, "low": low, "high": high, "standard_error": error, "n": n_points, "n_effective": trials,
+        "pairs_per_positioner": float(pairs.mean(axis=0) @ share) / 2, "per_positioner": per_positioner[number],
+        "met": met, "n_environments": len(used),
+    }  # fmt: skip

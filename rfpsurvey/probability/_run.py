@@ -1,0 +1,139 @@
+"""Repeat a simulation until its interval is narrow enough."""
+
+import sys
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.utils.console import ProgressBar
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
+from rfpsurvey.probability._simulate import Tally
+
+__all__ = ["Precision", "Progress", "patch_error", "run", "summarize"]
+
+FIRST_TASKS = 4
+"""Tasks before the first look at the error."""
+GROWTH = 8
+"""The next look comes after at most this many times what has been seen."""
+FORESIGHT = 1.05
+"""What is foreseen to be needed is taken a little more of, so that there is rarely another look."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """When to stop."""
+
+    standard_error: float | None
+    max_iterations: int
+    confidence: float = 0.95
+    interval: str = "wilson"
+    stop: str = "interval"
+
+    @property
+    def half_width(self) -> float:
+        """Half width of an interval that is narrow enough."""
+        return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
+
+
+class Progress:
+    """A bar on the standard error, if wanted, from 0 to 1."""
+
+    def __init__(self, wanted: bool):
+        self.bar = ProgressBar(1000, file=sys.stderr) if wanted else None
+
+    def __call__(self, part: float) -> None:
+        if self.bar is not None:
+            self.bar.update(round(1000 * min(part, 1.0)))
+
+    def close(self) -> None:
+        """End the line."""
+        if self.bar is not None:
+            self.bar.update(1000)
+            self.bar.__exit__(None, None, None)
+
+
+def run(
+    task: Callable[[int, np.random.Generator], Tally],
+    chunk: int,
+    precision: Precision,
+    plane: FocalPlane,
+    rng: np.random.Generator,
+    executor: Executor | None,
+    progress: bool,
+    *,
+    given: bool,
+) -> tuple[Tally, dict]:
+    """Return what all realizations say, and the summary of it that met the precision (or came last).
+
+    Tasks and looks depend on the results alone, so that the number of workers has no influence.
+    """
+    bar = Progress(progress)
+    tally, summary, means = None, {}, []
+    goal = min(FIRST_TASKS * chunk, precision.max_iterations)
+    while True:
+        done = 0 if tally is None else len(tally.pairs)
+        sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
+        for part in (map if executor is None else executor.map)(task, sizes, rng.spawn(len(sizes))):
+            tally = part if tally is None else tally + part
+            means.append(float(np.mean(tally.rates())) if len(tally.rates()) else np.nan)
+            bar(max(len(tally.pairs) / precision.max_iterations, len(tally.pairs) / max(goal, 1) * 0.999))
+        n = len(tally.pairs)
+        summary = summarize(tally, plane, precision, rng, given=given)
+        wide = summary.pop("half_width")
+        met = precision.standard_error is not None and (
+            wide <= precision.half_width if precision.stop == "interval" else converged(means, precision.standard_error)
+        )
+        if met or n >= precision.max_iterations:
+            break
+        more = n + chunk
+        if precision.stop == "interval":
+            needed = n * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
+            more = max(more, int(min(FORESIGHT * needed, GROWTH * n)))
+        goal = min(-(-more // chunk) * chunk, precision.max_iterations)
+    bar.close()
+    return tally, {**summary, "met": met}
+
+
+def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
+    """Return value, interval and error of what has been seen, and the half width that more iterations can reduce.
+
+    Where the targets are given, or for another reason nothing scatters, there is one sky: what another patch of it
+    would say is part of the error.
+    """
+    rates = tally.rates()
+    if len(rates) == 0:
+        raise InputError("no positioner reaches any target, and none is parked in the way: there is nothing to score")
+    n, p = len(rates), float(rates.mean())
+    scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+    scatter = 0.0 if scatter < 1e-14 else scatter
+    one_sky = given or scatter == 0.0
+    error = float(np.hypot(scatter, patch_error(plane, tally.per_positioner))) if one_sky and 0 < p < 1 else scatter
+    trials = n if n > 1 else tally.trials / (1 + 2 * len(plane._neighbors) / len(plane))
+    number, freedom = effective_number(p, error, trials), np.inf if one_sky else n - 1
+    low, high = INTERVALS[precision.interval](
+        rates, p, number, tally.trials, quantile(precision.confidence, freedom), precision.confidence, rng
+    )
+    half = (high - low) / 2
+    if given:
+        shortest = wilson(p, effective_number(p, scatter, np.inf), quantile(precision.confidence, n - 1))
+        half = (shortest[1] - shortest[0]) / 2
+    return {
+        "value": p, "low": low, "high": high, "standard_error": error, "n_effective": number,
+        "half_width": half, "design_effect": tally.trials / number,
+    }  # fmt: skip
+
+
+def patch_error(plane: FocalPlane, risk: np.ndarray) -> float:
+    """Standard error of the mean over positioners, each correlated with its neighbors.
+
+    It says how far another patch of a sky of the same kind may differ.
+    """
+    away = np.where(np.isnan(risk), 0.0, risk - np.nanmean(risk))
+    n = np.count_nonzero(~np.isnan(risk))
+    own = float(away @ away)
+    first, second = plane._neighbors.T
+    return float(np.sqrt(max(own + 2 * float(away[first] @ away[second]), own)) / n)

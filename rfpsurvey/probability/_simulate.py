@@ -1,0 +1,139 @@
+"""Simulation of allocated targets: configuration by configuration, or over all entries of the queues at once."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import batch, simulate
+from rfpsurvey.allocation import allocate
+from rfpsurvey.collision import lay_out, make_desk, make_stage
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._scratch import make_array, make_hall, make_room
+from rfpsurvey.probability._targets import Source
+
+__all__ = ["Simulation", "Tally"]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What realizations say, a row each, and sums over them for each positioner."""
+
+    colliding: np.ndarray
+    """Columns: (expected) positioners in collision, positioners that count, and both for assigned ones."""
+    pairs: np.ndarray
+    times: np.ndarray
+    counted: np.ndarray
+
+    def __add__(self, other: "Tally") -> "Tally":
+        rows = np.concatenate([self.colliding, other.colliding]), np.concatenate([self.pairs, other.pairs])
+        return Tally(*rows, self.times + other.times, self.counted + other.counted)
+
+    def rates(self, column: int = 0) -> np.ndarray:
+        """Part in collision, for each realization in which anybody counts; ``column`` 2: of the assigned ones."""
+        return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
+
+    @property
+    def pair_rates(self) -> np.ndarray:
+        """Pairs over positioners that count."""
+        return self._ratio(self.pairs, self.colliding[:, 1])
+
+    @property
+    def trials(self) -> int:
+        """Positioners that count, over all realizations."""
+        return int(self.counted.sum())
+
+    @property
+    def per_positioner(self) -> np.ndarray:
+        """Part of the realizations in which it counts that each positioner is in collision in."""
+        with np.errstate(invalid="ignore"):
+            return self.times / self.counted
+
+    @staticmethod
+    def _ratio(part, whole):
+        return part[whole > 0] / whole[whole > 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A task: simulate so many realizations with this source of random numbers."""
+
+    plane: FocalPlane
+    source: Source
+    allocator: str
+    parked_obstacles: bool
+
+    @property
+    def compiled(self) -> bool:
+        """Do kernels do it all?"""
+        return self.source.compiled and self.allocator == "balanced" and self.plane.positioner._joints_free
+
+    def draw(self, size: int, rng: np.random.Generator) -> Tally:
+        """Count the collisions of one configuration of each realization."""
+        n = len(self.plane)
+        counts, counted = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(n, dtype=np.int64)
+        hits, desk = np.zeros(n, dtype=np.int64), make_desk(self.plane)
+        if self.compiled:
+            numbers = self.source.numbers(size, rng)
+            room = make_room(self.plane, int(numbers.max()), self.source.grid_cells)
+            simulate.draw_and_count(
+                rng, numbers, self.source.sky, self._array, room, self._stage, desk, counts, hits, counted
+            )
+        else:
+            for row in range(size):
+                indptr, segments = self._lay_out(rng)
+                counted += (np.diff(indptr) > 0) | self._stage.parked
+                uniform, own = rng.random((1, n)), counts[row : row + 1]
+                batch.count_draws(uniform, indptr, segments, self._array.idle, self._stage, desk, own, hits)
+        columns = [batch.COLLIDING, batch.COUNTED, batch.COLLIDING_ASSIGNED, batch.ASSIGNED]
+        return Tally(
+            counts[:, columns].astype(float), counts[:, batch.PAIRS].astype(float), hits.astype(float), counted
+        )
+
+    def expect(self, size: int, rng: np.random.Generator) -> Tally:
+        """Average over all configurations that the queues of each realization allow."""
+        n = len(self.plane)
+        sums, times, counted, risk = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64), np.empty(n)
+        if self.compiled:
+            numbers = self.source.numbers(size, rng)
+            most = int(numbers.max())
+            room, hall = make_room(self.plane, most, self.source.grid_cells), make_hall(n, most)
+            simulate.queue_and_expect(
+                rng, numbers, self.source.sky, self._array, room, self.plane._neighbors, self._stage, hall, risk, sums,
+                times, counted,
+            )  # fmt: skip
+        else:
+            for own in sums:
+                indptr, segments = self._lay_out(rng)
+                hall = make_hall(n, segments.shape[1])
+                hall.segments[:, : segments.shape[1]] = segments
+                simulate.expect_given(
+                    indptr, self.plane._neighbors, self._array, self._stage, hall, risk, own, times, counted
+                )
+        return Tally(sums[:, :4], sums[:, 4], times, counted)
+
+    def _lay_out(self, rng):
+        """Queues of one realization, and the segments of all their entries."""
+        return self._given if self.source.kind == "given" else self._allocate(self.source.draw(rng), rng)
+
+    @cached_property
+    def _given(self):
+        return self._allocate(self.source.points, np.random.default_rng(0))
+
+    def _allocate(self, points, rng):
+        options = {"priority": self.source.priority, "fiber_type": self.source.types, "rng": rng}
+        allocation = allocate(points * u.mm, self.plane, method=self.allocator, **options)
+        if allocation.queues is None:  # an allocator without queues makes queues of one
+            target = allocation.target_of_positioner
+            one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
+            allocation = replace(allocation, queues=one_each)
+        return lay_out(self.plane, allocation)
+
+    @cached_property
+    def _stage(self):
+        return make_stage(self.plane, self.plane._columns.angles, self.parked_obstacles)
+
+    @cached_property
+    def _array(self):
+        return make_array(self.plane, self._stage)

@@ -1,0 +1,147 @@
+"""Where targets come from: a random sky, given points, or the user's own sampler."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey._kernels import simulate
+from rfpsurvey._units import to_points_mm, to_scalar
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument
+
+__all__ = ["KINDS", "Source", "make_source"]
+
+KINDS = ("uniform", "poisson", "poisson_disc")
+PER_FIBER = 4.0
+"""Targets a positioner where nothing says how many (LAMOST's, as in the paper)."""
+MOST = 10_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Targets in mm: points that are given, a sampler of the user's, or a random sky of ``number`` targets."""
+
+    kind: str
+    number: float = 0.0
+    radius: float = 0.0
+    separation: float = 0.0
+    points: np.ndarray | None = None
+    types: np.ndarray | None = None
+    priority: np.ndarray | None = None
+    sampler: Callable | None = None
+
+    @property
+    def compiled(self) -> bool:
+        """Can kernels let these targets fall?"""
+        return self.kind in KINDS
+
+    @property
+    def sky(self) -> simulate.Sky:
+        """What the kernels need to know."""
+        return simulate.Sky(self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
+
+    def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
+        """Return how many targets fall in each of ``size`` realizations."""
+        if self.kind == "poisson":
+            return rng.poisson(self.number, size)
+        return np.full(size, round(self.number))
+
+    @property
+    def grid_cells(self) -> int:
+        """Cells of the grid that keeps targets apart: each so small that it holds at most one."""
+        n = int(np.ceil(2 * self.radius * np.sqrt(2) / self.separation)) if self.kind == "poisson_disc" else 0
+        return n * n
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Return targets of one realization in mm, shape (n, 2)."""
+        if self.kind == "given":
+            return self.points
+        if self.kind == "sampler":
+            return to_points_mm(self.sampler(rng), "what the sampler of targets returns")
+        x, y = np.empty((2, int(self.numbers(1, rng)[0])))
+        if self.kind == "poisson_disc":
+            found = simulate.scatter_apart(
+                rng, self.radius, self.separation, np.empty(self.grid_cells, dtype=np.int64), x, y
+            )
+            x, y = x[:found], y[:found]
+        else:
+            simulate.scatter(rng, self.radius, x, y)
+        return np.column_stack([x, y])
+
+    def describe(self) -> dict:
+        """Return what the estimate says about its targets."""
+        if self.kind == "given":
+            return {"targets": "given", "n_targets": len(self.points)}
+        if self.kind == "sampler":
+            return {"targets": "sampler"}
+        separation = {"min_separation_mm": self.separation} if self.kind == "poisson_disc" else {}
+        return {"targets": self.kind, "n_targets": self.number, "target_radius_mm": self.radius, **separation}
+
+
+def make_source(
+    plane: FocalPlane, instrument: Instrument | None, targets, n_targets, target_radius, min_separation, center
+) -> Source:
+    """Return the source of targets that the arguments describe."""
+    sized = {"n_targets": n_targets, "target_radius": target_radius, "min_separation": min_separation}
+    if targets is None or isinstance(targets, str):
+        kind = "uniform" if targets is None else check_choice(targets, KINDS, "kind of targets")
+        return _random(plane, instrument, kind, **sized)
+    for name, value in sized.items():
+        if value is not None:
+            raise InputError(f"{name} belongs to random targets; the targets are given")
+    if isinstance(targets, Catalog):
+        return _from_catalog(instrument, targets, center)
+    if isinstance(targets, u.Quantity):
+        return _given(to_points_mm(targets, "targets"))
+    if callable(targets):
+        return Source("sampler", sampler=targets)
+    raise InputError(
+        f"targets must be a Catalog, a Quantity of shape (n, 2), a function of a Generator that returns one, or one of "
+        f"{', '.join(KINDS)}, got {type(targets).__name__}"
+    )
+
+
+def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
+    cover = float((np.hypot(*plane._xy_mm.T) + plane._outer_mm).max())
+    radius = cover if target_radius is None else to_scalar(target_radius, u.mm, "target_radius", low=0, high=1e7)
+    number = (
+        (instrument.targets_per_fiber if instrument else PER_FIBER) * len(plane) if n_targets is None else n_targets
+    )
+    if not (isinstance(number, int | float | np.number) and 0 <= number <= MOST):
+        raise InputError(f"n_targets must be a number from 0 to {MOST:.0e}, got {number!r}")
+    if (kind == "poisson_disc") != (min_separation is not None):
+        raise InputError("min_separation and targets='poisson_disc' belong together")
+    separation = 0.0
+    if kind == "poisson_disc":
+        separation = to_scalar(min_separation, u.mm, "min_separation", low=0, high=2 * radius)
+        if round(number) * separation**2 > 4 * 0.547 * radius**2:
+            raise InputError(
+                f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: put "
+                "down at random, discs of half that radius jam at 0.547 of the area"
+            )
+    return Source(kind, float(number), radius, separation)
+
+
+def _from_catalog(instrument, targets, center):
+    if instrument is None:
+        raise InputError("a Catalog needs an Instrument, which knows its plate scale; a FocalPlane has no sky")
+    if center is None:
+        if len(targets) == 0:
+            raise InputError("targets must have at least one row, got an empty Catalog")
+        x, y, z = targets._vectors.mean(axis=0)
+        center = SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
+    science = np.arange(len(targets)) if targets.kind is None else np.flatnonzero(targets.kind == "science")
+    types, priority = (None if c is None else c[science] for c in (targets.fiber_type, targets.priority))
+    types = instrument._needs(types, len(science))
+    return _given(instrument.projection(center)._project(targets._vectors[science], types), types, priority)
+
+
+def _given(points, types=None, priority=None):
+    if len(points) == 0:
+        raise InputError("targets must have at least one row, got none")
+    return Source("given", points=points, types=types, priority=priority)
