@@ -5,16 +5,28 @@ arms, collisions, tile score.
 """
 
 from rfpsurvey.allocation import Allocation, allocate
-from rfpsurvey.benchmark import benchmark_batches, benchmark_collisions
+from rfpsurvey.benchmark import (
+    benchmark_batches,
+    benchmark_collisions,
+    benchmark_densities,
+    benchmark_probability,
+)  # fmt: skip
 from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
-from rfpsurvey.plot import plot_focal_plane, plot_speed_accuracy
+from rfpsurvey.plot import plot_focal_plane, plot_probability_accuracy, plot_speed_accuracy
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Estimate, collision_probability
+from rfpsurvey.probability import (
+    Estimate,
+    PolynomialFit,
+    collision_probability,
+    fit_polynomial,
+    surrogate_probability,
+)  # fmt: skip
 from rfpsurvey.projection import RadialMap, TangentPlane
+from rfpsurvey.reproduce import reproduce
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
 try:
@@ -31,6 +43,7 @@ __all__ = [
     "FocalPlane",
     "InputError",
     "Instrument",
+    "PolynomialFit",
     "Positioner",
     "RadialMap",
     "RfpsurveyWarning",
@@ -41,12 +54,18 @@ __all__ = [
     "available_instruments",
     "benchmark_batches",
     "benchmark_collisions",
+    "benchmark_densities",
+    "benchmark_probability",
     "collision_probability",
     "count_collisions",
     "find_collisions",
+    "fit_polynomial",
     "plan_tile",
     "plot_focal_plane",
+    "plot_probability_accuracy",
     "plot_speed_accuracy",
+    "reproduce",
     "score_tile",
+    "surrogate_probability",
     "synthetic_catalog",
 ]

@@ -4,7 +4,8 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey import benchmark
+from rfpsurvey.benchmark import _collisions as benchmark
+from rfpsurvey.benchmark import random_tips
 from scenes import sdss_like
 
 METHODS_HERE = ["exact", "sampled", "sweep", "scipy", "every_pair", "endpoints", "shapely"]
@@ -83,7 +84,7 @@ def test_batches(monkeypatch):
 def test_joint_limits_are_kept(rng):
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm, phi_range=[60, 180] * u.deg)
     plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=25.6 * u.mm)
-    tips = benchmark._random_tips(plane, rng)
+    tips = random_tips(plane, rng)
     assert np.isfinite(tips).all()
     assert (np.hypot(*(tips - plane._xy_mm).T) < 2 * 8.25 * np.cos(np.deg2rad(30)) + 1e-9).all()
     assert len(rs.benchmark_batches(plane, sizes=[1], workers=[1], repeats=1)) == 1

@@ -7,7 +7,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
-from rfpsurvey.plot import ARM, COLLISION, IDLE, OBSTACLE
+from rfpsurvey.plot._style import ARM, COLLISION, IDLE, OBSTACLE
 
 CENTER = SkyCoord(95, 23, unit="deg")
 

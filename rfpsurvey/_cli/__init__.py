@@ -1,6 +1,8 @@
 """The command line: parse, call the library, write."""
 
-from rfpsurvey._cli import benchmark, instruments, plan, score
+from rfpsurvey._cli import benchmark, benchmark_probability, instruments, plan, probability, reproduce, score
 from rfpsurvey._cli._app import app, main
 
-__all__ = ["app", "benchmark", "instruments", "main", "plan", "score"]
+__all__ = [
+    "app", "benchmark", "benchmark_probability", "instruments", "main", "plan", "probability", "reproduce", "score",
+]  # fmt: skip

@@ -7,16 +7,19 @@ import warnings
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import WRITABLE, check_output, output_path, read_table, write_table
 from rfpsurvey.catalog import UNITS
 
 __all__ = [
-    "app", "check_chart", "check_outputs", "finish", "finish_table", "instrument_of", "load_instrument", "main",
-    "parse_center", "parse_pairs", "print_table", "read_assignment", "targets_and_center", "units_of",
+    "app", "check_chart", "check_outputs", "finish", "finish_estimate", "finish_table", "instrument_of",
+    "load_instrument", "main", "parse_center", "parse_pairs", "print_table", "read_assignment", "read_targets",
+    "targets_and_center", "units_of",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -185,6 +188,11 @@ def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
     return {**usual, **parse_pairs(unit, "--unit")}
 
 
+def read_targets(name: str):
+    """Return a catalog from a file, or the name of a kind of random targets as it is."""
+    return rs.Catalog.read(name) if Path(name).suffix else name
+
+
 def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
     """Refuse an output that cannot be written before any work is done."""
     if output is not None:
@@ -211,6 +219,36 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite
             print(f"wrote {path}")
 
 
+def finish_estimate(estimate, model: "rs.Instrument", output: Path | None, *, overwrite: bool) -> None:
+    """Print an estimate, a line a figure, and write its map where asked."""
+    formula = np.isnan(estimate.low)
+    interval = "no error is known" if formula else f"{estimate.low:.5f} to {estimate.high:.5f}"
+    print(f"{model.name}, {estimate.method}, {estimate.estimand} targets")
+    lines = {
+        "collision probability": f"{estimate.value:.5f}",
+        f"  {100 * estimate.meta['confidence']:g} % interval": interval,
+        "  standard error": "" if formula else f"{estimate.standard_error:.2g}",
+        "  of assigned positioners": f"{estimate.value_assigned:.5f}",
+        "colliding pairs per positioner": "" if formula else f"{estimate.pairs_per_positioner:.5f}",
+        "iterations": estimate.n or "",
+        "effective trials": "" if formula else f"{estimate.n_effective:.0f}",
+        "seconds": f"{estimate.seconds:.3f}",
+    }
+    for label, value in lines.items():
+        if value != "":
+            print(f"{label:<34}{value}")
+    meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
+    print(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
+    if output is not None:
+        xy = model.focal_plane.xy
+        table = QTable(
+            {"id": model.focal_plane.id, "x": xy[:, 0], "y": xy[:, 1], "probability": estimate.per_positioner}
+        )
+        table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
+        write_table(table, output, overwrite=overwrite)
+        print(f"wrote {output}")
+
+
 def print_table(table) -> None:
     """Print a table of results with four digits."""
     table = table.copy()
@@ -224,7 +262,7 @@ def finish_table(table, draw, output: Path, plot: Path, *, overwrite: bool) -> N
     """Print a table of results, write it, and draw its chart."""
     print_table(table)
     write_table(table, output, overwrite=overwrite)
-    _draw(lambda: draw(table)[0].figure, plot, overwrite=overwrite)
+    _draw(lambda: np.atleast_1d(draw(table))[0].figure, plot, overwrite=overwrite)
     print(f"wrote {output}\nwrote {plot}")
 
 

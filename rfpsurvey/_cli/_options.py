@@ -15,6 +15,14 @@ UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a colum
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
+MethodOption = Annotated[
+    str,
+    typer.Option(
+        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, or auto: the cheapest one "
+        "that has an error."
+    ),
+]
+MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner, .fits or .ecsv.")]
 OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")]
 
 PLAN_EXAMPLES = """\b
@@ -35,4 +43,19 @@ Examples:
   rfpsurvey benchmark collisions
   rfpsurvey benchmark collisions --instrument sdss_apo --method exact --method sampled --plot sdss.pdf
   rfpsurvey benchmark batches --instrument moons
+  rfpsurvey benchmark probability --instrument moons --plot moons.png
+"""
+
+PROBABILITY_EXAMPLES = """\b
+Examples:
+  rfpsurvey probability lamost
+  rfpsurvey probability sdss_apo --method monte_carlo --precision 0.002 --workers 2
+  rfpsurvey probability moons --estimand independent --density shared
+  rfpsurvey probability lamost --targets stars.fits --output map.fits
+"""
+
+REPRODUCE_EXAMPLES = """\b
+Examples:
+  rfpsurvey reproduce small
+  rfpsurvey reproduce all --quick --folder quick
 """

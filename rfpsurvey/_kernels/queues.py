@@ -1,7 +1,7 @@
 """Every positioner has a queue of places where its arm may stand: which of them collide with which.
 
-One entry of each queue is in use, with a chance proportional to its weight, whatever the others do. Given one's own entry
-the neighbors are independent, and the chance of no collision is a product over them.
+One entry of each queue is in use, with a chance proportional to its weight, whatever the others do. Given one's own
+entry the neighbors are independent, and the chance of no collision is a product over them.
 """
 
 import math

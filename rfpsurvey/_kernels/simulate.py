@@ -71,7 +71,7 @@ def scatter_apart(rng, radius, separation, cells, x, y):
     """
     n = int(math.sqrt(cells.size))
     size = 2.0 * radius / n
-    wide = int(math.ceil(separation / size))
+    wide = math.ceil(separation / size)
     cells[:] = -1
     t = misses = 0
     while t < x.size and misses < 10_000:
@@ -118,8 +118,25 @@ def realize(rng, number, sky, array, room):
 
 
 @kernel
+def thin(rng, most, indptr, queue):
+    """Keep at most so many entries of each queue, drawn without preference; in place."""
+    n = begin = 0
+    for i in range(indptr.size - 1):
+        stop = indptr[i + 1]
+        size = stop - begin
+        for k in range(min(size, most)):
+            pick = begin + k
+            if size > most:  # else all stay, in their order
+                pick += min(int(rng.random() * (size - k)), size - k - 1)
+            queue[pick], queue[n] = queue[begin + k], queue[pick]
+            n += 1
+        begin = stop
+        indptr[i + 1] = n
+
+
+@kernel
 def draw_and_count(rng, numbers, sky, array, room, stage, desk, counts, times, counted):
-    """Count the collisions of one configuration of each realization; ``counted`` gains one where a positioner counts."""
+    """Count the collisions of one configuration of each realization; ``counted`` gains one for each that counts."""
     n = array.side.size
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, array, room)
@@ -139,7 +156,7 @@ def draw_and_count(rng, numbers, sky, array, room, stage, desk, counts, times, c
 
 @kernel
 def sum_up(indptr, pairs, geometry, stage, hall, risk, sums, times, counted):
-    """Expectations of one realization: positioners in collision, assigned ones, pairs; and who counts how often.
+    """Sum up one realization: expected collisions of all and of assigned positioners, pairs; and who counts how often.
 
     ``sums`` has the columns expected colliding, counted, expected colliding assigned, assigned, pairs.
     """
@@ -159,13 +176,14 @@ def sum_up(indptr, pairs, geometry, stage, hall, risk, sums, times, counted):
 
 
 @kernel
-def queue_and_expect(rng, numbers, sky, array, room, pairs, stage, hall, risk, sums, times, counted):
-    """Expectations over all entries of the queues, of each realization."""
+def queue_and_expect(rng, numbers, most, sky, array, room, pairs, stage, hall, risk, sums, times, counted):
+    """Take expectations over all entries of the queues, or so many at most, of each realization."""
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, array, room)
+        thin(rng, most, room.queues, room.queue)
         place_queues(
-            room.x, room.y, room.queues, room.queue, array.geometry, array.side, stage.model, stage.length, stage.cosine,
-            stage.sine, hall.segments,
+            room.x, room.y, room.queues, room.queue, array.geometry, array.side, stage.model, stage.length,
+            stage.cosine, stage.sine, hall.segments,
         )  # fmt: skip
         line_up(room.queues, array.idle, hall)
         sum_up(room.queues, pairs, array.geometry, stage, hall, risk, sums[c], times, counted)
@@ -173,6 +191,6 @@ def queue_and_expect(rng, numbers, sky, array, room, pairs, stage, hall, risk, s
 
 @kernel
 def expect_given(indptr, pairs, array, stage, hall, risk, sums, times, counted):
-    """Expectations over all entries of given queues, which are in the hall."""
+    """Take expectations over all entries of given queues, which are in the hall."""
     line_up(indptr, array.idle, hall)
     sum_up(indptr, pairs, array.geometry, stage, hall, risk, sums, times, counted)

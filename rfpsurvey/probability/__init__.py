@@ -2,6 +2,11 @@
 
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate
+from rfpsurvey.probability._fit import PolynomialFit, fit_polynomial
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS
+from rfpsurvey.probability._surrogate import make_surrogate, surrogate_probability
 
-__all__ = ["ESTIMANDS", "METHODS", "Estimate", "collision_probability"]
+__all__ = [
+    "ESTIMANDS", "METHODS", "Estimate", "PolynomialFit", "collision_probability", "fit_polynomial", "make_surrogate",
+    "surrogate_probability",
+]  # fmt: skip

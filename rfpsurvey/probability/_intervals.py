@@ -13,7 +13,7 @@ def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
     q2 = quantile**2 / n if n < np.inf else 0.0
     middle = (p + q2 / 2) / (1 + q2)
     half = np.sqrt(q2 * p * (1 - p) + q2**2 / 4) / (1 + q2)
-    return max(0.0, middle - half), min(1.0, middle + half)
+    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
 
 
 def effective_number(p: float, standard_error: float, n: float) -> float:

@@ -33,6 +33,7 @@ class Question:
     density: object
     variant: str
     parked_obstacles: bool
+    most_entries: int | None
     precision: Precision
     rng: np.random.Generator
     executor: Executor | None
@@ -54,10 +55,12 @@ def _formula(function, question: Question) -> dict:
 
 def _simulated(name: str, question: Question) -> dict:
     source = question.source
-    simulation = Simulation(question.plane, source, question.allocator, question.parked_obstacles)
+    simulation = Simulation(
+        question.plane, source, question.allocator, question.parked_obstacles, question.most_entries
+    )
     given = source.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional":  # once is enough
+    if given and name == "conditional" and question.most_entries is None:  # once is enough
         tally = task(1, question.rng)
         found = {**summarize(tally, question.plane, precision, question.rng, given=True), "met": True}
     else:
@@ -90,8 +93,8 @@ def _integrated(question: Question) -> dict:
     density = question.density
     if not callable(density) and density not in DENSITIES:
         raise InputError(
-            f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points on "
-            f"the focal plane, got {density!r}"
+            f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points "
+            f"on the focal plane, got {density!r}"
         )
     if not question.plane._usable.any():
         raise InputError("every positioner is disabled or stuck: there is nothing to score")

@@ -128,7 +128,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
 
 
 def patch_error(plane: FocalPlane, risk: np.ndarray) -> float:
-    """Standard error of the mean over positioners, each correlated with its neighbors.
+    """Return the standard error of the mean over positioners, each correlated with its neighbors.
 
     It says how far another patch of a sky of the same kind may differ.
     """

@@ -63,10 +63,12 @@ class Simulation:
     source: Source
     allocator: str
     parked_obstacles: bool
+    most_entries: int | None = None
+    """Entries of a queue that `expect` looks at; None: all."""
 
     @property
     def compiled(self) -> bool:
-        """Do kernels do it all?"""
+        """Say whether kernels do it all."""
         return self.source.compiled and self.allocator == "balanced" and self.plane.positioner._joints_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
@@ -100,12 +102,12 @@ class Simulation:
             most = int(numbers.max())
             room, hall = make_room(self.plane, most, self.source.grid_cells), make_hall(n, most)
             simulate.queue_and_expect(
-                rng, numbers, self.source.sky, self._array, room, self.plane._neighbors, self._stage, hall, risk, sums,
-                times, counted,
+                rng, numbers, self._most, self.source.sky, self._array, room, self.plane._neighbors, self._stage, hall,
+                risk, sums, times, counted,
             )  # fmt: skip
         else:
             for own in sums:
-                indptr, segments = self._lay_out(rng)
+                indptr, segments = self._lay_out(rng, thin=True)
                 hall = make_hall(n, segments.shape[1])
                 hall.segments[:, : segments.shape[1]] = segments
                 simulate.expect_given(
@@ -113,22 +115,38 @@ class Simulation:
                 )
         return Tally(sums[:, :4], sums[:, 4], times, counted)
 
-    def _lay_out(self, rng):
+    @property
+    def _most(self):
+        return np.iinfo(np.int64).max if self.most_entries is None else self.most_entries
+
+    def _lay_out(self, rng, *, thin=False):
         """Queues of one realization, and the segments of all their entries."""
-        return self._given if self.source.kind == "given" else self._allocate(self.source.draw(rng), rng)
+        given = self.source.kind == "given"
+        allocation = self._given if given else self._allocate(self.source.draw(rng), rng)
+        if thin and self.most_entries is not None:
+            indptr, queue = (a.copy() for a in allocation.queues)
+            simulate.thin(rng, self._most, indptr, queue)
+            allocation = replace(allocation, queues=(indptr, queue[: indptr[-1]]))
+        elif given:
+            return self._given_laid_out
+        return lay_out(self.plane, allocation)
 
     @cached_property
     def _given(self):
         return self._allocate(self.source.points, np.random.default_rng(0))
 
+    @cached_property
+    def _given_laid_out(self):
+        return lay_out(self.plane, self._given)
+
     def _allocate(self, points, rng):
         options = {"priority": self.source.priority, "fiber_type": self.source.types, "rng": rng}
         allocation = allocate(points * u.mm, self.plane, method=self.allocator, **options)
-        if allocation.queues is None:  # an allocator without queues makes queues of one
-            target = allocation.target_of_positioner
-            one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
-            allocation = replace(allocation, queues=one_each)
-        return lay_out(self.plane, allocation)
+        if allocation.queues is not None:
+            return allocation
+        target = allocation.target_of_positioner  # an allocator without queues makes queues of one
+        one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
+        return replace(allocation, queues=one_each)
 
     @cached_property
     def _stage(self):

@@ -37,7 +37,7 @@ class Source:
 
     @property
     def compiled(self) -> bool:
-        """Can kernels let these targets fall?"""
+        """Say whether kernels let these targets fall."""
         return self.kind in KINDS
 
     @property
@@ -121,8 +121,8 @@ def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
         separation = to_scalar(min_separation, u.mm, "min_separation", low=0, high=2 * radius)
         if round(number) * separation**2 > 4 * 0.547 * radius**2:
             raise InputError(
-                f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: put "
-                "down at random, discs of half that radius jam at 0.547 of the area"
+                f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: "
+                "put down at random, discs of that diameter jam at 0.547 of the area"
             )
     return Source(kind, float(number), radius, separation)
 

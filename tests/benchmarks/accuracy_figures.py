@@ -8,7 +8,7 @@ import numpy as np
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import collisions
-from rfpsurvey.benchmark import _random_tips
+from rfpsurvey.benchmark import random_tips
 from rfpsurvey.collision import place_arms
 
 GEOMETRIES = {"LAMOST": (8.25, 8.25, 2.25, 0.0, 25.6), "SDSS-V": (7.4, 15.0, 2.5, 0.1, 22.4)}
@@ -21,7 +21,7 @@ def make_plane(l1, l2, clearance, step, pitch):
 
 def kept(plane, rng):
     """Parts of the neighbors that the middles let through, the axes let through, and that collide."""
-    tips = _random_tips(plane, rng) * u.mm
+    tips = random_tips(plane, rng) * u.mm
     segments = place_arms(plane, tips).segments.T.copy()
     halves, columns, n = np.empty_like(segments), plane._columns, len(plane._neighbors)
     collisions.halve(segments, halves)

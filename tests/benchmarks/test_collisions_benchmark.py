@@ -18,7 +18,7 @@ import pytest
 import rfpsurvey as rs
 from kaiju_grid import make_grid, set_poses
 from rfpsurvey._kernels import collisions, reference
-from rfpsurvey.benchmark import _random_tips
+from rfpsurvey.benchmark import random_tips
 from rfpsurvey.collision import place_arms
 
 GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 0.0, 25.6), "sdss": (7.4, 15.0, 2.5, 0.1, 22.4)}
@@ -32,7 +32,7 @@ class Tile:
         unit = rs.Positioner(l1 * u.mm, l2 * u.mm, clearance * u.mm, step=step * u.deg)
         self.plane = rs.FocalPlane.hexagonal(unit, rings=36, pitch=pitch * u.mm)
         rng = np.random.default_rng(1)
-        many = [_random_tips(self.plane, rng) * u.mm for _ in range(50)]
+        many = [random_tips(self.plane, rng) * u.mm for _ in range(50)]
         self.tips = cycle(many)
         self.arms = [place_arms(self.plane, tips) for tips in many]
         self.segments = [np.ascontiguousarray(arms.segments.T) for arms in self.arms]
@@ -120,7 +120,7 @@ def test_7_kaiju(benchmark, tile):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_8_thousand_configurations(benchmark, tile, workers):
     rng = np.random.default_rng(3)
-    tips = np.stack([_random_tips(tile.plane, rng) for _ in range(250)]) * u.mm
+    tips = np.stack([random_tips(tile.plane, rng) for _ in range(250)]) * u.mm
     with ThreadPoolExecutor(workers) as executor:
         pool = executor if workers > 1 else None
         benchmark.pedantic(

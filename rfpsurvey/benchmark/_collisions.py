@@ -1,12 +1,8 @@
-"""Methods side by side: how fast each of them is, and how often and how far it errs."""
+"""Methods of finding collisions side by side: how fast each of them is, and how often and how far it errs."""
 
-import os
-import platform
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from importlib.metadata import version
 from importlib.util import find_spec
 from time import perf_counter
 
@@ -18,13 +14,14 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import reference
 from rfpsurvey._units import to_generator
-from rfpsurvey.collision import METHODS, Configuration, Found, count_collisions, keep_closer, near_pairs, place_arms
+from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
+from rfpsurvey.collision import METHODS, Configuration, Found, keep_closer, near_pairs, place_arms
 from rfpsurvey.collision._exactly import closer_exactly, distance_exactly
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 
-__all__ = ["benchmark_batches", "benchmark_collisions"]
+__all__ = ["benchmark_collisions"]
 
 
 def every_pair(case: Configuration) -> Found:
@@ -114,12 +111,12 @@ def benchmark_collisions(
     """
     plane = as_focal_plane(instrument)
     names = _check_methods(methods)
-    _check_positive(n_configurations=n_configurations, repeats=repeats)
+    check_positive(n_configurations=n_configurations, repeats=repeats)
     if not (isinstance(seconds, int | float) and seconds >= 0):
         raise InputError(f"seconds must be a number of at least 0, got {seconds!r}")
     rng = to_generator(rng)
     runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
-    cases = [_case(plane, _random_tips(plane, rng)) for _ in range(n_configurations)]
+    cases = [_case(plane, random_tips(plane, rng)) for _ in range(n_configurations)]
     found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
     rows = [{"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
@@ -133,85 +130,9 @@ def benchmark_collisions(
     for name in ("max_error", "mean_error"):
         table[name] = [row[name] for row in rows] * u.mm
     table.meta.update(
-        _provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats, seconds=seconds
+        provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats, seconds=seconds
     )
     return table[np.isin(table["method"], names)] if "exact" not in names else table
-
-
-def benchmark_batches(
-    instrument: str | Instrument | FocalPlane = "lamost",
-    *,
-    sizes: Sequence[int] = (1, 100, 10_000),
-    workers: Sequence[int] = (1, 2),
-    repeats: int = 5,
-    rng: int | np.random.Generator | None = 0,
-) -> QTable:
-    """Time the scoring of many configurations at once, kinematics included: processor threads, and a GPU if any.
-
-    Parameters
-    ----------
-    instrument : str, Instrument or FocalPlane, optional
-        Preset, instrument or focal plane.
-    sizes : sequence of int, optional
-        Configurations scored in one call; at most 256 different ones are made, and repeated. Their tips lie in memory:
-        640 MB for 10,000 of 4000 positioners.
-    workers : sequence of int, optional
-        Numbers of threads.
-    repeats : int, optional
-        Calls of each kind, of which the median counts.
-    rng : int, Generator or None, optional
-        Seed or source of the targets, uniform in the patrol areas.
-
-    Returns
-    -------
-    QTable
-        A row for each device, number of workers and size: median ``time`` of a call, and ``rate``, configurations a
-        second.
-
-    Raises
-    ------
-    InputError
-        If a number is not positive.
-
-    Examples
-    --------
-    >>> import rfpsurvey as rs
-    >>> rs.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)["device", "size"].pformat()[2:]
-    ['   CPU    1', '   CPU   10']
-    """
-    plane = as_focal_plane(instrument)
-    for name, values in (("sizes", sizes), ("workers", workers)):
-        if not isinstance(values, Sequence) or len(values) == 0:
-            raise InputError(f"{name} must be a list of whole numbers, got {values!r}")
-        _check_positive(**{f"{name}[{k}]": n for k, n in enumerate(values)})
-    _check_positive(repeats=repeats)
-    rng = to_generator(rng)
-    some = np.array([_random_tips(plane, rng) for _ in range(min(256, max(sizes)))])
-    ways = [("CPU", n) for n in workers] + [("GPU", 1)] * _has_gpu()
-    rows = []
-    for size in sizes:
-        tips = np.resize(some, (size, *some.shape[1:])) << u.mm
-        times: dict[tuple[str, int], list[float]] = {way: [] for way in ways}
-        for turn in range(repeats + 1):  # the first to warm up
-            for way in ways:
-                spent = _batch_seconds(plane, tips, *way)
-                times[way] += [spent] if turn else []
-        rows += [(*way, size, np.median(t), size / np.median(t)) for way, t in times.items()]
-    table = QTable(rows=rows, names=("device", "workers", "size", "time", "rate"))
-    table["time"], table["rate"] = 1e3 * table["time"] * u.ms, table["rate"] / u.s
-    table.meta.update(_provenance(instrument, plane), repeats=repeats)
-    return table
-
-
-def _batch_seconds(plane, tips, device, workers):
-    method = "cuda" if device == "GPU" else "exact"
-    start = perf_counter()
-    if workers == 1:
-        count_collisions(plane, tips, method=method)
-    else:
-        with ThreadPoolExecutor(workers) as executor:
-            count_collisions(plane, tips, method=method, executor=executor)
-    return perf_counter() - start
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
@@ -272,55 +193,14 @@ def _case(plane, tips) -> Configuration:
     return Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
 
 
-def _random_tips(plane, rng):
-    """One target a positioner, uniform in what it reaches, in mm; NaN if nothing was found in a hundred attempts."""
-    inner, outer, n = plane._inner_mm, plane._outer_mm, len(plane)
-    tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
-    for _ in range(100):
-        r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
-        alpha = rng.uniform(0, 2 * np.pi, n)
-        drawn = plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
-        tips[wanting] = drawn[wanting]
-        wanting = place_arms(plane, tips * u.mm, clip=True).clipped
-        if not wanting.any():
-            break
-    tips[wanting] = np.nan
-    return tips
-
-
 def _check_methods(methods):
     """Return the names asked for, or all that can run here."""
     if isinstance(methods, str):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()
     if methods is None:
-        return [m for m in COMPARED if m not in gone and (m != "cuda" or _has_gpu())]
+        return [m for m in COMPARED if m not in gone and (m != "cuda" or has_gpu())]
     names = list(dict.fromkeys(check_choice(m, COMPARED, "method") for m in methods))
     if gone & set(names):
         raise InputError("the method 'shapely' needs the package shapely, which is not installed")
     return names
-
-
-def _has_gpu():
-    """Say whether there is a GPU, not a simulated one."""
-    try:
-        from numba import config, cuda
-    except ImportError:
-        return False
-    return bool(not config.ENABLE_CUDASIM and cuda.is_available())
-
-
-def _check_positive(**numbers):
-    for name, value in numbers.items():
-        if not (isinstance(value, int | np.integer) and value >= 1):
-            raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
-
-
-def _provenance(instrument, plane):
-    name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
-    return {
-        "instrument": name, "n_positioners": len(plane), "n_neighbor_pairs": len(plane._neighbors),
-        "min_separation_mm": plane.positioner._separation_mm,
-        "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-    }  # fmt: skip

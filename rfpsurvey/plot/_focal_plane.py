@@ -1,23 +1,19 @@
-"""Pictures. matplotlib is imported when the first one is drawn; nothing is ever shown."""
+"""The focal plane of a tile."""
 
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
 
 from rfpsurvey._units import to_mm
 from rfpsurvey.errors import InputError
+from rfpsurvey.plot._style import ARM, COLLISION, IDLE, OBSTACLE, PATROL
 from rfpsurvey.tile import Tile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_focal_plane", "plot_speed_accuracy"]
-
-# the palette of Okabe and Ito, which color-blind people can tell apart, with a plain red for collisions
-PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#9A9A9A", "#D00000", "#444444"
-SERIES = ("#D00000", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
+__all__ = ["plot_focal_plane"]
 
 
 def plot_focal_plane(
@@ -127,76 +123,6 @@ def plot_focal_plane(
     )
     ax.legend(handles=handles, loc="upper right", fontsize="small", framealpha=0.9)
     return ax
-
-
-def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = None) -> "tuple[Axes, Axes]":
-    """Draw the time of a tile against errors, a point for each method and number of points.
-
-    Parameters
-    ----------
-    table : QTable
-        What `benchmark_collisions` returns.
-    axes : tuple of matplotlib.axes.Axes, optional
-        Where to draw misclassified pairs, and the largest error of a distance; a new figure by default.
-
-    Returns
-    -------
-    tuple of matplotlib.axes.Axes
-        Both axes. Zeros are drawn at the lower edge.
-
-    Raises
-    ------
-    InputError
-        If the table has other columns, or there are not two axes.
-
-    Examples
-    --------
-    >>> import rfpsurvey as rs
-    >>> table = rs.benchmark_collisions("sdss_apo", methods=["exact", "sampled"], repeats=1)
-    >>> above, below = rs.plot_speed_accuracy(table)
-    >>> below.get_xlabel()
-    'time of a tile [ms]'
-    """
-    from matplotlib.figure import Figure
-
-    if not isinstance(table, QTable):
-        raise InputError(f"table must be a QTable, got {type(table).__name__}")
-    missing = {"method", "n_points", "time", "misclassified", "max_error"} - set(table.colnames)
-    if missing:
-        raise InputError(f"table must come from benchmark_collisions, but it has no {', '.join(sorted(missing))}")
-    if axes is None:
-        axes = tuple(Figure(figsize=(7.5, 7), layout="constrained").subplots(2, sharex=True))
-    if len(axes) != 2:
-        raise InputError(f"axes must be two Axes, got {len(axes)}")
-    time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
-    panels = (
-        (np.asarray(table["misclassified"]), "misclassified pairs, for each colliding one"),
-        (table["max_error"].to_value(u.mm), "largest error of a distance [mm]"),
-    )
-    for ax, (values, label) in zip(axes, panels, strict=True):
-        seen = values[values > 0]
-        floor = 10.0 ** (np.floor(np.log10(seen.min())) - 1) if len(seen) else 1e-16
-        for k, method in enumerate(dict.fromkeys(table["method"])):
-            rows = np.flatnonzero(table["method"] == method)
-            y = np.where(values[rows] > 0, values[rows], floor)
-            style = {"color": SERIES[k % len(SERIES)], "marker": "osD^vP*X"[k % 8], "linestyle": ":", "label": method}
-            style["markerfacecolor"] = style["color"] if k == 0 else "none"  # let others shine through
-            ax.plot(time[rows], y, **style)
-            for row, height in zip(rows, y, strict=True):
-                if points[row] is not np.ma.masked:
-                    where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
-                    ax.annotate(str(points[row]), (time[row], height), **where)
-        ax.set_yscale("log")
-        ax.set_xscale("log")
-        ax.set_ylabel(label)
-        ax.set_ylim(bottom=floor / 2)
-        ax.axhspan(floor / 2, 2 * floor, color=IDLE, alpha=0.2, linewidth=0)
-        ax.text(0.99, floor, "none", transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize="small")
-    axes[0].legend(fontsize="small", ncols=2)
-    axes[1].set_xlabel("time of a tile [ms]")
-    title = table.meta.get("instrument", "")
-    axes[0].set_title(f"{title}: {table.meta.get('n_neighbor_pairs', '?')} pairs of neighbors; labels: points an arm")
-    return axes
 
 
 def _capsule(a, b, radius):

@@ -1,0 +1,28 @@
+"""``rfpsurvey benchmark probability``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli.benchmark import benchmark
+
+
+@benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
+def probability(
+    instrument: _options.InstrumentOption = "lamost",
+    repeats: Annotated[int, typer.Option(help="Runs of each method and effort, with other random numbers.")] = 7,
+    seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 0,
+    plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
+        "benchmark_probability.png"
+    ),
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Chart the time of every method of collision probability against its error; print the bias of densities."""
+    output, model = _app.check_chart(plot, overwrite=overwrite), _app.load_instrument(instrument)
+    _app.print_table(rs.benchmark_densities(model, rng=seed))
+    table = rs.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
+    _app.finish_table(table, rs.plot_probability_accuracy, output, plot, overwrite=overwrite)

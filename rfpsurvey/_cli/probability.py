@@ -1,0 +1,42 @@
+"""``rfpsurvey probability``."""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated
+
+import astropy.units as u
+import typer
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options
+
+
+@_app.app.command(epilog=_options.PROBABILITY_EXAMPLES)
+def probability(
+    instrument: Annotated[str, typer.Argument(help="Preset, or the path of a TOML file.")] = "lamost",
+    method: _options.MethodOption = "auto",
+    estimand: Annotated[str | None, typer.Option(help="For auto: allocated (default) or independent.")] = None,
+    precision: Annotated[float | None, typer.Option(help="Standard error to reach.")] = None,
+    max_iterations: Annotated[int | None, typer.Option(help="Iterations, realizations or points at most.")] = None,
+    targets: Annotated[str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog.")] = "uniform",
+    n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
+    target_radius: Annotated[float | None, typer.Option(help="Of the circle where they fall, mm.")] = None,
+    min_separation: Annotated[float | None, typer.Option(help="Of poisson_disc, mm.")] = None,
+    allocator: Annotated[str, typer.Option(help="balanced or lamost.")] = "balanced",
+    density: Annotated[str | None, typer.Option(help="Independent: uniform, shared or voronoi.")] = None,
+    dynamic: Annotated[float, typer.Option(help="Rate of dynamic failures.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
+    workers: Annotated[int, typer.Option(help="Threads; the result does not depend on it.", min=1)] = 1,
+    output: _options.MapOption = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Estimate how likely arms collide, with an interval."""
+    _app.check_outputs(output, None, overwrite=overwrite)
+    model = _app.load_instrument(instrument)
+    lengths = {"target_radius": target_radius, "min_separation": min_separation}
+    options = {name: None if value is None else value * u.mm for name, value in lengths.items()}
+    options.update(method=method, estimand=estimand, precision=precision, max_iterations=max_iterations, rng=seed)
+    options.update(targets=_app.read_targets(targets), n_targets=n_targets, allocator=allocator, density=density)
+    with ThreadPoolExecutor(workers) as executor:
+        options.update(dynamic=dynamic, progress=sys.stderr.isatty(), executor=executor)
+        _app.finish_estimate(rs.collision_probability(model, **options), model, output, overwrite=overwrite)

@@ -1,0 +1,32 @@
+"""``rfpsurvey reproduce``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options
+
+
+@_app.app.command(epilog=_options.REPRODUCE_EXAMPLES)
+def reproduce(
+    experiment: Annotated[
+        str, typer.Argument(help="small, large, poisson, fit, intervals, speed, or all of them.")
+    ] = "all",
+    folder: Annotated[Path, typer.Option(help="Where tables, figures and claims go.")] = Path(
+        "reproduction"
+    ),
+    quick: Annotated[bool, typer.Option("--quick", help="Few designs and repeats: see that it runs.")] = False,
+    workers: Annotated[int | None, typer.Option(help="Threads; as many as cores by default.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Rerun the experiments of the paper, and put its claims beside what comes out."""
+    options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
+    claims = rs.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)
+    for row in claims:
+        print(f"{row['experiment']}: {row['claim']}\n    paper: {row['paper']}\n    here: {row['ours']}")
+        print(f"    {row['verdict']} ({row['reading']})")
+    print(f"wrote {folder}")

@@ -1,0 +1,10 @@
+"""Methods side by side: how fast each of them is, and how far it errs."""
+
+from rfpsurvey.benchmark._batches import benchmark_batches
+from rfpsurvey.benchmark._collisions import benchmark_collisions
+from rfpsurvey.benchmark._common import random_tips
+from rfpsurvey.benchmark._probability import benchmark_densities, benchmark_probability
+
+__all__ = [
+    "benchmark_batches", "benchmark_collisions", "benchmark_densities", "benchmark_probability", "random_tips",
+]  # fmt: skip

@@ -1,0 +1,94 @@
+"""Many configurations at once."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._units import to_generator
+from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
+from rfpsurvey.collision import count_collisions
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument, as_focal_plane
+
+__all__ = ["benchmark_batches"]
+
+
+def benchmark_batches(
+    instrument: str | Instrument | FocalPlane = "lamost",
+    *,
+    sizes: Sequence[int] = (1, 100, 10_000),
+    workers: Sequence[int] = (1, 2),
+    repeats: int = 5,
+    rng: int | np.random.Generator | None = 0,
+) -> QTable:
+    """Time the scoring of many configurations at once, kinematics included: processor threads, and a GPU if any.
+
+    Parameters
+    ----------
+    instrument : str, Instrument or FocalPlane, optional
+        Preset, instrument or focal plane.
+    sizes : sequence of int, optional
+        Configurations scored in one call; at most 256 different ones are made, and repeated. Their tips lie in memory:
+        640 MB for 10,000 of 4000 positioners.
+    workers : sequence of int, optional
+        Numbers of threads.
+    repeats : int, optional
+        Calls of each kind, of which the median counts.
+    rng : int, Generator or None, optional
+        Seed or source of the targets, uniform in the patrol areas.
+
+    Returns
+    -------
+    QTable
+        A row for each device, number of workers and size: median ``time`` of a call, and ``rate``, configurations a
+        second.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)["device", "size"].pformat()[2:]
+    ['   CPU    1', '   CPU   10']
+    """
+    plane = as_focal_plane(instrument)
+    for name, values in (("sizes", sizes), ("workers", workers)):
+        if not isinstance(values, Sequence) or len(values) == 0:
+            raise InputError(f"{name} must be a list of whole numbers, got {values!r}")
+        check_positive(**{f"{name}[{k}]": n for k, n in enumerate(values)})
+    check_positive(repeats=repeats)
+    rng = to_generator(rng)
+    some = np.array([random_tips(plane, rng) for _ in range(min(256, max(sizes)))])
+    ways = [("CPU", n) for n in workers] + [("GPU", 1)] * has_gpu()
+    rows = []
+    for size in sizes:
+        tips = np.resize(some, (size, *some.shape[1:])) << u.mm
+        times: dict[tuple[str, int], list[float]] = {way: [] for way in ways}
+        for turn in range(repeats + 1):  # the first to warm up
+            for way in ways:
+                spent = _batch_seconds(plane, tips, *way)
+                times[way] += [spent] if turn else []
+        rows += [(*way, size, np.median(t), size / np.median(t)) for way, t in times.items()]
+    table = QTable(rows=rows, names=("device", "workers", "size", "time", "rate"))
+    table["time"], table["rate"] = 1e3 * table["time"] * u.ms, table["rate"] / u.s
+    table.meta.update(provenance(instrument, plane), repeats=repeats)
+    return table
+
+
+def _batch_seconds(plane, tips, device, workers):
+    method = "cuda" if device == "GPU" else "exact"
+    start = perf_counter()
+    if workers == 1:
+        count_collisions(plane, tips, method=method)
+    else:
+        with ThreadPoolExecutor(workers) as executor:
+            count_collisions(plane, tips, method=method, executor=executor)
+    return perf_counter() - start

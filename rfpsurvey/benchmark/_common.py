@@ -1,0 +1,56 @@
+"""What all benchmarks share."""
+
+import os
+import platform
+from importlib.metadata import version
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.collision import place_arms
+from rfpsurvey.errors import InputError
+
+__all__ = ["check_positive", "has_gpu", "provenance", "random_tips"]
+
+
+def random_tips(plane, rng):
+    """One target a positioner, uniform in what it reaches, in mm; NaN if nothing was found in a hundred attempts."""
+    inner, outer, n = plane._inner_mm, plane._outer_mm, len(plane)
+    tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
+    for _ in range(100):
+        r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
+        alpha = rng.uniform(0, 2 * np.pi, n)
+        drawn = plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+        tips[wanting] = drawn[wanting]
+        wanting = place_arms(plane, tips * u.mm, clip=True).clipped
+        if not wanting.any():
+            break
+    tips[wanting] = np.nan
+    return tips
+
+
+def has_gpu():
+    """Say whether there is a GPU, not a simulated one."""
+    try:
+        from numba import config, cuda
+    except ImportError:
+        return False
+    return bool(not config.ENABLE_CUDASIM and cuda.is_available())
+
+
+def check_positive(**numbers):
+    """Refuse what is no whole number of at least 1."""
+    for name, value in numbers.items():
+        if not (isinstance(value, int | np.integer) and value >= 1):
+            raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+
+
+def provenance(instrument, plane):
+    """Say what a table was measured on."""
+    name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
+    return {
+        "instrument": name, "n_positioners": len(plane), "n_neighbor_pairs": len(plane._neighbors),
+        "min_separation_mm": plane.positioner._separation_mm,
+        "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    }  # fmt: skip

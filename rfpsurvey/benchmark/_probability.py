@@ -1,0 +1,166 @@
+"""Methods of collision probability side by side, within one estimand."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+from astropy.utils.console import ProgressBar
+
+from rfpsurvey._units import to_generator
+from rfpsurvey.allocation import allocate
+from rfpsurvey.benchmark._common import check_positive, provenance
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
+from rfpsurvey.probability import ESTIMANDS, METHODS, collision_probability
+from rfpsurvey.probability._targets import make_source
+
+__all__ = ["benchmark_densities", "benchmark_probability"]
+
+EFFORTS = {
+    "overlap_ratio": [0], "close_pair": [0], "closed_form": [0], "quadrature": [64, 128, 256, 512],
+    "monte_carlo": [16, 64, 256], "conditional": [4, 16, 64],
+}  # fmt: skip
+
+
+def benchmark_probability(
+    instrument: str | Instrument | FocalPlane = "lamost",
+    *,
+    efforts: Mapping[str, Sequence[int]] | None = None,
+    repeats: int = 7,
+    precision: float = 2e-4,
+    rng: int | np.random.Generator | None = 0,
+    progress: bool = False,
+) -> QTable:
+    """Time every method of collision probability, and compare it with the best answer to the same question.
+
+    Allocated targets are compared with a long conditional simulation, independent ones (uniform) with a fine
+    quadrature; methods take turns. Errors below that of the truth, ``truth_error``, mean nothing.
+
+    Parameters
+    ----------
+    instrument : str, Instrument or FocalPlane, optional
+        Preset, instrument or focal plane; random targets as `collision_probability` has them by default.
+    efforts : mapping of str to sequence of int, optional
+        Iterations, realizations or points of each method; 0 for formulas.
+    repeats : int, optional
+        Runs of each, with other random numbers.
+    precision : float, optional
+        Standard error of the truth.
+    rng : int, Generator or None, optional
+        Seed or source of random numbers.
+    progress : bool, optional
+        Show a bar on the standard error.
+
+    Returns
+    -------
+    QTable
+        A row for each method and effort: ``method``, ``estimand``, ``effort``, median ``time``, mean ``value``, root
+        mean square ``error``, mean ``standard_error`` as estimated, ``truth`` and ``truth_error``.
+
+    Raises
+    ------
+    InputError
+        If a method is unknown or a number is not positive.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.benchmark_probability("sdss_apo", efforts={"quadrature": [64, 128]}, repeats=2)
+    >>> table["method", "effort"].pformat()[2:]
+    ['quadrature     64', 'quadrature    128']
+    """
+    plane = as_focal_plane(instrument)
+    efforts = EFFORTS if efforts is None else efforts
+    if not isinstance(efforts, Mapping) or not efforts:
+        raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
+    runs = [(check_choice(m, METHODS, "method of collision probability"), n) for m, ns in efforts.items() for n in ns]
+    check_positive(repeats=repeats)
+    rng = to_generator(rng)
+    truth = {
+        kind: collision_probability(
+            instrument, method="auto", estimand=kind, precision=precision, rng=rng.spawn(1)[0], most_entries=64
+        )
+        for kind in sorted({ESTIMANDS[m] for m, _ in runs})
+    }
+    results: dict = {run: [] for run in runs}
+    turns = range(repeats + 1)  # the first to warm up
+    for turn in ProgressBar(turns, file=sys.stderr) if progress else turns:
+        for method, n in runs:
+            options = {"max_iterations": n} if n else {}
+            start = perf_counter()
+            found = collision_probability(instrument, method=method, rng=rng.spawn(1)[0], **options)
+            results[method, n] += [(perf_counter() - start, found.value, found.standard_error)] if turn else []
+    rows = []
+    for (method, n), values in results.items():
+        seconds, value, error = np.array(values).T
+        true = truth[ESTIMANDS[method]]
+        miss = np.sqrt(np.mean((value - true.value) ** 2))
+        own = method, true.estimand, n, np.median(seconds), value.mean(), miss, error.mean()
+        rows.append((*own, true.value, true.standard_error))
+    names = ("method", "estimand", "effort", "time", "value", "error", "standard_error", "truth", "truth_error")
+    table = QTable(rows=rows, names=names)
+    table["time"] = 1e3 * table["time"] * u.ms
+    table.meta.update(provenance(instrument, plane), repeats=repeats)
+    return table
+
+
+def benchmark_densities(
+    instrument: str | Instrument | FocalPlane = "lamost",
+    *,
+    precision: float = 1e-3,
+    n_allocations: int = 8,
+    rng: int | np.random.Generator | None = 0,
+) -> QTable:
+    """Say how far independent targets are from those of balanced queues, for each density that could stand in.
+
+    Parameters
+    ----------
+    instrument : str, Instrument or FocalPlane, optional
+        Preset, instrument or focal plane.
+    precision : float, optional
+        Standard error of every value but the empirical one.
+    n_allocations : int, optional
+        Allocations whose queues together are the empirical density.
+    rng : int, Generator or None, optional
+        Seed or source of random numbers.
+
+    Returns
+    -------
+    QTable
+        A row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (value minus that of allocated
+        targets), ``factor`` (their ratio). The first row is that of the allocated targets.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.benchmark_densities("sdss_apo", precision=0.01, n_allocations=2)["density"].tolist()
+    ['allocated', 'uniform', 'shared', 'voronoi', 'empirical']
+    """
+    plane = as_focal_plane(instrument)
+    check_positive(n_allocations=n_allocations)
+    rng = to_generator(rng)
+    model = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
+    found = {"allocated": collision_probability(instrument, method="auto", precision=precision, rng=rng)}
+    for density in ("uniform", "shared", "voronoi"):
+        options = {"method": "quadrature", "density": density, "precision": precision}
+        found[density] = collision_probability(plane, rng=rng, **options)
+    source = make_source(plane, model, None, None, None, None, None)
+    queues = [allocate(source.draw(rng) * u.mm, plane, method="balanced", rng=rng) for _ in range(n_allocations)]
+    found["empirical"] = collision_probability(plane, method="quadrature", density=queues, precision=precision)
+    true = found["allocated"].value
+    rows = [
+        (name, e.value, e.standard_error, e.value - true, e.value / true if true else np.nan)
+        for name, e in found.items()
+    ]
+    table = QTable(rows=rows, names=("density", "value", "standard_error", "bias", "factor"))
+    table.meta.update(provenance(instrument, plane), n_allocations=n_allocations)
+    return table

@@ -1,0 +1,7 @@
+"""Pictures. matplotlib is imported when the first one is drawn; nothing is ever shown."""
+
+from rfpsurvey.plot._focal_plane import plot_focal_plane
+from rfpsurvey.plot._reproduction import draw_reproduction
+from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
+
+__all__ = ["draw_reproduction", "plot_focal_plane", "plot_probability_accuracy", "plot_speed_accuracy"]

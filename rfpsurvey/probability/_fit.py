@@ -1,0 +1,149 @@
+"""The paper's polynomial: second order in arm length, ratio and pitch, with ridge regularization."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from scipy.linalg import solve
+
+from rfpsurvey._units import to_generator, to_mm
+from rfpsurvey.errors import InputError
+
+__all__ = ["PolynomialFit", "fit_polynomial"]
+
+TERMS = ("1", "x", "y", "z", "x^2", "y^2", "z^2", "xy", "xz", "yz")
+PENALTIES = np.logspace(-8, 2, 21)
+FOLDS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialFit:
+    """A second-order polynomial in arm length x, arm ratio y and pitch z.
+
+    Parameters
+    ----------
+    coefficients : ndarray of float, shape (10,)
+        Of 1, x, y, z, x^2, y^2, z^2, xy, xz, yz, where x, y and z are standardized: minus ``mean``, over ``scale``.
+    mean, scale : ndarray of float, shape (3,)
+        Of the designs it was fitted to: central arm (mm), ratio, pitch (mm).
+    penalty : float
+        Of the ridge regularization; the constant goes free.
+    r2 : float
+        Coefficient of determination on the designs it was fitted to.
+    r2_held_back : float
+        The same on designs that it never saw.
+    """
+
+    coefficients: np.ndarray
+    mean: np.ndarray
+    scale: np.ndarray
+    penalty: float
+    r2: float
+    r2_held_back: float
+
+    def predict(self, central_arm: u.Quantity, ratio: np.ndarray, pitch: u.Quantity) -> np.ndarray:
+        """Return the polynomial's value for designs; nothing keeps it between 0 and 1.
+
+        Parameters
+        ----------
+        central_arm, pitch : Quantity, shape (n,)
+            Length of the central arm, and pitch.
+        ratio : array_like of float, shape (n,)
+            Eccentric arm over central arm.
+
+        Returns
+        -------
+        ndarray of float, shape (n,)
+            Probabilities.
+        """
+        designs = _designs(central_arm, ratio, pitch)
+        return _features((designs - self.mean) / self.scale) @ self.coefficients
+
+
+def fit_polynomial(
+    central_arm: u.Quantity,
+    ratio: np.ndarray,
+    pitch: u.Quantity,
+    probability: np.ndarray,
+    *,
+    held_back: float = 0.25,
+    rng: int | np.random.Generator | None = 0,
+) -> PolynomialFit:
+    """Fit the paper's polynomial (Eq. 13) to the probabilities of designs.
+
+    Parameters
+    ----------
+    central_arm, pitch : Quantity, shape (n,)
+        Length of the central arm, and pitch.
+    ratio : array_like of float, shape (n,)
+        Eccentric arm over central arm.
+    probability : array_like of float, shape (n,)
+        Collision probability of each design.
+    held_back : float, optional
+        Part of the designs to keep back for the test. The penalty is chosen by cross-validation on the others.
+    rng : int, Generator or None, optional
+        Which ones.
+
+    Returns
+    -------
+    PolynomialFit
+        The polynomial, with its coefficient of determination on both parts.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, values are not finite, or there are fewer than 20 designs.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> l1, ratio, pitch = np.random.default_rng(1).uniform((8, 1, 25), (14, 2, 35), (80, 3)).T
+    >>> p = rs.surrogate_probability(l1 * u.mm, ratio * l1 * u.mm, pitch * u.mm, 4.5 * u.mm)
+    >>> rs.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, p).r2_held_back > 0.97
+    True
+    """
+    designs, value = _designs(central_arm, ratio, pitch), np.asarray(probability, dtype=float)
+    n = len(designs)
+    if value.shape != (n,) or not np.isfinite(value).all():
+        raise InputError(f"probability must be {n} finite numbers, one for each design, got the shape {value.shape}")
+    if n < 20 or not 0 < held_back < 0.8:
+        raise InputError(f"a fit needs at least 20 designs and 0 < held_back < 0.8, got {n} and {held_back!r}")
+    order = to_generator(rng).permutation(n)
+    test, train = np.split(order, [max(2, round(held_back * n))])
+    mean, scale = designs[train].mean(axis=0), designs[train].std(axis=0)
+    if not (scale > 0).all():
+        raise InputError("designs must differ in central arm, ratio and pitch")
+    features = _features((designs - mean) / scale)
+    folds = np.array_split(train, FOLDS)
+    errors = [sum(_miss(features, value, np.setdiff1d(train, f), f, w) for f in folds) for w in PENALTIES]
+    penalty = float(PENALTIES[np.argmin(errors)])
+    coefficients = _ridge(features[train], value[train], penalty)
+    left = value - features @ coefficients
+    r2 = [1 - float(left[k] @ left[k]) / float(((value[k] - value[k].mean()) ** 2).sum()) for k in (train, test)]
+    return PolynomialFit(coefficients, mean, scale, penalty, *r2)
+
+
+def _designs(central_arm, ratio, pitch):
+    columns = [to_mm(central_arm, "central_arm"), np.asarray(ratio, dtype=float), to_mm(pitch, "pitch")]
+    columns = np.broadcast_arrays(*map(np.atleast_1d, columns))
+    designs = np.column_stack(columns)
+    if designs.shape[1] != 3 or not np.isfinite(designs).all():
+        raise InputError("central_arm, ratio and pitch must be finite columns of one length")
+    return designs
+
+
+def _features(t):
+    x, y, z = t.T
+    return np.column_stack([np.ones(len(t)), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
+
+
+def _ridge(features, value, penalty):
+    weight = np.diag([0.0] + [penalty] * (features.shape[1] - 1))
+    return solve(features.T @ features + len(value) * weight, features.T @ value, assume_a="pos")
+
+
+def _miss(features, value, train, test, penalty):
+    left = value[test] - features[test] @ _ridge(features[train], value[train], penalty)
+    return float(left @ left)

@@ -1,0 +1,5 @@
+"""The paper's own experiments, run again."""
+
+from rfpsurvey.reproduce._reproduce import EXPERIMENTS, reproduce
+
+__all__ = ["EXPERIMENTS", "reproduce"]

@@ -1,0 +1,46 @@
+"""What the paper says beside what came out here."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from astropy.table import QTable
+
+__all__ = ["Claim", "claims_page", "claims_table", "verdict"]
+
+REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "cannot be decided from the text"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement of the paper, and ours."""
+
+    experiment: str
+    claim: str
+    paper: str
+    ours: str
+    verdict: str
+    reading: str = ""
+
+
+def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
+    """Say whether the paper's number lies within so many errors of ours."""
+    return REPRODUCED if abs(paper - ours) <= sigmas * error else NOT_REPRODUCED
+
+
+def claims_table(claims: list[Claim]) -> QTable:
+    """Return the claims, a row each."""
+    names = [f.name for f in fields(Claim)]
+    return QTable([[getattr(c, name) for c in claims] for name in names], names=names)
+
+
+def claims_page(table: QTable, settings: dict) -> str:
+    """Return the claims as a page of reStructuredText."""
+    lines = ["Claims of the paper", "===================", "", "Made by ``rfpsurvey reproduce``: "]
+    lines[-1] += ", ".join(f"{key} {value}" for key, value in settings.items()) + "."
+    for experiment in dict.fromkeys(np.asarray(table["experiment"])):
+        lines += ["", experiment.capitalize(), "-" * len(experiment), "", ".. list-table::", "   :header-rows: 1", ""]
+        rows = [("claim", "paper", "here", "verdict", "reading")]
+        rows += [tuple(r)[1:] for r in table[table["experiment"] == experiment]]
+        for row in rows:
+            lines += [f"   {'* -' if k == 0 else '  -'} {cell}".rstrip() for k, cell in enumerate(row)]
+    return "\n".join(lines) + "\n"

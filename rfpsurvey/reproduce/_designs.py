@@ -1,0 +1,80 @@
+"""The paper's designs, and their estimates."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.positioner import Positioner
+from rfpsurvey.probability import Estimate, collision_probability
+from rfpsurvey.probability._run import Progress
+
+__all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "plane_of", "random_designs"]
+
+D = 4.5
+N_TARGETS = 20_000
+SMALL = {"rings": 2, "target_radius": 76.8 * u.mm}
+LARGE = {"rings": 12, "target_radius": 200 * u.mm}
+MOST_ENTRIES = 32
+"""Queues of hundreds are thinned to this: more realizations of less work."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How carefully to work."""
+
+    quick: bool = False
+    executor: Executor | None = None
+    progress: bool = False
+    seed: int = 0
+    versions: dict = field(default_factory=dict)
+
+    @property
+    def precision(self) -> float:
+        """Standard error of every design."""
+        return 2e-3 if self.quick else 1e-4
+
+    def pick(self, full: int, quick: int) -> int:
+        """Return the number for this care."""
+        return quick if self.quick else full
+
+
+def plane_of(l1: float, ratio: float, pitch: float, rings: int) -> FocalPlane:
+    """Return the array of a design; lengths in mm."""
+    unit = Positioner(l1 * u.mm, l1 * ratio * u.mm, D / 2 * u.mm)
+    return FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
+
+
+def random_designs(settings: Settings) -> QTable:
+    """Return the designs of the large experiment, uniform in its box."""
+    rng = np.random.default_rng([settings.seed, 80])
+    l1, ratio, pitch = rng.uniform((7.25, 1, 24.6), (14.5, 2, 35), (80, 3))[: settings.pick(80, 24)].T
+    return QTable({"central_arm": l1 * u.mm, "ratio": ratio, "pitch": pitch * u.mm})
+
+
+def estimate(
+    l1: float, ratio: float, pitch: float, layout: dict, settings: Settings, seed: list[int], **options: object
+) -> Estimate:
+    """Return the estimate of a design, by default of allocated uniform targets."""
+    plane = plane_of(l1, ratio, pitch, layout["rings"])
+    options = {"targets": "uniform", "precision": settings.precision, **options}
+    if options.get("method", "conditional") == "conditional":
+        options.setdefault("most_entries", MOST_ENTRIES)
+    if not callable(options["targets"]):
+        options.setdefault("n_targets", N_TARGETS)
+        options.setdefault("target_radius", layout["target_radius"])
+    return collision_probability(plane, rng=np.random.default_rng(seed), **options)
+
+
+def each(task: Callable, jobs: list, settings: Settings) -> list:
+    """Return the results of all jobs, in their order, with a bar."""
+    bar, results = Progress(settings.progress), []
+    for result in (map if settings.executor is None else settings.executor.map)(task, jobs):
+        results.append(result)
+        bar(len(results) / len(jobs))
+    bar.close()
+    return results

@@ -1,0 +1,112 @@
+"""How often intervals hold the truth, with the stopping rule at work."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.positioner import Positioner
+from rfpsurvey.probability import collision_probability
+from rfpsurvey.probability._intervals import INTERVALS
+from rfpsurvey.probability._methods import CHUNK
+from rfpsurvey.probability._run import Precision, run, summarize
+from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._targets import make_source
+from rfpsurvey.reproduce._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from rfpsurvey.reproduce._designs import Settings, each
+
+__all__ = ["coverage", "intervals"]
+
+# arms and pitch (mm), safe distance over 2, targets, precision of plain and of conditional simulation
+SCENES = {
+    "LAMOST": ((8.25, 8.25, 25.6, 2.25, 148), {"monte_carlo": 0.003, "conditional": 0.0015}),
+    "SDSS-V": ((7.4, 15.0, 22.4, 2.5391, 148), {"monte_carlo": 0.005, "conditional": 0.003}),
+}
+CONFIDENCE = 0.95
+
+
+def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
+    """Return the coverage of all intervals and stopping rules, and claims."""
+    table = coverage(settings)
+    claims = []
+    for scene in SCENES:
+        part = table[(table["scene"] == scene) & (table["method"] == "monte_carlo")]
+        rows = {(r["stop"], r["interval"]): r for r in part}
+        good, early = rows["interval", "wilson"], rows["convergence", "wilson"]
+        claims.append(
+            Claim(
+                "intervals", f"confidence intervals stop more stably than the convergence criterion ({scene})",
+                "stated",
+                f"root mean square error over the one asked for: {good['error_ratio']:.2f} by the interval, "
+                f"{early['error_ratio']:.2f} by convergence, with {good['iterations']:.0f} and "
+                f"{early['iterations']:.0f} iterations on average",
+                REPRODUCED if good["error_ratio"] < min(1.1, early["error_ratio"]) else NOT_REPRODUCED,
+                "running mean that moves by less than the precision three times in a row",
+            )
+        )  # fmt: skip
+        naive = rows["interval", "wilson_naive"]
+        claims.append(
+            Claim(
+                "intervals", f"Wilson's interval of the simulations has the confidence 0.95 ({scene})", "0.95",
+                f"{naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner a trial; "
+                f"{good['coverage']:.3f} +- {good['coverage_error']:.3f} with the effective number",
+                REPRODUCED if abs(naive["coverage"] - CONFIDENCE) < 0.015 else NOT_REPRODUCED,
+                "n is the number of positioners times iterations",
+            )
+        )  # fmt: skip
+    return {"intervals": table}, claims
+
+
+def coverage(settings: Settings, repeats: int | None = None) -> QTable:
+    """Return how often each interval holds the truth, for plain and conditional simulation.
+
+    Every repeat runs until the precision is met; the truth comes from a conditional simulation thirty times as precise.
+    """
+    repeats = settings.pick(4000, 100) if repeats is None else repeats
+    jobs = [
+        (scene, method, stop)
+        for scene in SCENES
+        for method, stop in (("monte_carlo", "interval"), ("monte_carlo", "convergence"), ("conditional", "interval"))
+    ]
+    rows = [row for rows in each(lambda job: _repeat(*job, repeats, settings), jobs, settings) for row in rows]
+    names = (
+        "scene", "method", "stop", "interval", "truth", "coverage", "coverage_error", "half_width", "error_ratio",
+        "iterations", "repeats",
+    )  # fmt: skip
+    return QTable(rows=rows, names=names)
+
+
+def _repeat(scene, method, stop, repeats, settings):
+    (l1, l2, pitch, d, n_targets), precisions = SCENES[scene]
+    plane = FocalPlane.hexagonal(Positioner(l1 * u.mm, l2 * u.mm, d * u.mm), rings=3, pitch=pitch * u.mm)
+    finest = min(precisions.values()) / settings.pick(30, 5)
+    truth = collision_probability(plane, n_targets=n_targets, precision=finest, rng=settings.seed + 1).value
+    simulation = Simulation(plane, make_source(plane, None, None, n_targets, None, None, None), "balanced", True)
+    task = simulation.draw if method == "monte_carlo" else simulation.expect
+    precision = Precision(precisions[method], 100_000, CONFIDENCE, "wilson", stop)
+    kinds = INTERVALS if stop == "interval" else {"wilson": None}
+    held, widths, errors, iterations = dict.fromkeys(kinds, 0), dict.fromkeys(kinds, 0.0), [], []
+    seed = [settings.seed, 95, list(SCENES).index(scene), ("monte_carlo", "conditional").index(method), len(stop)]
+    for rng in np.random.default_rng(seed).spawn(repeats):
+        tally, found = run(task, CHUNK[method], precision, plane, rng, None, False, given=False)
+        errors.append(found["value"] - truth)
+        iterations.append(len(tally.pairs))
+        for kind in kinds:
+            own = found
+            if kind != "wilson":
+                own = summarize(tally, plane, replace(precision, interval=kind), rng, given=False)
+            held[kind] += own["low"] <= truth <= own["high"]
+            widths[kind] += (own["high"] - own["low"]) / 2 / repeats
+    ratio = float(np.sqrt(np.mean(np.square(errors)))) / precisions[method]
+    return [
+        (scene, method, stop, kind, truth, held[kind] / repeats, _binomial(held[kind] / repeats, repeats), widths[kind],
+         ratio, float(np.mean(iterations)), repeats)
+        for kind in kinds
+    ]  # fmt: skip
+
+
+def _binomial(p, n):
+    """Return the standard error of a part of n, never 0."""
+    return float(np.sqrt(max(p * (1 - p), 1 / n) / n))

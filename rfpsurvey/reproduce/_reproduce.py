@@ -1,0 +1,135 @@
+"""Run the paper's experiments, write tables and figures, and say what holds."""
+
+import os
+import platform
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+from astropy.table import QTable
+
+from rfpsurvey._io import check_output, output_path, to_path, write_table
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.plot import draw_reproduction
+from rfpsurvey.reproduce._claims import Claim, claims_page, claims_table
+from rfpsurvey.reproduce._designs import Settings
+from rfpsurvey.reproduce._intervals import intervals
+from rfpsurvey.reproduce._large import fit, large, poisson
+from rfpsurvey.reproduce._small import small
+from rfpsurvey.reproduce._speed import speed
+
+__all__ = ["EXPERIMENTS", "reproduce"]
+
+EXPERIMENTS: dict[str, Callable] = {
+    "small": small, "large": large, "poisson": poisson, "fit": fit, "intervals": intervals, "speed": speed,
+}  # fmt: skip
+"""Name to function of `Settings` -> (tables by name, claims)."""
+TABLES = {
+    "small": ("small",), "large": ("large", "large_differences", "large_plain"), "poisson": ("poisson",),
+    "fit": ("fit", "surrogate"),
+    "intervals": ("intervals",), "speed": ("speed",),
+}  # fmt: skip
+
+
+def reproduce(
+    experiment: str = "all",
+    folder: str | os.PathLike = "reproduction",
+    *,
+    quick: bool = False,
+    workers: int | None = None,
+    rng: int = 0,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> QTable:
+    """Rerun the experiments of the paper, and put each of its claims beside what came out.
+
+    Parameters
+    ----------
+    experiment : {"all", "small", "large", "poisson", "fit", "intervals", "speed"}, optional
+        ``small``: 19 positioners, scans of arm ratio and pitch. ``large``: 469 positioners, 80 random designs, formula
+        against simulation. ``poisson``: the same designs with Poisson-distributed targets in every reading. ``fit``:
+        the polynomial, and the surrogate at designs that it never saw. ``intervals``: how often intervals hold the
+        truth.
+        ``speed``: arms of 64 segments against swept areas.
+    folder : str or path, optional
+        Where tables (ECSV), figures (PNG) and the page of claims (``claims.rst``) go; made if it is not there.
+    quick : bool, optional
+        Few designs, repeats and iterations: to see that it runs, not to decide anything.
+    workers : int, optional
+        Threads; as many as there are cores by default. Results do not depend on it.
+    rng : int, optional
+        Seed.
+    overwrite : bool, optional
+        Replace outputs of an earlier run.
+    progress : bool, optional
+        Show bars on the standard error.
+
+    Returns
+    -------
+    QTable
+        A row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or cannot be decided
+        from the text), reading.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, or outputs are there already.
+
+    References
+    ----------
+    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi Positioners".
+    """
+    check_choice(experiment, ["all", *EXPERIMENTS], "experiment")
+    names = list(EXPERIMENTS) if experiment == "all" else [experiment]
+    if not isinstance(rng, int) or rng < 0:
+        raise InputError(f"rng must be a seed, a whole number of at least 0, got {rng!r}")
+    workers = os.cpu_count() or 1 if workers is None else workers
+    if not isinstance(workers, int) or workers < 1:
+        raise InputError(f"workers must be a whole number of at least 1, got {workers!r}")
+    folder = _folder(folder, names, overwrite)
+    claims: list[Claim] = []
+    made: dict[str, QTable] = {}
+    with ThreadPoolExecutor(workers) as executor:
+        settings = Settings(quick, executor, progress, rng)
+        for name in names:
+            run = EXPERIMENTS[name]
+            if name == "fit" and "large" in made:  # the designs are there
+                run = partial(run, table=made["large"])
+            tables, own = run(settings)
+            made.update(tables)
+            claims += own
+            for key, table in tables.items():
+                table.meta.update(_provenance(settings))
+                write_table(table, folder / f"{key}.ecsv", overwrite=True)
+            for key, figure in draw_reproduction(name, tables).items():
+                with output_path(folder / f"{key}.png", (".png",), overwrite=True) as temporary:
+                    figure.savefig(temporary, dpi=150, format="png")
+            _write_claims(folder, claims, settings)
+    return claims_table(claims)
+
+
+def _folder(folder, names, overwrite):
+    folder = to_path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} must be a folder, but it is a file")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("claims", *(t for n in names for t in TABLES[n])):
+        check_output(folder / f"{name}.ecsv", (".ecsv",), overwrite=overwrite)
+    return folder
+
+
+def _write_claims(folder: Path, claims: list[Claim], settings: Settings) -> None:
+    table = claims_table(claims)
+    table.meta.update(_provenance(settings))
+    write_table(table, folder / "claims.ecsv", overwrite=True)
+    with output_path(folder / "claims.rst", (".rst",), overwrite=True) as temporary:
+        temporary.write_text(claims_page(table, _provenance(settings)), encoding="utf-8")
+
+
+def _provenance(settings):
+    return {
+        "quick": settings.quick, "seed": settings.seed, "rfpsurvey": version("rfpsurvey"), "numpy": version("numpy"),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    }  # fmt: skip

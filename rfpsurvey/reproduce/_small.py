@@ -1,0 +1,66 @@
+"""19 positioners: probability against arm ratio and pitch."""
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.reproduce._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from rfpsurvey.reproduce._designs import SMALL, Settings, each, estimate, plane_of
+
+__all__ = ["small"]
+
+L1, PITCH = 8.25, 25.6
+
+
+def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
+    """Return the scans of ratio and pitch, and what the paper says about them."""
+    ratios, pitches = np.linspace(1, 3, settings.pick(9, 3)), np.linspace(25.6, 35, settings.pick(9, 3))
+    scans = {
+        "ratio": [(L1, r, PITCH) for r in ratios],
+        "pitch": [(L1, 1.0, p) for p in pitches],
+        "pitch at ratio 2": [(L1, 2.0, p) for p in pitches],
+    }
+    jobs = [(name, design, k) for name, designs in scans.items() for k, design in enumerate(designs)]
+
+    def run(job):
+        name, design, k = job
+        seed = [settings.seed, 19, list(scans).index(name), k]
+        found = estimate(*design, SMALL, settings, seed)
+        formula = estimate(*design, SMALL, settings, seed, method="closed_form")
+        return (name, *design, found.value, found.standard_error, formula.value)
+
+    rows = each(run, jobs, settings)
+    names = ("scan", "central_arm", "ratio", "pitch", "value", "standard_error", "closed_form")
+    table = QTable(rows=rows, names=names, units={"central_arm": u.mm, "pitch": u.mm})
+    claims = []
+    trends = ("ratio", 1, "increases rapidly with the arm ratio"), ("pitch", -1, "decreases rapidly with the pitch")
+    for name, sign, words in trends:
+        part = table[table["scan"] == name]
+        steps, errors = sign * np.diff(part["value"]), np.hypot(part["standard_error"][1:], part["standard_error"][:-1])
+        holds = (steps > -3 * errors).all()
+        claims.append(
+            Claim(
+                "small", f"the probability {words}", "figure", f"{part['value'][0]:.4f} to {part['value'][-1]:.4f}",
+                REPRODUCED if holds else NOT_REPRODUCED, f"19 positioners, central arm {L1} mm",
+            )
+        )  # fmt: skip
+    for name in scans:
+        part = table[table["scan"] == name]
+        away = _normalized(part["closed_form"]) - _normalized(part["value"])
+        factor = np.asarray(part["value"] / np.where(part["closed_form"] > 0, part["closed_form"], np.nan))
+        claims.append(
+            Claim(
+                "small", f"formula and simulation yield comparable outcomes ({name})", "figure, normalized",
+                f"normalized: up to {np.abs(away).max():.2f} apart; in absolute terms the formula is low by a factor "
+                f"of {np.nanmin(factor):.1f} to {np.nanmax(factor):.1f}",
+                REPRODUCED if np.abs(away).max() < 0.1 else NOT_REPRODUCED,
+                "both curves scaled to 0 and 1; comparable: within 0.1",
+            )
+        )  # fmt: skip
+    table.meta["n_positioners"] = len(plane_of(L1, 1.0, PITCH, SMALL["rings"]))
+    return {"small": table}, claims
+
+
+def _normalized(values):
+    values = np.asarray(values, dtype=float)
+    return (values - values.min()) / (values.max() - values.min())
