@@ -15,9 +15,7 @@ def reproduce(
     experiment: Annotated[
         str, typer.Argument(help="small, large, poisson, fit, intervals, speed, or all of them.")
     ] = "all",
-    folder: Annotated[Path, typer.Option(help="Where tables, figures and claims go.")] = Path(
-        "reproduction"
-    ),
+    folder: Annotated[Path, typer.Option(help="Where tables, figures and claims go.")] = Path("reproduction"),
     quick: Annotated[bool, typer.Option("--quick", help="Few designs and repeats: see that it runs.")] = False,
     workers: Annotated[int | None, typer.Option(help="Threads; as many as cores by default.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,

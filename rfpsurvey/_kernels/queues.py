@@ -86,88 +86,82 @@ def line_up(indptr, idle, hall):
 
 
 @kernel
-def look(hall, m, limits):
-    """Add the weights of the candidate pairs that collide."""
-    limit = limits.separation**2
-    for k in range(keep_near(hall.halves, m, (limits.separation + limits.slack) ** 2, hall.first, hall.second)):
-        a, b = hall.first[k], hall.second[k]
-        collides = pair_squared(hall.segments, a, b) < limit
-        hall.hit[a] += hall.weight[b] * collides
-        hall.hit[b] += hall.weight[a] * collides
-
-
-@kernel
-def meet(i, j, ux, uy, hall, limits):
-    """Account for the collisions of the queues i and j, j in the direction (ux, uy); returns the chance of one.
-
-    Along that direction no entry of i can come nearer to j than its foremost point, and the other way around: entries
-    that reach for nobody are not looked at.
-    """
-    s, first, last, begin, end = hall.segments, hall.start[i], hall.stop[i], hall.start[j], hall.stop[j]
-    room = limits.separation + limits.slack
-    foremost, hindmost = -np.inf, np.inf
-    for a in range(first, last):
-        hall.ahead[a] = max(s[0, a] * ux + s[1, a] * uy, s[2, a] * ux + s[3, a] * uy)
-        foremost = max(foremost, hall.ahead[a])
-    for b in range(begin, end):
-        hall.ahead[b] = min(s[0, b] * ux + s[1, b] * uy, s[2, b] * ux + s[3, b] * uy)
-        hindmost = min(hindmost, hall.ahead[b])
-    n = 0
-    for b in range(begin, end):
-        hall.near[n] = b
-        hall.middle_x[n], hall.middle_y[n], hall.back[n] = hall.halves[0, b], hall.halves[1, b], hall.ahead[b]
-        n += (hall.ahead[b] - foremost <= room) & (hall.weight[b] > 0.0)
-    middle_x, middle_y, back = hall.middle_x[:n], hall.middle_y[:n], hall.back[:n]
-    marks = hall.marks[:n]
-    m = 0
-    near2 = limits.near**2
-    for a in range(first, last):
-        line = hall.ahead[a] + room
-        if hindmost > line or hall.weight[a] == 0.0:
-            continue
-        x, y = hall.halves[0, a], hall.halves[1, a]
-        for k in range(n):
-            dx, dy = middle_x[k] - x, middle_y[k] - y
-            marks[k] = (dx * dx + dy * dy <= near2) & (back[k] <= line)
-        for k in range(n):
-            hall.first[m], hall.second[m] = a, hall.near[k]
-            m += marks[k]
-        if m >= BATCH:
-            look(hall, m, limits)
-            m = 0
-    look(hall, m, limits)
-    chance = 0.0
-    for a in range(first, last):
-        chance += hall.weight[a] * hall.hit[a]
-        hall.free[a] *= 1.0 - hall.hit[a] / hall.total[j]
-        hall.hit[a] = 0.0
-    for b in range(begin, end):
-        hall.free[b] *= 1.0 - hall.hit[b] / hall.total[i]
-        hall.hit[b] = 0.0
-    return chance / (hall.total[i] * hall.total[j])
-
-
-@kernel
 def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, hall, risk):
-    """Chance of a collision of each positioner, NaN without a queue; returns the expected number of colliding pairs."""
+    """Chance of a collision of each positioner, NaN without a queue; returns the expected number of colliding pairs.
+
+    Along the line between the centers of i and j no entry of i comes nearer to j than its foremost point, and the other
+    way around: entries that reach for nobody are not looked at. All is in one function, because handing over so many
+    arrays takes longer than to look at short queues.
+    """
+    segments, halves, weight, total = hall.segments, hall.halves, hall.weight, hall.total
+    free, hit = hall.free, hall.hit
+    ahead, near, marks, first, second = hall.ahead, hall.near, hall.marks, hall.first, hall.second
+    middle_x, middle_y, back = hall.middle_x, hall.middle_y, hall.back
+    x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
+    room, limit = limits.separation + limits.slack, limits.separation**2
+    near2 = limits.near**2
     expected = 0.0
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        if hall.start[i] == hall.stop[i] or hall.start[j] == hall.stop[j]:
+    for p in range(pairs.shape[0]):
+        i, j = pairs[p, 0], pairs[p, 1]
+        a0, a1, b0, b1 = hall.start[i], hall.stop[i], hall.start[j], hall.stop[j]
+        if a0 == a1 or b0 == b1:
             continue
-        dx, dy = geometry.cx[j] - geometry.cx[i], geometry.cy[j] - geometry.cy[i]
-        inverse = 1.0 / math.sqrt(dx * dx + dy * dy)
-        expected += meet(i, j, dx * inverse, dy * inverse, hall, limits)
-    s = hall.segments
+        ux, uy = geometry.cx[j] - geometry.cx[i], geometry.cy[j] - geometry.cy[i]
+        inverse = 1.0 / math.sqrt(ux * ux + uy * uy)
+        ux, uy = ux * inverse, uy * inverse
+        foremost, hindmost = -np.inf, np.inf
+        for a in range(a0, a1):
+            ahead[a] = max(x0[a] * ux + y0[a] * uy, x1[a] * ux + y1[a] * uy)
+            foremost = max(foremost, ahead[a])
+        for b in range(b0, b1):
+            ahead[b] = min(x0[b] * ux + y0[b] * uy, x1[b] * ux + y1[b] * uy)
+            hindmost = min(hindmost, ahead[b])
+        if hindmost - foremost > room:
+            continue
+        n = 0
+        for b in range(b0, b1):
+            near[n], middle_x[n], middle_y[n], back[n] = b, halves[0, b], halves[1, b], ahead[b]
+            n += (ahead[b] - foremost <= room) & (weight[b] > 0.0)
+        a, found = a0, False
+        while a < a1:
+            m = 0
+            while a < a1 and m < BATCH:
+                line = ahead[a] + room
+                if hindmost <= line and weight[a] > 0.0:
+                    x, y = halves[0, a], halves[1, a]
+                    for k in range(n):
+                        dx, dy = middle_x[k] - x, middle_y[k] - y
+                        marks[k] = (dx * dx + dy * dy <= near2) & (back[k] <= line)
+                    for k in range(n):
+                        first[m], second[m] = a, near[k]
+                        m += marks[k]
+                a += 1
+            for k in range(keep_near(halves, m, room**2, first, second)):
+                own, other = first[k], second[k]
+                collides = pair_squared(segments, own, other) < limit
+                hit[own] += weight[other] * collides
+                hit[other] += weight[own] * collides
+                found |= collides
+        if not found:
+            continue
+        chance = 0.0
+        for a in range(a0, a1):
+            chance += weight[a] * hit[a]
+            free[a] *= 1.0 - hit[a] / total[j]
+            hit[a] = 0.0
+        for b in range(b0, b1):
+            free[b] *= 1.0 - hit[b] / total[i]
+            hit[b] = 0.0
+        expected += chance / (total[i] * total[j])
     for k in range(obstacle_pairs.shape[0]):
         i, j = obstacle_pairs[k, 0], obstacle_pairs[k, 1]
         x, y, limit = obstacles[j, 0], obstacles[j, 1], obstacles[j, 2] + clearance
         for a in range(hall.start[i], hall.stop[i]):
-            if math.sqrt(point_segment_squared(x, y, s[0, a], s[1, a], s[2, a], s[3, a])) < limit:
-                hall.free[a] = 0.0
+            if math.sqrt(point_segment_squared(x, y, x0[a], y0[a], x1[a], y1[a])) < limit:
+                free[a] = 0.0
     for i in range(risk.size):
         unharmed = 0.0
         for a in range(hall.start[i], hall.stop[i]):
-            unharmed += hall.weight[a] * hall.free[a]
-        risk[i] = 1.0 - unharmed / hall.total[i] if hall.total[i] > 0.0 else np.nan
+            unharmed += weight[a] * free[a]
+        risk[i] = 1.0 - unharmed / total[i] if total[i] > 0.0 else np.nan
     return expected

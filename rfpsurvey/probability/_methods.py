@@ -17,7 +17,7 @@ from rfpsurvey.probability._targets import Source
 
 __all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "Question", "cheapest"]
 
-CHUNK = {"monte_carlo": 64, "conditional": 4}
+CHUNK = {"monte_carlo": 64, "conditional": 8}
 """Realizations of one task. Results depend on this, not on the number of workers."""
 QUEUEING = ("balanced",)
 """Allocators that make queues, over which `conditional` averages."""

@@ -11,11 +11,11 @@ from astropy.utils.console import ProgressBar
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
-from rfpsurvey.probability._simulate import Tally
+from rfpsurvey.probability._simulate import Tally, merge
 
 __all__ = ["Precision", "Progress", "patch_error", "run", "summarize"]
 
-FIRST_TASKS = 4
+FIRST_TASKS = 2
 """Tasks before the first look at the error."""
 GROWTH = 8
 """The next look comes after at most this many times what has been seen."""
@@ -72,27 +72,29 @@ def run(
     Tasks and looks depend on the results alone, so that the number of workers has no influence.
     """
     bar = Progress(progress)
-    tally, summary, means = None, {}, []
+    parts: list[Tally] = []
+    means, total, used, done = [], 0.0, 0, 0
     goal = min(FIRST_TASKS * chunk, precision.max_iterations)
     while True:
-        done = 0 if tally is None else len(tally.pairs)
         sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
         for part in (map if executor is None else executor.map)(task, sizes, rng.spawn(len(sizes))):
-            tally = part if tally is None else tally + part
-            means.append(float(np.mean(tally.rates())) if len(tally.rates()) else np.nan)
-            bar(max(len(tally.pairs) / precision.max_iterations, len(tally.pairs) / max(goal, 1) * 0.999))
-        n = len(tally.pairs)
+            parts.append(part)
+            rates = part.rates()
+            total, used, done = total + float(rates.sum()), used + len(rates), done + len(part.pairs)
+            means.append(total / used if used else np.nan)
+            bar(0.99 * done / goal)
+        parts = [tally := merge(parts)]
         summary = summarize(tally, plane, precision, rng, given=given)
         wide = summary.pop("half_width")
         met = precision.standard_error is not None and (
             wide <= precision.half_width if precision.stop == "interval" else converged(means, precision.standard_error)
         )
-        if met or n >= precision.max_iterations:
+        if met or done >= precision.max_iterations:
             break
-        more = n + chunk
+        more = done + chunk
         if precision.stop == "interval":
-            needed = n * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
-            more = max(more, int(min(FORESIGHT * needed, GROWTH * n)))
+            needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
+            more = max(more, int(min(FORESIGHT * needed, GROWTH * done)))
         goal = min(-(-more // chunk) * chunk, precision.max_iterations)
     bar.close()
     return tally, {**summary, "met": met}

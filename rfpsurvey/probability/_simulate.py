@@ -13,7 +13,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._scratch import make_array, make_hall, make_room
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["Simulation", "Tally"]
+__all__ = ["Simulation", "Tally", "merge"]
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,6 @@ class Tally:
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
-
-    def __add__(self, other: "Tally") -> "Tally":
-        rows = np.concatenate([self.colliding, other.colliding]), np.concatenate([self.pairs, other.pairs])
-        return Tally(*rows, self.times + other.times, self.counted + other.counted)
 
     def rates(self, column: int = 0) -> np.ndarray:
         """Part in collision, for each realization in which anybody counts; ``column`` 2: of the assigned ones."""
@@ -53,6 +49,12 @@ class Tally:
     @staticmethod
     def _ratio(part, whole):
         return part[whole > 0] / whole[whole > 0]
+
+
+def merge(parts: list[Tally]) -> Tally:
+    """Return what all of them say."""
+    rows = (np.concatenate([getattr(p, name) for p in parts]) for name in ("colliding", "pairs"))
+    return Tally(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,149 @@
+"""Designs: the surrogate against quadrature and simulation, the polynomial against least squares."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from rfpsurvey.probability._environments import environments
+from rfpsurvey.probability._surrogate import AXES, interior_risk, make_surrogate
+
+MM = u.mm
+PITCH = 31.0
+
+
+def designs_of(rng, n):
+    """Random shapes of the paper's box, none of them a node."""
+    l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1), (14.5, 2, 35, 7), (n, 4)).T
+    return l1, l1 * ratio, pitch, distance
+
+
+def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
+    l1, l2, pitch, distance = designs_of(rng, 40)
+    got = rs.surrogate_probability(l1 * MM, l2 * MM, pitch * MM, distance * MM)
+    jobs = zip(l1 / pitch, l2 / l1, distance / pitch, rng.spawn(40), strict=True)
+    want = np.array([interior_risk((a, b, c), 512, own)[0] for a, b, c, own in jobs])
+    assert np.abs(got - want).max() < 0.005
+    assert 1 - ((got - want) ** 2).sum() / ((want - want.mean()) ** 2).sum() > 0.9999
+
+
+def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
+    unit = rs.Positioner(9 * MM, 14 * MM, 2 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=27 * MM)
+    middle = np.hypot(*plane.xy.to_value("mm").T) < 2.1 * 27
+    n, m = 3000, len(plane)
+    r = np.sqrt(rng.uniform(5.0**2, 23.0**2, (n, m))) * (1 - 1e-12)
+    alpha = rng.uniform(0, 2 * np.pi, (n, m))
+    r = np.maximum(r, 5.0 + 1e-9)
+    tips = plane.xy.to_value("mm") + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
+    counts = rs.count_collisions(plane, tips * MM)
+    rate = counts.per_positioner[middle].mean() / n
+    error = 2 * np.sqrt(rate * (1 - rate) / (n * middle.sum()))  # neighbors share collisions: at most twice the variance
+    assert abs(rs.surrogate_probability(9 * MM, 14 * MM, 27 * MM, 4 * MM) - rate) < 3 * error + 0.003
+
+
+def test_only_the_shape_matters():
+    one = rs.surrogate_probability(8 * MM, 12 * MM, 26 * MM, 4 * MM)
+    assert one == pytest.approx(rs.surrogate_probability(0.8 * u.cm, 1.2 * u.cm, 2.6 * u.cm, 0.4 * u.cm), abs=1e-12)
+    assert one == pytest.approx(rs.surrogate_probability(80 * MM, 120 * MM, 260 * MM, 40 * MM), abs=1e-12)
+
+
+def test_arms_that_cannot_touch_never_collide():
+    assert rs.surrogate_probability(7.25 * MM, 7.25 * MM, 35 * MM, 1 * MM) == 0
+    assert rs.surrogate_probability([7.25] * 2 * MM, 7.25 * MM, 35 * MM, 1 * MM).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(
+    ("design", "words"),
+    [
+        ((20, 20, 25, 4), "central arm over pitch must be from 0.2 to 0.6, got 0.8"),
+        ((8, 7, 25, 4), "eccentric over central arm must be from 1 to 3"),
+        ((8, 25, 25, 4), "eccentric over central arm must be from 1 to 3"),
+        ((8, 8, 25, 0.1), "safe distance over pitch must be from 0.02 to 0.3"),
+        ((8, np.nan, 25, 4), "eccentric over central arm"),
+        ((8, 8, 0, 4), "positive lengths"),
+        ((np.nan, 8, 25, 4), "positive lengths"),
+    ],
+)
+def test_the_surrogate_does_not_extrapolate(design, words):
+    with pytest.raises(rs.InputError, match=words):
+        rs.surrogate_probability(*(v * MM for v in design))
+
+
+def test_arguments_of_the_surrogate_need_units_and_fitting_shapes():
+    with pytest.raises(rs.InputError, match="central_arm must be a Quantity"):
+        rs.surrogate_probability(8, 8 * MM, 25 * MM, 4 * MM)
+    with pytest.raises(rs.InputError, match="shapes that fit"):
+        rs.surrogate_probability([8, 9] * MM, [8, 9, 10] * MM, 25 * MM, 4 * MM)
+
+
+def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
+    from rfpsurvey.probability import _surrogate
+
+    few = {name: nodes[::8] for name, nodes in AXES.items()}
+    monkeypatch.setattr(_surrogate, "AXES", few)
+    monkeypatch.setattr(_surrogate, "N_POINTS", 64)
+    make_surrogate(tmp_path / "some.npz")
+    with np.load(tmp_path / "some.npz") as data:
+        risk = data["risk"]
+    assert risk.shape == tuple(len(n) for n in few.values())
+    shipped = rs.surrogate_probability(
+        few["central arm over pitch"][1] * PITCH * MM,
+        few["central arm over pitch"][1] * few["eccentric over central arm"][1] * PITCH * MM,
+        PITCH * MM,
+        few["safe distance over pitch"][1] * PITCH * MM,
+    )
+    assert risk[1, 1, 1] == pytest.approx(shipped, abs=0.02)
+    with pytest.raises(rs.InputError, match="exists"):
+        make_surrogate(tmp_path / "some.npz")
+
+
+def test_the_polynomial_is_found_exactly_where_there_is_one(rng):
+    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
+    value = 0.3 + 0.02 * l1 - 0.01 * pitch + 0.1 * ratio**2 + 0.003 * l1 * ratio - 0.0005 * ratio * pitch
+    fit = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    assert fit.r2_held_back > 1 - 1e-9
+    assert fit.predict([9, 10] * MM, [1.5, 1.2], [30, 26] * MM) == pytest.approx(
+        [0.3 + 0.18 - 0.3 + 0.225 + 0.0405 - 0.0225, 0.3 + 0.2 - 0.26 + 0.144 + 0.036 - 0.0156], abs=1e-5
+    )
+    again = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    assert (fit.coefficients == again.coefficients).all()
+
+
+def test_held_back_designs_have_no_say(rng):
+    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
+    value = rng.random(60)
+    fit = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    assert fit.r2_held_back < 0.5  # there is nothing to learn
+    assert fit.r2_held_back < fit.r2 < 0.6
+
+
+def test_a_penalty_shrinks_what_noise_suggests(rng):
+    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (40, 3)).T
+    noisy = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, rng.random(40), rng=1)
+    assert noisy.penalty > 1e-3
+    left = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, l1 * ratio, rng=1)  # there is nothing to shrink
+    assert left.penalty < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"probability": [0.1] * 5}, "30 finite numbers"),
+        ({"probability": [np.nan] * 30}, "30 finite numbers"),
+        ({"ratio": np.ones(30)}, "must differ"),
+        ({"held_back": 0.9}, "held_back"),
+        ({"ratio": [[1.0] * 30] * 2}, "finite columns"),
+    ],
+)
+def test_a_fit_that_makes_no_sense_is_refused(rng, change, words):
+    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (30, 3)).T
+    options = {"central_arm": l1 * MM, "ratio": ratio, "pitch": pitch * MM, "probability": ratio, **change}
+    with pytest.raises(rs.InputError, match=words):
+        rs.fit_polynomial(**options)
+
+
+def test_environments_of_an_irregular_plane_are_all_different(rng):
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
+    plane = rs.FocalPlane(rng.uniform(-60, 60, (20, 2)) * MM, unit)
+    assert len(environments(plane, 200.0)[0]) == 20
