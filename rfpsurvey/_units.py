@@ -16,7 +16,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = [
     "to_direction", "to_flags", "to_generator", "to_labels", "to_mm", "to_plain", "to_points_mm", "to_radian",
-    "to_scalar", "to_unit", "to_vectors",
+    "to_scalar", "to_spawner", "to_unit", "to_vectors",
 ]  # fmt: skip
 
 
@@ -151,6 +151,16 @@ def to_generator(rng: object) -> np.random.Generator:
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
         raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {rng!r}") from None
+
+
+def to_spawner(rng: object) -> np.random.Generator:
+    """Return a Generator that can spawn others."""
+    generator = to_generator(rng)
+    try:
+        generator.spawn(0)
+    except TypeError:
+        raise InputError(f"rng must be able to spawn Generators, but {generator!r} has no seed sequence") from None
+    return generator
 
 
 def _short(value: object) -> str:

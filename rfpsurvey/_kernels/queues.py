@@ -86,8 +86,8 @@ def line_up(indptr, idle, hall):
 
 
 @kernel
-def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, hall, risk):
-    """Chance of a collision of each positioner, NaN without a queue; returns the expected number of colliding pairs.
+def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, hall, risk, chance_of):
+    """Chance of a collision of each positioner, NaN without a queue, and of each pair.
 
     Along the line between the centers of i and j no entry of i comes nearer to j than its foremost point, and the other
     way around: entries that reach for nobody are not looked at. All is in one function, because handing over so many
@@ -100,9 +100,9 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, hall, 
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
     room, limit = limits.separation + limits.slack, limits.separation**2
     near2 = limits.near**2
-    expected = 0.0
     for p in range(pairs.shape[0]):
         i, j = pairs[p, 0], pairs[p, 1]
+        chance_of[p] = 0.0
         a0, a1, b0, b1 = hall.start[i], hall.stop[i], hall.start[j], hall.stop[j]
         if a0 == a1 or b0 == b1:
             continue
@@ -152,16 +152,15 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, hall, 
         for b in range(b0, b1):
             free[b] *= 1.0 - hit[b] / total[i]
             hit[b] = 0.0
-        expected += chance / (total[i] * total[j])
+        chance_of[p] = chance / total[i] / total[j]
     for k in range(obstacle_pairs.shape[0]):
         i, j = obstacle_pairs[k, 0], obstacle_pairs[k, 1]
-        x, y, limit = obstacles[j, 0], obstacles[j, 1], obstacles[j, 2] + clearance
+        x, y, touch = obstacles[j, 0], obstacles[j, 1], obstacles[j, 2] + clearance
         for a in range(hall.start[i], hall.stop[i]):
-            if math.sqrt(point_segment_squared(x, y, x0[a], y0[a], x1[a], y1[a])) < limit:
+            if math.sqrt(point_segment_squared(x, y, x0[a], y0[a], x1[a], y1[a])) < touch:
                 free[a] = 0.0
     for i in range(risk.size):
         unharmed = 0.0
         for a in range(hall.start[i], hall.stop[i]):
             unharmed += weight[a] * free[a]
-        risk[i] = 1.0 - unharmed / total[i] if total[i] > 0.0 else np.nan
-    return expected
+        risk[i] = max(1.0 - unharmed / total[i], 0.0) if total[i] > 0.0 else np.nan

@@ -14,8 +14,10 @@ from rfpsurvey._kernels.reach import cell_of, reachable_pairs
 
 
 class Sky(NamedTuple):
-    """Targets fall uniformly into a circle about the origin, none nearer to another than the separation."""
+    """Targets fall uniformly into a circle, none nearer to another than the separation."""
 
+    x: float
+    y: float
     radius: float
     separation: float
 
@@ -50,51 +52,49 @@ class Room(NamedTuple):
     target_of: np.ndarray
     tips: np.ndarray
     cells: np.ndarray
-    """Target in each cell of the sky's grid, -1 for none; empty without a separation."""
+    """Scratch of `scatter_apart`, (2, n)."""
 
 
 @kernel
-def scatter(rng, radius, x, y):
+def scatter(rng, sky, x, y):
     """Independent points."""
     for t in range(x.size):
         a = b = 1.0
         while a * a + b * b > 1.0:
             a, b = 2.0 * rng.random() - 1.0, 2.0 * rng.random() - 1.0
-        x[t], y[t] = radius * a, radius * b
+        x[t], y[t] = sky.x + sky.radius * a, sky.y + sky.radius * b
 
 
 @kernel
-def scatter_apart(rng, radius, separation, cells, x, y):
+def scatter_apart(rng, sky, cells, x, y):
     """Points no nearer than the separation, by random sequential addition; returns how many found room.
 
-    A cell of the grid is so small that it holds one of them; give up after 10,000 misses in a row.
+    Points beyond the circle take part up to twice the separation, since without neighbors there its edge would be
+    crowded. ``cells`` has the point of each cell of a grid so fine that there is one at most; NaN for none. Gives up
+    after 10,000 misses in a row.
     """
-    n = int(math.sqrt(cells.size))
-    size = 2.0 * radius / n
-    wide = math.ceil(separation / size)
-    cells[:] = -1
+    n = int(math.sqrt(cells.shape[1]))
+    wide = sky.radius + 2.0 * sky.separation
+    size, limit = 2.0 * wide / n, sky.separation * sky.separation
+    steps = math.ceil(sky.separation / size)
+    cells[:] = np.nan
     t = misses = 0
     while t < x.size and misses < 10_000:
-        a, b = radius * (2.0 * rng.random() - 1.0), radius * (2.0 * rng.random() - 1.0)
-        row, column = cell_of(b, -radius, size, n), cell_of(a, -radius, size, n)
-        if a * a + b * b > radius * radius:
+        a, b = wide * (2.0 * rng.random() - 1.0), wide * (2.0 * rng.random() - 1.0)
+        r2 = a * a + b * b
+        if r2 > wide * wide:
             continue
-        fits = cells[row * n + column] < 0
-        for r in range(max(row - wide, 0), min(row + wide + 1, n)):
-            if not fits:
-                break
-            for c in range(max(column - wide, 0), min(column + wide + 1, n)):
-                k = cells[r * n + c]
-                if k >= 0 and (x[k] - a) ** 2 + (y[k] - b) ** 2 < separation * separation:
-                    fits = False
-                    break
-        if fits:
-            x[t], y[t] = a, b
-            cells[row * n + column] = t
-            t += 1
-            misses = 0
-        else:
-            misses += 1
+        row, column = cell_of(b, -wide, size, n), cell_of(a, -wide, size, n)
+        near = False
+        for r in range(max(row - steps, 0), min(row + steps + 1, n)):
+            for k in range(r * n + max(column - steps, 0), r * n + min(column + steps + 1, n)):
+                near |= (cells[0, k] - a) ** 2 + (cells[1, k] - b) ** 2 < limit  # not for NaN
+        misses = misses + 1 if near else 0
+        if not near:
+            cells[0, row * n + column], cells[1, row * n + column] = a, b
+            if r2 <= sky.radius * sky.radius:
+                x[t], y[t] = sky.x + a, sky.y + b
+                t += 1
     return t
 
 
@@ -103,10 +103,10 @@ def realize(rng, number, sky, array, room):
     """Let targets fall and queue up as `balanced` has it."""
     x, y, g = room.x[:number], room.y[:number], array.geometry
     if sky.separation > 0.0:
-        found = scatter_apart(rng, sky.radius, sky.separation, room.cells, x, y)
+        found = scatter_apart(rng, sky, room.cells, x, y)
         x[found:], y[found:] = np.nan, np.nan
     else:
-        scatter(rng, sky.radius, x, y)
+        scatter(rng, sky, x, y)
     x0, y0, size, nx, ny, start, order = array.grid
     indptr = room.indptr[: number + 1]
     reachable_pairs(
@@ -155,14 +155,16 @@ def draw_and_count(rng, numbers, sky, array, room, stage, desk, counts, times, c
 
 
 @kernel
-def sum_up(indptr, pairs, geometry, stage, hall, risk, sums, times, counted):
+def sum_up(indptr, pairs, geometry, stage, hall, risk, chance_of, sums, times, counted):
     """Sum up one realization: expected collisions of all and of assigned positioners, pairs; and who counts how often.
 
     ``sums`` has the columns expected colliding, counted, expected colliding assigned, assigned, pairs.
     """
-    sums[4] = expect(pairs, geometry, stage.limits, stage.obstacle_pairs, stage.obstacles, stage.clearance, hall, risk)
-    for k in range(4):
+    expect(pairs, geometry, stage.limits, stage.obstacle_pairs, stage.obstacles, stage.clearance, hall, risk, chance_of)
+    for k in range(5):
         sums[k] = 0.0
+    for p in range(pairs.shape[0]):
+        sums[4] += chance_of[p]
     for i in range(risk.size):
         assigned = indptr[i + 1] > indptr[i]
         counts_too = assigned | stage.parked[i]
@@ -176,7 +178,7 @@ def sum_up(indptr, pairs, geometry, stage, hall, risk, sums, times, counted):
 
 
 @kernel
-def queue_and_expect(rng, numbers, most, sky, array, room, pairs, stage, hall, risk, sums, times, counted):
+def queue_and_expect(rng, numbers, most, sky, array, room, pairs, stage, hall, risk, chance_of, sums, times, counted):
     """Take expectations over all entries of the queues, or so many at most, of each realization."""
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, array, room)
@@ -186,11 +188,11 @@ def queue_and_expect(rng, numbers, most, sky, array, room, pairs, stage, hall, r
             stage.cosine, stage.sine, hall.segments,
         )  # fmt: skip
         line_up(room.queues, array.idle, hall)
-        sum_up(room.queues, pairs, array.geometry, stage, hall, risk, sums[c], times, counted)
+        sum_up(room.queues, pairs, array.geometry, stage, hall, risk, chance_of, sums[c], times, counted)
 
 
 @kernel
-def expect_given(indptr, pairs, array, stage, hall, risk, sums, times, counted):
+def expect_given(indptr, pairs, array, stage, hall, risk, chance_of, sums, times, counted):
     """Take expectations over all entries of given queues, which are in the hall."""
     line_up(indptr, array.idle, hall)
-    sum_up(indptr, pairs, array.geometry, stage, hall, risk, sums, times, counted)
+    sum_up(indptr, pairs, array.geometry, stage, hall, risk, chance_of, sums, times, counted)

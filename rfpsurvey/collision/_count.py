@@ -8,7 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms, batch
-from rfpsurvey._units import to_generator, to_mm
+from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
@@ -220,7 +220,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
     idle = stage.idle.copy()
     arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
-    return partial(_score_draws, plane, stage, idle, indptr, entries), (sizes, to_generator(rng).spawn(len(sizes)))
+    return partial(_score_draws, plane, stage, idle, indptr, entries), (sizes, to_spawner(rng).spawn(len(sizes)))
 
 
 def _score_draws(plane, stage, idle, indptr, entries, size, rng):

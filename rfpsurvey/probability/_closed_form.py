@@ -53,17 +53,18 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """
     area = np.pi * (plane._outer_mm**2 - plane._inner_mm**2)
     # each point counts for the last positioner that reaches it
-    union = float(area @ (1 - _covered(plane, _overlapping(plane, both_ways=False))))
+    alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
+    union = float((area * alone)[plane._usable].sum())
     near = min(1.0, np.pi * plane._columns.separation**2 / union)
     others = np.count_nonzero(plane._usable) - 1
     return np.full(len(plane), 1 - (1 - near) ** max(others, 0)), {"reached_area_mm2": union}
 
 
 def _pairs_within(plane, radius):
-    """Pairs of positioners with circles that overlap."""
+    """Pairs of usable positioners with circles that overlap."""
     pairs = cKDTree(plane._xy_mm).query_pairs(2 * radius.max(), output_type="ndarray")
     distance = np.hypot(*(plane._xy_mm[pairs[:, 0]] - plane._xy_mm[pairs[:, 1]]).T)
-    return pairs[distance < radius[pairs].sum(axis=1)]
+    return pairs[(distance < radius[pairs].sum(axis=1)) & plane._usable[pairs].all(axis=1)]
 
 
 def _overlapping(plane, *, both_ways):
@@ -77,7 +78,7 @@ def _overlapping(plane, *, both_ways):
 def _covered(plane, rows):
     out, geometry = np.empty(len(plane)), plane._columns.geometry
     areas.covered_parts(*rows, geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, N_CIRCLES, out)
-    return out
+    return np.minimum(out, 1.0)
 
 
 def _pitch(plane):

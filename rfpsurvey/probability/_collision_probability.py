@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._units import to_generator
+from rfpsurvey._units import to_spawner
 from rfpsurvey.allocation import METHODS as ALLOCATORS
 from rfpsurvey.allocation import Allocation
 from rfpsurvey.catalog import Catalog
@@ -19,7 +19,7 @@ from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
 from rfpsurvey.probability._intervals import INTERVALS
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, cheapest
-from rfpsurvey.probability._quadrature import MOST_POINTS
+from rfpsurvey.probability._quadrature import DENSITIES, MOST_POINTS
 from rfpsurvey.probability._run import Precision
 from rfpsurvey.probability._targets import make_source
 
@@ -83,7 +83,8 @@ def collision_probability(
         Number of random targets (expected number for ``poisson``). By default that of the instrument, or four a
         positioner.
     target_radius : Quantity, optional
-        Radius of the circle about the origin where random targets fall. By default it covers all patrol areas.
+        Radius of the circle where random targets fall, about the origin (or the middle of a focal plane that does not
+        contain it). By default it covers all patrol areas.
     min_separation : Quantity, optional
         Least distance of two targets of ``poisson_disc``.
     center : SkyCoord, optional
@@ -163,12 +164,13 @@ def collision_probability(
     name = _method(method, estimand, allocator)
     if ESTIMANDS[name] == "allocated" and density is not None:
         raise InputError(f"density belongs to independent targets; {name!r} allocates targets")
+    _check_density(density)
     check_choice(interval, INTERVALS, "interval")
     check_choice(stop, ("interval", "convergence"), "stopping rule")
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     for what, value in (("confidence", confidence), ("dynamic", dynamic)):
-        if not (isinstance(value, int | float) and 0 <= value < 1) or (what == "confidence" and value == 0):
+        if not (isinstance(value, int | float) and 0 <= value < 1 - 1e-9) or (what == "confidence" and value == 0):
             least = "above" if what == "confidence" else "of at least"
             raise InputError(f"{what} must be a number {least} 0 and below 1, got {value!r}")
     if most_entries is not None and not (isinstance(most_entries, int | np.integer) and most_entries >= 1):
@@ -178,15 +180,16 @@ def collision_probability(
         source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)
     question = Question(
         plane, source, allocator, "uniform" if density is None else density, variant, bool(parked_obstacles),
-        most_entries, _precision(name, precision, max_iterations, confidence, interval, stop), to_generator(rng),
+        most_entries, _precision(name, precision, max_iterations, confidence, interval, stop), to_spawner(rng),
         executor, progress,
     )  # fmt: skip
     nothing_can_touch = len(plane._neighbors) == len(plane._obstacle_pairs) == 0
     found = _zero(plane, source) if nothing_can_touch and name in MOST else METHODS[name](question)
-    if precision is not None and not found.pop("met", True):
+    wanted = question.precision.standard_error
+    if wanted is not None and not found.pop("met", True):
         warnings.warn(
             f"after {found['n']} iterations, the most allowed, the standard error is {found['standard_error']:.2g}: "
-            f"the interval is wider than the precision {precision:g} asks for",
+            f"the interval is wider than the precision {wanted:g} asks for",
             RfpsurveyWarning,
             stacklevel=2,
         )
@@ -207,6 +210,16 @@ def _method(method, estimand, allocator):
     if estimand not in (None, ESTIMANDS[method]):
         raise InputError(f"{method!r} estimates {ESTIMANDS[method]!r} targets, not {estimand!r} ones")
     return method
+
+
+def _check_density(density):
+    """Refuse what is no density."""
+    known = density is None or callable(density) or isinstance(density, Allocation | list | tuple)
+    if not known and not (isinstance(density, str) and density in DENSITIES):
+        raise InputError(
+            f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points "
+            f"on the focal plane, got {density!r}"
+        )
 
 
 def _precision(name, precision, max_iterations, confidence, interval, stop):

@@ -13,14 +13,16 @@ from rfpsurvey.probability._simulate import Tally
 __all__ = ["as_allocations", "pool"]
 
 
-def as_allocations(density: object) -> list[Allocation] | None:
-    """Return the allocations whose queues are the density; None if it is something else."""
+def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | None:
+    """Return the allocations of this focal plane whose queues are the density; None if it is something else."""
     some = [density] if isinstance(density, Allocation) else density
     if not isinstance(some, list | tuple) or not some:
         return None
     for one in some:
         if not isinstance(one, Allocation) or one.queues is None:
             raise InputError(f"density must be Allocations by 'balanced', whose queues are taken, got {one!r}")
+        if len(one.target_of_positioner) != len(plane):
+            raise InputError(f"the allocation is for {len(one.target_of_positioner)} positioners, not for {len(plane)}")
     return list(some)
 
 
@@ -34,6 +36,8 @@ def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: 
     hall.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
     stage = make_stage(plane, plane._columns.angles, parked_obstacles)
     sums, times, counted = np.empty((1, 5)), np.zeros(len(plane)), np.zeros(len(plane), dtype=np.int64)
-    array = make_array(plane, stage)
-    simulate.expect_given(indptr, plane._neighbors, array, stage, hall, np.empty(len(plane)), sums[0], times, counted)
+    array, chance_of = make_array(plane, stage), np.empty(len(plane._neighbors))
+    simulate.expect_given(
+        indptr, plane._neighbors, array, stage, hall, np.empty(len(plane)), chance_of, sums[0], times, counted
+    )
     return Tally(sums[:, :4], sums[:, 4], times, counted)

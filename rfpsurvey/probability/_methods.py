@@ -10,7 +10,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
 from rfpsurvey.probability._empirical import as_allocations, pool
-from rfpsurvey.probability._quadrature import DENSITIES, Quadrature, integrate
+from rfpsurvey.probability._quadrature import Quadrature, integrate
 from rfpsurvey.probability._run import Precision, run, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import Source
@@ -84,18 +84,13 @@ def _simulated(name: str, question: Question) -> dict:
 
 
 def _integrated(question: Question) -> dict:
-    allocations = as_allocations(question.density)
+    allocations = as_allocations(question.density, question.plane)
     if allocations is not None:
         tally = pool(question.plane, allocations, parked_obstacles=question.parked_obstacles)
         found = summarize(tally, question.plane, question.precision, question.rng, given=True)
         meta = {"density": "empirical", "n_allocations": len(allocations)}
         return {**_of_tally(tally, found), "n": int(np.mean([len(a.queues[1]) for a in allocations])), "meta": meta}
     density = question.density
-    if not callable(density) and density not in DENSITIES:
-        raise InputError(
-            f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points "
-            f"on the focal plane, got {density!r}"
-        )
     if not question.plane._usable.any():
         raise InputError("every positioner is disabled or stuck: there is nothing to score")
     found = integrate(

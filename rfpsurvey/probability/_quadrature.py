@@ -24,6 +24,10 @@ __all__ = ["DENSITIES", "Quadrature", "integrate"]
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
 FIRST_POINTS, MOST_POINTS = 128, 2**14
+WEIGHTED = 4
+"""Times as many points where weights leave some of them little to say."""
+NARROW = 2**12
+"""A density that is 0 at so many points of a patrol area is an error."""
 RATE = 1.0
 """The error falls about as the number of points to minus this power."""
 
@@ -47,7 +51,7 @@ class Quadrature:
         return environments(plane, sight)
 
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
-        """Return the risk of a positioner, and how many neighbors are expected to collide with it."""
+        """Return the risk of a positioner, and its share of the expected number of colliding pairs."""
         plane, (starts, neighbor) = self.plane, self.plane._columns.both_ways
         own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
         moving = plane._usable[own]
@@ -63,6 +67,8 @@ class Quadrature:
         arms.shape(segments, plane._columns.model, plane._columns.length, *angles)
         hall.segments[:, : len(rows)] = segments
         queues.line_up(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), hall)
+        if not (hall.total[moving] > 0).all() and n_points < NARROW:
+            return self(i, 4 * n_points, rng)
         if not (hall.total[moving] > 0).all():
             where = plane._xy_mm[own[moving][hall.total[moving] <= 0][0]]
             raise InputError(
@@ -72,12 +78,13 @@ class Quadrature:
         pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
         obstacles = self._stage.obstacle_pairs
         obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
-        risk = np.empty(len(own))
-        n_pairs = queues.expect(
+        risk, chance_of = np.empty(len(own)), np.empty(len(pairs))
+        queues.expect(
             pairs, plane._columns.geometry_of(own), self._stage.limits, obstacles, self._stage.obstacles,
-            self._stage.clearance, hall, risk,
+            self._stage.clearance, hall, risk, chance_of,
         )  # fmt: skip
-        return float(risk[0]), n_pairs
+        # a pair of which both move is there for its other positioner, too
+        return float(risk[0]), float(chance_of @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
         """Map the unit square onto patrol areas, true to area; in mm."""
@@ -100,7 +107,8 @@ class Quadrature:
             many = np.diff(reach.indptr)
             mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
             weight = weight * mine / (np.maximum(many, 1) if self.density == "shared" else 1)
-        return weight
+        # the factor of a density does not matter, but its square may overflow
+        return weight / max(weight.max(initial=0.0), 1e-300)
 
     @cached_property
     def _stage(self):
@@ -120,7 +128,8 @@ def integrate(
     used = np.flatnonzero(plane._usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane._usable)
     bar = Progress(progress)
-    n_points = min(FIRST_POINTS, precision.max_iterations)
+    plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner._joints_free
+    n_points = min(FIRST_POINTS * (1 if plain else WEIGHTED), precision.max_iterations)
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)
         sizes, sources = [n_points] * len(jobs), rng.spawn(len(jobs))
@@ -144,6 +153,6 @@ def integrate(
     per_positioner[used] = risks.mean(axis=0)
     return {
         "value": p, "low": low, "high": high, "standard_error": error, "n": n_points, "n_effective": trials,
-        "pairs_per_positioner": float(pairs.mean(axis=0) @ share) / 2, "per_positioner": per_positioner[number],
+        "pairs_per_positioner": float(pairs.mean(axis=0) @ share), "per_positioner": per_positioner[number],
         "met": met, "n_environments": len(used),
     }  # fmt: skip

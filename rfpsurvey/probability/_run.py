@@ -19,6 +19,8 @@ FIRST_TASKS = 2
 """Tasks before the first look at the error."""
 GROWTH = 8
 """The next look comes after at most this many times what has been seen."""
+HITS = 10
+"""Realizations with a collision (and without one) that it takes to know how rates scatter."""
 FORESIGHT = 1.05
 """What is foreseen to be needed is taken a little more of, so that there is rarely another look."""
 
@@ -84,6 +86,9 @@ def run(
             means.append(total / used if used else np.nan)
             bar(0.99 * done / goal)
         parts = [tally := merge(parts)]
+        if used == 0 and done < precision.max_iterations:  # nobody has counted yet
+            goal = min(GROWTH * done, precision.max_iterations)
+            continue
         summary = summarize(tally, plane, precision, rng, given=given)
         wide = summary.pop("half_width")
         met = precision.standard_error is not None and (
@@ -106,27 +111,32 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
     Where the targets are given, or for another reason nothing scatters, there is one sky: what another patch of it
     would say is part of the error.
     """
-    rates = tally.rates()
+    rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
         raise InputError("no positioner reaches any target, and none is parked in the way: there is nothing to score")
-    n, p = len(rates), float(rates.mean())
+    n, p = len(rates), min(float(rates.mean()), 1.0)
     scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
     one_sky = given or scatter == 0.0
     error = float(np.hypot(scatter, patch_error(plane, tally.per_positioner))) if one_sky and 0 < p < 1 else scatter
     trials = n if n > 1 else tally.trials / (1 + 2 * len(plane._neighbors) / len(plane))
-    number, freedom = effective_number(p, error, trials), np.inf if one_sky else n - 1
+    number, student = effective_number(p, error, trials), quantile(precision.confidence, n - 1)
     low, high = INTERVALS[precision.interval](
-        rates, p, number, tally.trials, quantile(precision.confidence, freedom), precision.confidence, rng
+        rates, p, number, tally.trials, normal if one_sky else student, precision.confidence, rng
     )
-    half = (high - low) / 2
-    if given:
-        shortest = wilson(p, effective_number(p, scatter, np.inf), quantile(precision.confidence, n - 1))
-        half = (shortest[1] - shortest[0]) / 2
+    # what iterations can reduce, whatever interval is reported
+    half = half_width(wilson(p, effective_number(p, scatter if given else error, trials), student))
+    if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < HITS:  # how they scatter is not known yet
+        half = max(half, half_width(wilson(0.0, n, normal)))
     return {
         "value": p, "low": low, "high": high, "standard_error": error, "n_effective": number,
         "half_width": half, "design_effect": tally.trials / number,
     }  # fmt: skip
+
+
+def half_width(interval: tuple[float, float]) -> float:
+    """Return half of an interval's length."""
+    return (interval[1] - interval[0]) / 2
 
 
 def patch_error(plane: FocalPlane, risk: np.ndarray) -> float:

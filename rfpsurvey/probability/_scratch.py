@@ -28,7 +28,7 @@ def make_room(plane: FocalPlane, number: int, cells: int) -> simulate.Room:
         x=np.empty(number), y=np.empty(number), accepts=np.full(number, -1),
         indptr=integers(number + 1), owner=integers(pairs), r2=np.empty(pairs), code=integers(pairs),
         owner_of=integers(number), length=integers(n), queues=integers(n + 1), queue=integers(number),
-        uniform=np.empty(n), target_of=integers(n), tips=np.empty((n, 2)), cells=integers(cells),
+        uniform=np.empty(n), target_of=integers(n), tips=np.empty((n, 2)), cells=np.empty((2, cells)),
     )  # fmt: skip
 
 

@@ -43,8 +43,7 @@ class Tally:
     @property
     def per_positioner(self) -> np.ndarray:
         """Part of the realizations in which it counts that each positioner is in collision in."""
-        with np.errstate(invalid="ignore"):
-            return self.times / self.counted
+        return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
     @staticmethod
     def _ratio(part, whole):
@@ -98,14 +97,15 @@ class Simulation:
     def expect(self, size: int, rng: np.random.Generator) -> Tally:
         """Average over all configurations that the queues of each realization allow."""
         n = len(self.plane)
-        sums, times, counted, risk = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64), np.empty(n)
+        sums, times, counted = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64)
+        risk, chance_of = np.empty(n), np.empty(len(self.plane._neighbors))
         if self.compiled:
             numbers = self.source.numbers(size, rng)
             most = int(numbers.max())
             room, hall = make_room(self.plane, most, self.source.grid_cells), make_hall(n, most)
             simulate.queue_and_expect(
                 rng, numbers, self._most, self.source.sky, self._array, room, self.plane._neighbors, self._stage, hall,
-                risk, sums, times, counted,
+                risk, chance_of, sums, times, counted,
             )  # fmt: skip
         else:
             for own in sums:
@@ -113,7 +113,7 @@ class Simulation:
                 hall = make_hall(n, segments.shape[1])
                 hall.segments[:, : segments.shape[1]] = segments
                 simulate.expect_given(
-                    indptr, self.plane._neighbors, self._array, self._stage, hall, risk, own, times, counted
+                    indptr, self.plane._neighbors, self._array, self._stage, hall, risk, chance_of, own, times, counted
                 )
         return Tally(sums[:, :4], sums[:, 4], times, counted)
 

@@ -19,7 +19,11 @@ __all__ = ["KINDS", "Source", "make_source"]
 KINDS = ("uniform", "poisson", "poisson_disc")
 PER_FIBER = 4.0
 """Targets a positioner where nothing says how many (LAMOST's, as in the paper)."""
-MOST = 10_000_000
+MOST = 1_000_000
+FILLING = 0.5
+"""Random addition of discs jams at 0.547 of the area; near that it takes for ever."""
+FINEST = 700
+"""Separations of less than the radius over this make no difference, but need much memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +32,7 @@ class Source:
 
     kind: str
     number: float = 0.0
+    middle: tuple[float, float] = (0.0, 0.0)
     radius: float = 0.0
     separation: float = 0.0
     points: np.ndarray | None = None
@@ -43,7 +48,7 @@ class Source:
     @property
     def sky(self) -> simulate.Sky:
         """What the kernels need to know."""
-        return simulate.Sky(self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
+        return simulate.Sky(*self.middle, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
         """Return how many targets fall in each of ``size`` realizations."""
@@ -54,8 +59,10 @@ class Source:
     @property
     def grid_cells(self) -> int:
         """Cells of the grid that keeps targets apart: each so small that it holds at most one."""
-        n = int(np.ceil(2 * self.radius * np.sqrt(2) / self.separation)) if self.kind == "poisson_disc" else 0
-        return n * n
+        if self.kind != "poisson_disc":
+            return 0
+        wide = self.radius + 2 * self.separation
+        return int(np.ceil(2 * np.sqrt(2) * wide / self.separation)) ** 2
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """Return targets of one realization in mm, shape (n, 2)."""
@@ -65,12 +72,10 @@ class Source:
             return to_points_mm(self.sampler(rng), "what the sampler of targets returns")
         x, y = np.empty((2, int(self.numbers(1, rng)[0])))
         if self.kind == "poisson_disc":
-            found = simulate.scatter_apart(
-                rng, self.radius, self.separation, np.empty(self.grid_cells, dtype=np.int64), x, y
-            )
+            found = simulate.scatter_apart(rng, self.sky, np.empty((2, self.grid_cells)), x, y)
             x, y = x[:found], y[:found]
         else:
-            simulate.scatter(rng, self.radius, x, y)
+            simulate.scatter(rng, self.sky, x, y)
         return np.column_stack([x, y])
 
     def describe(self) -> dict:
@@ -107,7 +112,7 @@ def make_source(
 
 
 def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
-    cover = float((np.hypot(*plane._xy_mm.T) + plane._outer_mm).max())
+    cover = float((np.hypot(*(plane._xy_mm - _middle(plane)).T) + plane._outer_mm).max())
     radius = cover if target_radius is None else to_scalar(target_radius, u.mm, "target_radius", low=0, high=1e7)
     number = (
         (instrument.targets_per_fiber if instrument else PER_FIBER) * len(plane) if n_targets is None else n_targets
@@ -119,12 +124,21 @@ def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
     separation = 0.0
     if kind == "poisson_disc":
         separation = to_scalar(min_separation, u.mm, "min_separation", low=0, high=2 * radius)
-        if round(number) * separation**2 > 4 * 0.547 * radius**2:
+        if round(number) * separation**2 > 4 * FILLING * radius**2:
             raise InputError(
                 f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: "
-                "put down at random, discs of that diameter jam at 0.547 of the area"
+                f"put down at random, discs of that diameter must fill less than {FILLING:g} of the area"
             )
-    return Source(kind, float(number), radius, separation)
+        if separation * FINEST < radius:
+            raise InputError(f"min_separation must be at least {radius / FINEST:.3g} mm here, got {min_separation}")
+    return Source(kind, float(number), _middle(plane), radius, separation)
+
+
+def _middle(plane):
+    """Where random targets fall about: the origin, or the middle of a plane that does not contain it (mm)."""
+    low, high = plane._xy_mm.min(axis=0), plane._xy_mm.max(axis=0)
+    away = (low > 0).any() or (high < 0).any()
+    return tuple((0.5 * (low + high)).tolist()) if away else (0.0, 0.0)
 
 
 def _from_catalog(instrument, targets, center):
