@@ -110,3 +110,39 @@ def test_joint_limits_are_kept(rng):
 def test_bad_input_is_named(call, message):
     with pytest.raises(rs.InputError, match=message):
         call()
+
+
+def test_probabilities_are_compared_within_one_question():
+    plane = sdss_like(2)
+    efforts = {"closed_form": [0], "quadrature": [64, 512], "monte_carlo": [64], "conditional": [16]}
+    table = rs.benchmark_probability(plane, efforts=efforts, repeats=3, precision=1e-3)
+    truth = {kind: table[table["estimand"] == kind]["truth"] for kind in ("independent", "allocated")}
+    assert all(len(set(values)) == 1 for values in truth.values())
+    assert abs(truth["independent"][0] - truth["allocated"][0]) > 0.02
+    assert (table["error"][1:] < 4 * np.hypot(table["standard_error"][1:], 1e-3)).all()
+    assert np.isnan(table["standard_error"][0])
+    assert table["error"][0] > 0.2  # the formula
+    assert table["time"].unit == u.ms
+
+
+def test_densities_that_stand_in_for_queues():
+    table = rs.benchmark_densities(sdss_like(2), precision=3e-3, n_allocations=3)
+    assert table["bias"][0] == 0
+    np.testing.assert_allclose(table["bias"], table["value"] - table["value"][0])
+    assert table["value"][3] < table["value"][1]  # own cells keep arms apart
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rs.benchmark_probability("lamost", efforts=["quadrature"]), "efforts must map methods"),
+        (lambda: rs.benchmark_probability("lamost", efforts={"guess": [1]}), "unknown method of collision probability"),
+        (lambda: rs.benchmark_probability("lamost", repeats=0), "repeats must be a whole number"),
+        (lambda: rs.benchmark_densities("lamost", n_allocations=0), "n_allocations must be a whole number"),
+        (lambda: rs.plot_probability_accuracy(3), "table must be a QTable"),
+        (lambda: rs.plot_probability_accuracy(QTable({"method": ["a"]})), "it has no effort, error, estimand, time"),
+    ],
+)
+def test_bad_input_of_probabilities_is_named(call, message):
+    with pytest.raises(rs.InputError, match=message):
+        call()

@@ -244,3 +244,62 @@ def test_more_bad_input_is_one_sentence(run, tmp_path, arguments, message):
     QTable({"ra": [10.0] * u.deg, "dec": [20.0] * u.deg}).write(tmp_path / "good.ecsv")
     code, _, err = run("plan", *[a.format(folder=tmp_path, good=tmp_path / "good.ecsv") for a in arguments])
     assert message in sentence(code, err)
+
+
+def test_probability(run, tmp_path):
+    code, out, _ = run("probability", "sdss_apo", "--precision", 0.01, "--workers", 2)
+    assert code == 0
+    estimate = rs.collision_probability("sdss_apo", method="auto", precision=0.01)
+    assert f"collision probability             {estimate.value:.5f}" in out
+    assert f"{estimate.low:.5f} to {estimate.high:.5f}" in out
+    path = tmp_path / "map.ecsv"
+    code, out, _ = run("probability", "moons", "--method", "closed_form", "--output", path)
+    assert code == 0
+    assert "no error is known" in out
+    table = QTable.read(path)
+    assert table["x"].unit == u.mm
+    assert table["probability"].mean() == pytest.approx(table.meta["value"])
+
+
+def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
+    code, out, _ = run("probability", "lamost", "--targets", tycho)
+    assert code == 0
+    assert "targets given" in out
+    options = ["--targets", "poisson_disc", "--min-separation", 1, "--n-targets", 500, "--target-radius", 60]
+    code, out, _ = run("probability", "sdss_apo", *options, "--max-iterations", 8)
+    assert code == 0
+    assert "min_separation_mm 1" in out
+    code, _, err = run("probability", "lamost", "--targets", "clustered")
+    assert "unknown kind of targets 'clustered'" in sentence(code, err)
+    code, _, err = run("probability", "lamost", "--method", "guess")
+    assert "unknown method of collision probability 'guess'" in sentence(code, err)
+
+
+def test_reproduce(run, tmp_path):
+    code, out, _ = run("reproduce", "small", "--quick", "--folder", tmp_path / "small")
+    assert code == 0
+    assert "small: the probability increases rapidly with the arm ratio" in out
+    assert (tmp_path / "small" / "small.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    code, _, err = run("reproduce", "small", "--quick", "--folder", tmp_path / "small")
+    assert "exists" in sentence(code, err)
+
+
+def test_benchmark_of_probabilities(run, tmp_path):
+    figures = {"central_arm": "3.0 mm", "eccentric_arm": "5.0 mm", "clearance": "1.0 mm"}
+    figure = '{{ value = {}, unit = "{}", status = "assumed", source = "a test of mine" }}'
+    arms = "".join(f"{name} = {figure.format(*text.split())}\n" for name, text in figures.items())
+    bare = '{{ value = {}, status = "assumed", source = "a test of mine" }}'
+    mine = tmp_path / "mine.toml"
+    mine.write_text(
+        f'schema = 1\nname = "mine"\nlayout_is = "nominal"\n[positioner]\n{arms}[layout]\nrings = {bare.format(2)}\n'
+        f"pitch = {figure.format(12.0, 'mm')}\n[optics]\nplate_scale = {figure.format(60.0, 'um / arcsec')}\n"
+    )
+    chart = tmp_path / "chart.svg"
+    code, out, _ = run("benchmark", "probability", "--instrument", mine, "--repeats", 2, "--plot", chart)
+    assert code == 0
+    assert "empirical" in out
+    table = QTable.read(tmp_path / "chart.ecsv")
+    assert set(table["method"]) == {
+        "overlap_ratio", "close_pair", "closed_form", "quadrature", "monte_carlo", "conditional",
+    }  # fmt: skip
+    assert chart.exists()

@@ -38,7 +38,9 @@ def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
     tips = plane.xy.to_value("mm") + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
     counts = rs.count_collisions(plane, tips * MM)
     rate = counts.per_positioner[middle].mean() / n
-    error = 2 * np.sqrt(rate * (1 - rate) / (n * middle.sum()))  # neighbors share collisions: at most twice the variance
+    error = 2 * np.sqrt(
+        rate * (1 - rate) / (n * middle.sum())
+    )  # neighbors share collisions: at most twice the variance
     assert abs(rs.surrogate_probability(9 * MM, 14 * MM, 27 * MM, 4 * MM) - rate) < 3 * error + 0.003
 
 

@@ -21,7 +21,7 @@ from rfpsurvey.probability._targets import make_source
 __all__ = ["benchmark_densities", "benchmark_probability"]
 
 EFFORTS = {
-    "overlap_ratio": [0], "close_pair": [0], "closed_form": [0], "quadrature": [64, 128, 256, 512],
+    "overlap_ratio": [0], "close_pair": [0], "closed_form": [0], "quadrature": [32, 64, 128, 256],
     "monte_carlo": [16, 64, 256], "conditional": [4, 16, 64],
 }  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import astropy.units as u
 import numpy as np
@@ -23,9 +23,12 @@ __all__ = ["DENSITIES", "Quadrature", "integrate"]
 
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
-FIRST_POINTS, MOST_POINTS = 128, 2**14
-WEIGHTED = 4
-"""Times as many points where weights leave some of them little to say."""
+MOST_POINTS = 2**14
+FIRST_POINTS = 128
+"""Of a single environment; errors of several average out, so that fewer will do."""
+LEAST_POINTS, LEAST_WEIGHTED = 16, 256
+"""With weights the estimate is a ratio, whose bias does not average out."""
+BITS = 30
 NARROW = 2**12
 """A density that is 0 at so many points of a patrol area is an error."""
 RATE = 1.0
@@ -56,14 +59,12 @@ class Quadrature:
         own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
         moving = plane._usable[own]
         rows = np.repeat(own[moving], n_points)
-        # a pair of dimensions for each: they are scrambled independently
-        points = qmc.Sobol(2 * moving.sum(), scramble=True, seed=rng).random(n_points)
-        tips = self._tips(rows, points.reshape(n_points, -1, 2).swapaxes(0, 1).reshape(-1, 2))
+        tips = self._tips(rows, _scramble(n_points, int(moving.sum()), rng))
         hall = make_hall(len(own), len(rows))
         hall.weight[: len(rows)] = self._weight(rows, tips)
         segments = np.empty((4, len(rows)))
         arms.place(tips, plane._columns.geometry_of(rows), plane._sides(tips, rows), segments)
-        angles = plane._columns.angles_of(plane._first_type[rows])
+        angles = (column[rows] for column in plane._columns.angles)
         arms.shape(segments, plane._columns.model, plane._columns.length, *angles)
         hall.segments[:, : len(rows)] = segments
         queues.line_up(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), hall)
@@ -120,6 +121,19 @@ class Quadrature:
         return make_array(self.plane, self._stage).idle
 
 
+@cache
+def _net(n_points: int) -> np.ndarray:
+    """Sobol's points of the unit square as whole numbers of BITS bits."""
+    points = qmc.Sobol(2, scramble=False, bits=BITS).random(n_points)
+    return (points * 2**BITS).astype(np.int64)
+
+
+def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarray:
+    """Return sets of Sobol points, one after the other, each with digits that are shifted at random on their own."""
+    shifts = rng.integers(0, 2**BITS, (n_sets, 1, 2))
+    return ((_net(n_points) ^ shifts).reshape(-1, 2) + rng.random(2)) / 2**BITS
+
+
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, progress: bool
 ) -> dict:
@@ -129,12 +143,16 @@ def integrate(
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane._usable)
     bar = Progress(progress)
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner._joints_free
-    n_points = min(FIRST_POINTS * (1 if plain else WEIGHTED), precision.max_iterations)
+    least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
+    n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
+    rare = (np.log2(share.max() / share) / 2).astype(int)  # what few see may err more
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)
-        sizes, sources = [n_points] * len(jobs), rng.spawn(len(jobs))
+        sizes, sources = np.repeat(np.maximum(n_points >> rare, least), SCRAMBLES), rng.spawn(len(jobs))
         results = np.empty((len(jobs), 2))
-        for k, result in enumerate((map if executor is None else executor.map)(task, jobs.tolist(), sizes, sources)):
+        for k, result in enumerate(
+            (map if executor is None else executor.map)(task, jobs.tolist(), sizes.tolist(), sources)
+        ):
             results[k] = result
             bar(n_points / precision.max_iterations * (k + 1) / len(jobs))
         risks, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)
