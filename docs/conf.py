@@ -38,7 +38,10 @@ def write_help(app):
     """Keep what commands print, for pages to include."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
-    commands = ("plan", "score", "instruments", "benchmark", "benchmark collisions", "benchmark batches")
+    commands = (
+        "plan", "score", "probability", "reproduce", "instruments", "benchmark", "benchmark collisions",
+        "benchmark batches", "benchmark probability",
+    )  # fmt: skip
     calls = {f"help_{c.replace(' ', '_')}": [*c.split(), "--help"] for c in commands}
     for name, arguments in {**calls, "instruments": ["instruments"]}.items():
         call = [sys.executable, "-m", "rfpsurvey", *arguments]

@@ -102,7 +102,10 @@ class Quadrature:
         elif not isinstance(self.density, str):
             weight = to_plain(self.density(tips << u.mm)).astype(float)
             if weight.shape != (len(rows),) or not ((weight >= 0) & (weight < np.inf)).all():
-                raise InputError("density must return a finite number of at least 0 for each of the points")
+                raise InputError(
+                    f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "
+                    f"shape {weight.shape}, from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
+                )
         if self.density == "shared" or not self.plane.positioner._joints_free:
             reach = self.plane._reach(tips)
             many = np.diff(reach.indptr)

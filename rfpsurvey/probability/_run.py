@@ -19,8 +19,8 @@ FIRST_TASKS = 2
 """Tasks before the first look at the error."""
 GROWTH = 8
 """The next look comes after at most this many times what has been seen."""
-HITS = 10
-"""Realizations with a collision (and without one) that it takes to know how rates scatter."""
+HITS = 25
+"""Where most realizations have no collision (or nothing else): so many others it takes to know how rates scatter."""
 FORESIGHT = 1.05
 """What is foreseen to be needed is taken a little more of, so that there is rarely another look."""
 
@@ -126,7 +126,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
     )
     # what iterations can reduce, whatever interval is reported
     half = half_width(wilson(p, effective_number(p, scatter if given else error, trials), student))
-    if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < HITS:  # how they scatter is not known yet
+    if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < min(HITS, n / 2):
         half = max(half, half_width(wilson(0.0, n, normal)))
     return {
         "value": p, "low": low, "high": high, "standard_error": error, "n_effective": number,

@@ -1,0 +1,85 @@
+"""Figures of the page on benchmarks: what a precision costs, by which method.
+
+``python tests/benchmarks/probability_figures.py``; a few minutes on one core.
+"""
+
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+
+import rfpsurvey as rs
+
+N_TARGETS, STANDARD_ERROR, REPEATS = 20_000, 2e-4, 9
+ARMS = {"LAMOST": (8.25, 8.25, 2.25, 25.6), "SDSS-V": (7.4, 15.0, 2.5391, 22.4)}
+
+
+def plane_of(l1, l2, d, pitch):
+    return rs.FocalPlane.hexagonal(rs.Positioner(l1 * u.mm, l2 * u.mm, d * u.mm), rings=12, pitch=pitch * u.mm)
+
+
+def timed(call):
+    start = perf_counter()
+    result = call()
+    return perf_counter() - start, result
+
+
+def medians(*calls):
+    """Median time (s) of calls that take turns with random numbers of their own, and their results."""
+    for call in calls:
+        call(0)
+    runs = [[timed(lambda call=call, k=k: call(k)) for call in calls] for k in range(1, REPEATS + 1)]
+    return [(np.median([r[j][0] for r in runs]), [r[j][1] for r in runs]) for j in range(len(calls))]
+
+
+def compare(plane):
+    """Print what plain and conditional simulation cost, and quadrature."""
+
+    def estimate(**options):
+        return lambda seed: rs.collision_probability(plane, rng=seed, **{"n_targets": N_TARGETS, **options})
+
+    runs = medians(estimate(method="monte_carlo", max_iterations=640), estimate(max_iterations=32))
+    numbers, times = [], []
+    for method, size, (seconds, found) in zip(("monte_carlo", "conditional"), (640, 32), runs, strict=True):
+        numbers.append(np.mean([e.n * e.standard_error**2 for e in found]) / STANDARD_ERROR**2)
+        times.append(numbers[-1] * seconds / size)
+        print(
+            f"  {method}: {1e3 * seconds / size:.2f} ms each, {numbers[-1]:.0f} to a standard error of "
+            f"{STANDARD_ERROR:g}: {times[-1]:.3f} s"
+        )
+    print(f"  ratio: {numbers[0] / numbers[1]:.0f} in number, {times[0] / times[1]:.0f} in time")
+    ((seconds, found),) = medians(estimate(precision=STANDARD_ERROR))
+    n = np.median([e.n for e in found])
+    print(f"  conditional with precision {STANDARD_ERROR:g}: {seconds:.3f} s, {n:.0f} realizations")
+    value = rs.collision_probability(plane, method="quadrature").value
+    ((seconds, found),) = medians(estimate(method="quadrature", precision=1e-3 * value))
+    error = max(e.standard_error / e.value for e in found)
+    print(f"  quadrature to 1e-3: {seconds:.3f} s, {found[0].value:.5f}, largest relative standard error {error:.1e}")
+    options = {"n_targets": len(plane), "max_iterations": 256}
+    sparse = medians(estimate(**options), estimate(method="monte_carlo", **options))
+    worth = [np.mean([e.standard_error**2 for e in found]) * seconds for seconds, found in sparse]
+    print(f"  {len(plane)} targets: conditional takes {worth[0] / worth[1]:.2f} times as long to a precision")
+
+
+def main():
+    for name, arms in ARMS.items():
+        plane = plane_of(*arms)
+        print(f"{name}: {len(plane)} positioners, {len(plane.neighbor_pairs())} pairs, {N_TARGETS} targets")
+        compare(plane)
+    plane = plane_of(*ARMS["LAMOST"])
+    disc = {
+        "targets": "poisson_disc",
+        "min_separation": 1.5 * u.mm,
+        "n_targets": N_TARGETS,
+        "target_radius": 200 * u.mm,
+    }
+    disc |= {"method": "monte_carlo", "max_iterations": 16}
+    ((seconds, _),) = medians(lambda seed: rs.collision_probability(plane, rng=seed, **disc))
+    print(f"Poisson-disc targets, 1.5 mm apart, with the simulation: {1e3 * seconds / 16:.1f} ms a set")
+    l1 = np.random.default_rng(1).uniform(7.25, 14.5, 100_000) * u.mm
+    ((seconds, _),) = medians(lambda seed: rs.surrogate_probability(l1, 1.5 * l1, 30 * u.mm, 4.5 * u.mm))
+    print(f"surrogate: {1e6 * seconds / len(l1):.2f} microseconds a design")
+
+
+if __name__ == "__main__":
+    main()
