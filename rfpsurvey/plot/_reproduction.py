@@ -79,7 +79,7 @@ def _poisson(tables):
 
 
 def _map(figure, ax, table, values, label):
-    most = np.abs(values).max() or 1.0
+    most = np.nanmax(np.abs(values)) or 1.0
     style = {"cmap": "RdBu_r", "vmin": -most, "vmax": most, "edgecolors": "0.5", "linewidths": 0.4}
     points = ax.scatter(table["ratio"], table["pitch"].to_value(u.mm), c=values, **style)
     figure.colorbar(points, ax=ax, label=label)

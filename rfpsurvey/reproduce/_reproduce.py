@@ -95,7 +95,7 @@ def reproduce(
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
-            if name == "fit" and "large" in made:  # the designs are there
+            if name in ("fit", "poisson") and "large" in made:  # the designs are there
                 run = partial(run, table=made["large"])
             tables, own = run(settings)
             made.update(tables)
