@@ -1,5 +1,6 @@
 """Slow and simple answers to compare with: brute force, exact rationals, other packages."""
 
+import itertools
 from fractions import Fraction
 
 import numpy as np
@@ -178,3 +179,33 @@ def collisions_of(plane, arms):
         if shapely.distance(lines[i], shapely.points(x, y)) - r < clearance
     ]  # fmt: skip
     return pairs, hits
+
+
+def expectation(plane, queues, types=None, parked_obstacles=True):
+    """Exact expectations where one entry of each queue is drawn, all alike: every configuration, one at a time.
+
+    Returns value, value of the assigned ones, pairs over those that count, and the part of each positioner.
+    """
+    n = len(plane)
+    rates, assigned_rates, pair_rates, times, counts = [], [], [], np.zeros(n), np.zeros(n)
+    for choice in itertools.product(*(range(max(1, len(q))) for q in queues)):
+        tips = [q[k] if len(q) else (np.nan, np.nan) for q, k in zip(queues, choice, strict=True)]
+        used = [""] * n if types is None else [t[k] if len(t) else "" for t, k in zip(types, choice, strict=True)]
+        arms, assigned, counted = standing_arms(plane, tips, fiber_type=used, parked_obstacles=parked_obstacles)
+        pairs, hits = collisions_of(plane, arms)
+        colliding = np.isin(np.arange(n), [i for pair in pairs for i in pair] + [i for i, _ in hits])
+        times += colliding & counted
+        counts += counted
+        if counted.any():
+            rates.append((colliding & counted).sum() / counted.sum())
+            pair_rates.append(len(pairs) / counted.sum())
+        if assigned.any():
+            assigned_rates.append((colliding & assigned).sum() / assigned.sum())
+    per_positioner = np.divide(times, counts, out=np.full(n, np.nan), where=counts > 0)
+    return np.mean(rates), np.mean(assigned_rates) if assigned_rates else np.nan, np.mean(pair_rates), per_positioner
+
+
+def balanced_queues(xy, centers, reaches):
+    """Queues of targets under the rule `balanced`, one list of points a positioner."""
+    owner = np.array(balanced_owner(xy, centers, reaches), dtype=int)
+    return [[tuple(p) for p in np.asarray(xy)[owner == i]] for i in range(len(centers))]
