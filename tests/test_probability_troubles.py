@@ -152,3 +152,29 @@ def test_a_generator_that_cannot_spawn_is_refused():
     legacy = np.random.Generator(np.random.RandomState(1)._bit_generator)
     with pytest.raises(rs.InputError, match="rng must be able to spawn"):
         rs.collision_probability(lamost_like(1), rng=legacy)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"method": "quadrature", "density": []}, "density must be one of"),
+        ({"method": "quadrature", "density": lambda xy: "much"}, "density must return numbers, got str"),
+        ({"method": "quadrature", "interval": "bootstrap"}, "belongs to iterations"),
+        ({"method": "closed_form", "density": "uniform"}, "density belongs to the method 'quadrature'"),
+        ({"variant": "printed"}, "variant belongs to the method 'closed_form'"),
+        ({"center": 3}, "center belongs to a Catalog"),
+        ({"most_entries": True}, "most_entries must be a whole number"),
+    ],
+)
+def test_options_that_do_not_belong_are_named(options, words):
+    with pytest.raises(rs.InputError, match=words):
+        rs.collision_probability(lamost_like(1), **options)
+
+
+@pytest.mark.parametrize("method", ["closed_form", "close_pair", "overlap_ratio", "quadrature", "conditional"])
+def test_a_plane_without_a_usable_unit_is_refused(method):
+    pitch = 25.6 if method != "conditional" else 60
+    unit = lamost_like(1).positioner
+    plane = rs.FocalPlane.hexagonal(unit, rings=1, pitch=pitch * MM, disabled=[True] * 7)
+    with pytest.raises(rs.InputError, match="every positioner is disabled or stuck"):
+        rs.collision_probability(plane, method=method)

@@ -18,7 +18,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
 from rfpsurvey.probability._intervals import INTERVALS
-from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, cheapest
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, cheapest, check_usable
 from rfpsurvey.probability._quadrature import DENSITIES, MOST_POINTS
 from rfpsurvey.probability._run import Precision
 from rfpsurvey.probability._targets import make_source
@@ -26,6 +26,7 @@ from rfpsurvey.probability._targets import make_source
 __all__ = ["collision_probability"]
 
 PRECISION = 1e-3
+ALLOCATED = ("monte_carlo", "conditional")
 MOST = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 
 
@@ -75,8 +76,8 @@ def collision_probability(
     estimand : {"allocated", "independent"}, optional
         For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
     targets : Catalog, Quantity (n, 2), callable or str, optional
-        Allocated targets. ``"uniform"`` (default): ``n_targets`` independent points in a circle; ``"poisson"``: their
-        number is Poisson distributed; ``"poisson_disc"``: none nearer to another than ``min_separation``. A function
+        Allocated targets; the other methods do not look at them. ``"uniform"`` (default): ``n_targets`` independent
+        points in a circle; ``"poisson"``: their number is Poisson distributed; ``"poisson_disc"``: none nearer to another than ``min_separation``. A function
         of a Generator that returns a Quantity of shape (n, 2), new at each call. Or one sky: points on the focal plane,
         or a Catalog, whose science targets an Instrument projects.
     n_targets : float, optional
@@ -164,6 +165,14 @@ def collision_probability(
     name = _method(method, estimand, allocator)
     if ESTIMANDS[name] == "allocated" and density is not None:
         raise InputError(f"density belongs to independent targets; {name!r} allocates targets")
+    if name not in ("quadrature", *ALLOCATED) and density is not None:
+        raise InputError(f"density belongs to the method 'quadrature', not to {name!r}")
+    if name != "closed_form" and variant != "corrected":
+        raise InputError(f"variant belongs to the method 'closed_form', not to {name!r}")
+    if name not in ALLOCATED and interval != "wilson":
+        raise InputError(f"interval={interval!r} belongs to iterations, which {name!r} does not make")
+    if center is not None and not isinstance(targets, Catalog):
+        raise InputError("center belongs to a Catalog of targets")
     _check_density(density)
     check_choice(interval, INTERVALS, "interval")
     check_choice(stop, ("interval", "convergence"), "stopping rule")
@@ -173,11 +182,15 @@ def collision_probability(
         if not (isinstance(value, int | float) and 0 <= value < 1 - 1e-9) or (what == "confidence" and value == 0):
             least = "above" if what == "confidence" else "of at least"
             raise InputError(f"{what} must be a number {least} 0 and below 1, got {value!r}")
-    if most_entries is not None and not (isinstance(most_entries, int | np.integer) and most_entries >= 1):
+    if most_entries is not None and not (
+        isinstance(most_entries, int | np.integer) and most_entries is not True and most_entries >= 1
+    ):
         raise InputError(f"most_entries must be a whole number of at least 1, got {most_entries!r}")
     source = None
     if ESTIMANDS[name] == "allocated":
         source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)
+        if method == "auto":
+            name = cheapest("allocated", allocator, source)
     question = Question(
         plane, source, allocator, "uniform" if density is None else density, variant, bool(parked_obstacles),
         most_entries, _precision(name, precision, max_iterations, confidence, interval, stop), to_spawner(rng),
@@ -214,7 +227,8 @@ def _method(method, estimand, allocator):
 
 def _check_density(density):
     """Refuse what is no density."""
-    known = density is None or callable(density) or isinstance(density, Allocation | list | tuple)
+    known = density is None or callable(density) or isinstance(density, Allocation)
+    known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
         raise InputError(
             f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points "
@@ -224,7 +238,7 @@ def _check_density(density):
 
 def _precision(name, precision, max_iterations, confidence, interval, stop):
     """Return when to stop."""
-    if precision is not None and not (isinstance(precision, int | float) and 0 < precision < 1):
+    if precision is not None and not (isinstance(precision, int | float | np.floating) and 0 < precision < 1):
         raise InputError(f"precision must be a standard error between 0 and 1, got {precision!r}")
     if max_iterations is None:
         precision, most = PRECISION if precision is None else precision, MOST.get(name, 1)
@@ -239,6 +253,7 @@ def _precision(name, precision, max_iterations, confidence, interval, stop):
 
 def _zero(plane, source):
     """No two arms can ever touch, nor an obstacle: nothing has to be drawn."""
+    check_usable(plane)
     nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
     per_positioner = np.where(plane._usable, 0.0, np.nan)
     meta = {"certain": "no two arms can touch", **(source.describe() if source else {})}

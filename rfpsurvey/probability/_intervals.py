@@ -13,7 +13,7 @@ def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
     q2 = quantile**2 / n if n < np.inf else 0.0
     middle = (p + q2 / 2) / (1 + q2)
     half = np.sqrt(q2 * p * (1 - p) + q2**2 / 4) / (1 + q2)
-    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
+    return float(max(0.0, middle - half)) if p > 0 else 0.0, float(min(1.0, middle + half)) if p < 1 else 1.0
 
 
 def effective_number(p: float, standard_error: float, n: float) -> float:
@@ -34,7 +34,9 @@ def _naive(rates, p, number, trials, quantile, confidence, rng):
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
     """Percentiles of the mean of rates drawn with replacement."""
     n = len(rates)
-    means = np.array([rng.multinomial(n, np.full(n, 1 / n)) @ rates for _ in range(n_samples)]) / n
+    rows = max(1, 1_000_000 // n)  # at a time, for the sake of memory
+    sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
+    means = np.concatenate([rates[rng.integers(0, n, (size, n))].mean(axis=1) for size in sizes])
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())
 
 

@@ -15,7 +15,7 @@ from rfpsurvey.probability._run import Precision, run, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "Question", "cheapest"]
+__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "Question", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
 """Realizations of one task. Results depend on this, not on the number of workers."""
@@ -40,11 +40,16 @@ class Question:
     progress: bool
 
 
+def check_usable(plane: FocalPlane) -> None:
+    """Refuse a focal plane on which no unit takes a target."""
+    if not plane._usable.any():
+        raise InputError("every positioner is disabled or stuck: there is nothing to score")
+
+
 def _formula(function, question: Question) -> dict:
+    check_usable(question.plane)
     per_positioner, meta = function(question.plane, question.variant)
     used = question.plane._usable
-    if not used.any():
-        raise InputError("every positioner is disabled or stuck: there is nothing to score")
     value = float(per_positioner[used].mean())
     nothing = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
     return {
@@ -91,8 +96,7 @@ def _integrated(question: Question) -> dict:
         meta = {"density": "empirical", "n_allocations": len(allocations)}
         return {**_of_tally(tally, found), "n": int(np.mean([len(a.queues[1]) for a in allocations])), "meta": meta}
     density = question.density
-    if not question.plane._usable.any():
-        raise InputError("every positioner is disabled or stuck: there is nothing to score")
+    check_usable(question.plane)
     found = integrate(
         Quadrature(question.plane, density), question.precision, question.rng, question.executor, question.progress
     )
@@ -126,12 +130,18 @@ ESTIMANDS = {
 }  # fmt: skip
 
 
-def cheapest(estimand: str, allocator: str) -> str:
+SHORT = 2.0
+"""Queues are not worth an average where there are fewer targets a positioner."""
+
+
+def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
     """Return the cheapest method of an estimand that has an error.
 
     Averaging over the queues costs time in proportion to their length beyond what a realization costs anyway, and saves
     variance in the same proportion, with a factor that is far in its favor; queues of one cost and save nothing.
     """
+    if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
+        return "monte_carlo"
     if estimand == "independent":
         return "quadrature"
     return "conditional" if allocator in QUEUEING else "monte_carlo"

@@ -100,7 +100,11 @@ class Quadrature:
         if self.density == "voronoi":
             weight = (cKDTree(self.plane._xy_mm).query(tips)[1] == rows).astype(float)
         elif not isinstance(self.density, str):
-            weight = to_plain(self.density(tips << u.mm)).astype(float)
+            weight = self.density(tips << u.mm)
+            try:
+                weight = to_plain(weight).astype(float)
+            except (TypeError, ValueError):
+                raise InputError(f"density must return numbers, got {type(weight).__name__}") from None
             if weight.shape != (len(rows),) or not ((weight >= 0) & (weight < np.inf)).all():
                 raise InputError(
                     f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "

@@ -121,7 +121,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
     error = float(np.hypot(scatter, patch_error(plane, tally.per_positioner))) if one_sky and 0 < p < 1 else scatter
     trials = n if n > 1 else tally.trials / (1 + 2 * len(plane._neighbors) / len(plane))
     number, student = effective_number(p, error, trials), quantile(precision.confidence, n - 1)
-    low, high = INTERVALS[precision.interval](
+    low, high = INTERVALS["wilson" if one_sky else precision.interval](
         rates, p, number, tally.trials, normal if one_sky else student, precision.confidence, rng
     )
     # what iterations can reduce, whatever interval is reported

@@ -32,6 +32,8 @@ class Source:
 
     kind: str
     number: float = 0.0
+    each: float = 0.0
+    """Targets a positioner."""
     middle: tuple[float, float] = (0.0, 0.0)
     radius: float = 0.0
     separation: float = 0.0
@@ -131,7 +133,7 @@ def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
             )
         if separation * FINEST < radius:
             raise InputError(f"min_separation must be at least {radius / FINEST:.3g} mm here, got {min_separation}")
-    return Source(kind, float(number), _middle(plane), radius, separation)
+    return Source(kind, float(number), number / len(plane), _middle(plane), radius, separation)
 
 
 def _middle(plane):

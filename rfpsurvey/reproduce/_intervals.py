@@ -62,7 +62,7 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
     """Return how often each interval holds the truth, for plain and conditional simulation.
 
-    Every repeat runs until the precision is met; the truth comes from a conditional simulation thirty times as precise.
+    Every repeat runs until the precision is met; the truth comes from a conditional simulation twenty times as precise.
     """
     repeats = settings.pick(4000, 100) if repeats is None else repeats
     jobs = [
@@ -81,7 +81,7 @@ def coverage(settings: Settings, repeats: int | None = None) -> QTable:
 def _repeat(scene, method, stop, repeats, settings):
     (l1, l2, pitch, d, n_targets), precisions = SCENES[scene]
     plane = FocalPlane.hexagonal(Positioner(l1 * u.mm, l2 * u.mm, d * u.mm), rings=3, pitch=pitch * u.mm)
-    finest = min(precisions.values()) / settings.pick(30, 5)
+    finest = min(precisions.values()) / settings.pick(20, 5)
     truth = collision_probability(plane, n_targets=n_targets, precision=finest, rng=settings.seed + 1).value
     simulation = Simulation(plane, make_source(plane, None, None, n_targets, None, None, None), "balanced", True)
     task = simulation.draw if method == "monte_carlo" else simulation.expect
