@@ -26,7 +26,7 @@ from rfpsurvey.probability import (
     surrogate_probability,
 )  # fmt: skip
 from rfpsurvey.projection import RadialMap, TangentPlane
-from rfpsurvey.reproduce import reproduce
+from rfpsurvey.reproduction import reproduce
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
 try:

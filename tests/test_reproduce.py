@@ -5,9 +5,9 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.reproduce import EXPERIMENTS
-from rfpsurvey.reproduce._claims import Claim, claims_page, claims_table, verdict
-from rfpsurvey.reproduce._designs import LARGE, Settings, estimate, random_designs
+from rfpsurvey.reproduction import EXPERIMENTS
+from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
+from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
 
 QUICK = Settings(quick=True)
 

@@ -77,9 +77,9 @@ def collision_probability(
         For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
     targets : Catalog, Quantity (n, 2), callable or str, optional
         Allocated targets; the other methods do not look at them. ``"uniform"`` (default): ``n_targets`` independent
-        points in a circle; ``"poisson"``: their number is Poisson distributed; ``"poisson_disc"``: none nearer to another than ``min_separation``. A function
-        of a Generator that returns a Quantity of shape (n, 2), new at each call. Or one sky: points on the focal plane,
-        or a Catalog, whose science targets an Instrument projects.
+        points in a circle; ``"poisson"``: their number is Poisson distributed; ``"poisson_disc"``: none nearer to
+        another than ``min_separation``. A function of a Generator that returns a Quantity of shape (n, 2), new at each
+        call. Or one sky: points on the focal plane, or a Catalog, whose science targets an Instrument projects.
     n_targets : float, optional
         Number of random targets (expected number for ``poisson``). By default that of the instrument, or four a
         positioner.

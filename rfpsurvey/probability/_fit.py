@@ -46,10 +46,12 @@ class PolynomialFit:
 
         Parameters
         ----------
-        central_arm, pitch : Quantity, shape (n,)
-            Length of the central arm, and pitch.
+        central_arm : Quantity, shape (n,)
+            Length of the central arm.
         ratio : array_like of float, shape (n,)
             Eccentric arm over central arm.
+        pitch : Quantity, shape (n,)
+            Distance of neighboring centers.
 
         Returns
         -------
@@ -73,10 +75,12 @@ def fit_polynomial(
 
     Parameters
     ----------
-    central_arm, pitch : Quantity, shape (n,)
-        Length of the central arm, and pitch.
+    central_arm : Quantity, shape (n,)
+        Length of the central arm.
     ratio : array_like of float, shape (n,)
         Eccentric arm over central arm.
+    pitch : Quantity, shape (n,)
+        Distance of neighboring centers.
     probability : array_like of float, shape (n,)
         Collision probability of each design.
     held_back : float, optional

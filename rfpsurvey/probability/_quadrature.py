@@ -7,7 +7,6 @@ from functools import cache, cached_property
 import astropy.units as u
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from rfpsurvey._kernels import arms, queues
 from rfpsurvey._units import to_plain
@@ -131,6 +130,8 @@ class Quadrature:
 @cache
 def _net(n_points: int) -> np.ndarray:
     """Sobol's points of the unit square as whole numbers of BITS bits."""
+    from scipy.stats import qmc  # takes longer to import than all of this package
+
     points = qmc.Sobol(2, scramble=False, bits=BITS).random(n_points)
     return (points * 2**BITS).astype(np.int64)
 

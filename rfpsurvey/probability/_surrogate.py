@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from scipy.interpolate import NdBSpline, make_interp_spline
 
 from rfpsurvey._io import output_path
 from rfpsurvey._units import to_generator, to_mm
@@ -17,6 +17,9 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability._quadrature import SCRAMBLES, Quadrature
 from rfpsurvey.probability._run import Progress
+
+if TYPE_CHECKING:
+    from scipy.interpolate import NdBSpline
 
 __all__ = ["interior_risk", "make_surrogate", "surrogate_probability"]
 
@@ -128,7 +131,9 @@ def make_surrogate(
 
 
 @cache
-def _spline() -> NdBSpline:
+def _spline() -> "NdBSpline":
+    from scipy.interpolate import NdBSpline, make_interp_spline
+
     with as_file(files("rfpsurvey.probability") / FILE) as path, np.load(path) as data:
         coefficients = data["risk"].astype(float)
     knots = []

@@ -14,8 +14,8 @@ from rfpsurvey.probability._methods import CHUNK
 from rfpsurvey.probability._run import Precision, run, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
-from rfpsurvey.reproduce._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduce._designs import Settings, each
+from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from rfpsurvey.reproduction._designs import Settings, each
 
 __all__ = ["coverage", "intervals"]
 

@@ -6,8 +6,8 @@ from astropy.table import QTable
 
 from rfpsurvey.probability import fit_polynomial, surrogate_probability
 from rfpsurvey.probability._surrogate import interior_risk
-from rfpsurvey.reproduce._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
-from rfpsurvey.reproduce._designs import LARGE, N_TARGETS, D, Settings, each, estimate, random_designs
+from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
+from rfpsurvey.reproduction._designs import LARGE, N_TARGETS, D, Settings, each, estimate, random_designs
 
 __all__ = ["fit", "large", "poisson"]
 

@@ -4,8 +4,8 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.benchmark import benchmark_collisions
-from rfpsurvey.reproduce._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduce._designs import Settings
+from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from rfpsurvey.reproduction._designs import Settings
 
 __all__ = ["speed"]
 

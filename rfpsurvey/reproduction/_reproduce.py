@@ -13,12 +13,12 @@ from astropy.table import QTable
 from rfpsurvey._io import check_output, output_path, to_path, write_table
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.plot import draw_reproduction
-from rfpsurvey.reproduce._claims import Claim, claims_page, claims_table
-from rfpsurvey.reproduce._designs import Settings
-from rfpsurvey.reproduce._intervals import intervals
-from rfpsurvey.reproduce._large import fit, large, poisson
-from rfpsurvey.reproduce._small import small
-from rfpsurvey.reproduce._speed import speed
+from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table
+from rfpsurvey.reproduction._designs import Settings
+from rfpsurvey.reproduction._intervals import intervals
+from rfpsurvey.reproduction._large import fit, large, poisson
+from rfpsurvey.reproduction._small import small
+from rfpsurvey.reproduction._speed import speed
 
 __all__ = ["EXPERIMENTS", "reproduce"]
 

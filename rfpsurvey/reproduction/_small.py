@@ -4,8 +4,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.reproduce._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduce._designs import SMALL, Settings, each, estimate, plane_of
+from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from rfpsurvey.reproduction._designs import SMALL, Settings, each, estimate, plane_of
 
 __all__ = ["small"]
 
