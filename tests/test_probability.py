@@ -343,8 +343,11 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         ({"interval": "normal"}, "unknown interval 'normal'"),
         ({"stop": "soon"}, "unknown stopping rule 'soon'"),
         ({"method": "closed_form", "variant": "ours"}, "unknown variant of the closed form 'ours'"),
-        ({"density": "shared"}, "density belongs to independent targets; 'conditional' allocates targets"),
-        ({"method": "monte_carlo", "density": "uniform"}, "density belongs to independent targets; 'monte_carlo'"),
+        (
+            {"density": "shared"},
+            "density belongs to the method 'quadrature', of independent targets, not to 'conditional'",
+        ),
+        ({"method": "monte_carlo", "density": "uniform"}, "density belongs to .* not to 'monte_carlo'"),
         ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations by 'balanced'"),

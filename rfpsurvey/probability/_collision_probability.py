@@ -26,7 +26,6 @@ from rfpsurvey.probability._targets import make_source
 __all__ = ["collision_probability"]
 
 PRECISION = 1e-3
-ALLOCATED = ("monte_carlo", "conditional")
 MOST = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 
 
@@ -163,29 +162,13 @@ def collision_probability(
     plane = as_focal_plane(focal_plane)
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
     name = _method(method, estimand, allocator)
-    if ESTIMANDS[name] == "allocated" and density is not None:
-        raise InputError(f"density belongs to independent targets; {name!r} allocates targets")
-    if name not in ("quadrature", *ALLOCATED) and density is not None:
-        raise InputError(f"density belongs to the method 'quadrature', not to {name!r}")
-    if name != "closed_form" and variant != "corrected":
-        raise InputError(f"variant belongs to the method 'closed_form', not to {name!r}")
-    if name not in ALLOCATED and interval != "wilson":
-        raise InputError(f"interval={interval!r} belongs to iterations, which {name!r} does not make")
-    if center is not None and not isinstance(targets, Catalog):
-        raise InputError("center belongs to a Catalog of targets")
+    _check_belongings(name, density=density, variant=variant, interval=interval, center=center, targets=targets)
     _check_density(density)
+    _check_numbers(confidence=confidence, dynamic=dynamic, most_entries=most_entries)
     check_choice(interval, INTERVALS, "interval")
     check_choice(stop, ("interval", "convergence"), "stopping rule")
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
-    for what, value in (("confidence", confidence), ("dynamic", dynamic)):
-        if not (isinstance(value, int | float) and 0 <= value < 1 - 1e-9) or (what == "confidence" and value == 0):
-            least = "above" if what == "confidence" else "of at least"
-            raise InputError(f"{what} must be a number {least} 0 and below 1, got {value!r}")
-    if most_entries is not None and not (
-        isinstance(most_entries, int | np.integer) and most_entries is not True and most_entries >= 1
-    ):
-        raise InputError(f"most_entries must be a whole number of at least 1, got {most_entries!r}")
     source = None
     if ESTIMANDS[name] == "allocated":
         source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)
@@ -223,6 +206,29 @@ def _method(method, estimand, allocator):
     if estimand not in (None, ESTIMANDS[method]):
         raise InputError(f"{method!r} estimates {ESTIMANDS[method]!r} targets, not {estimand!r} ones")
     return method
+
+
+def _check_belongings(name, *, density, variant, interval, center, targets):
+    """Refuse options of another method."""
+    if density is not None and name != "quadrature":
+        raise InputError(f"density belongs to the method 'quadrature', of independent targets, not to {name!r}")
+    if variant != "corrected" and name != "closed_form":
+        raise InputError(f"variant belongs to the method 'closed_form', not to {name!r}")
+    if interval != "wilson" and ESTIMANDS[name] != "allocated":
+        raise InputError(f"interval={interval!r} belongs to iterations, which {name!r} does not make")
+    if center is not None and not isinstance(targets, Catalog):
+        raise InputError("center belongs to a Catalog of targets")
+
+
+def _check_numbers(*, confidence, dynamic, most_entries):
+    """Refuse numbers that make no sense."""
+    if not (isinstance(confidence, int | float) and 0 < confidence < 1 - 1e-9):
+        raise InputError(f"confidence must be a number above 0 and below 1, got {confidence!r}")
+    if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
+        raise InputError(f"dynamic must be a number of at least 0 and below 1, got {dynamic!r}")
+    whole = isinstance(most_entries, int | np.integer) and not isinstance(most_entries, bool)
+    if most_entries is not None and not (whole and most_entries >= 1):
+        raise InputError(f"most_entries must be a whole number of at least 1, got {most_entries!r}")
 
 
 def _check_density(density):
