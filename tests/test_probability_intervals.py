@@ -130,7 +130,7 @@ def test_bootstrap_is_that_of_scipy(confidence):
     got = rs.collision_probability(plane, method="monte_carlo", interval="bootstrap", **options)
     rates = sampler.rates(plane)
     expected = stats.bootstrap(
-        (rates,), np.mean, confidence_level=confidence, n_resamples=20_000, method="percentile", rng=1
+        (rates,), np.mean, confidence_level=confidence, n_resamples=20_000, method="percentile", random_state=1
     ).confidence_interval
     # percentiles of 2000 resamples scatter by sqrt(q (1 - q) / 2000) over the density, 0.06 standard errors
     error = 4 * 0.065 * got.standard_error
