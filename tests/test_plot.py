@@ -2,6 +2,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -73,3 +74,17 @@ def test_axes_region_and_style_can_be_given(tile):
         rs.plot_focal_plane("tile")
     with pytest.raises(rs.InputError, match="region must be two finite corners"):
         rs.plot_focal_plane(tile, region=[1, 2] * u.mm)
+
+
+def test_probabilities_are_lines_of_methods():
+    table = QTable({
+        "method": ["closed_form", "quadrature", "quadrature"], "estimand": ["independent"] * 3, "effort": [0, 64, 128],
+        "time": [1, 2, 4] * u.ms, "error": [0.1, 0.01, 0.005],
+    }, meta={"instrument": "mine"})  # fmt: skip
+    ax = rs.plot_probability_accuracy(table)
+    formula, quadrature = ax.get_lines()
+    assert formula.get_markerfacecolor() == "none"
+    np.testing.assert_array_equal(quadrature.get_xydata(), [[2, 0.01], [4, 0.005]])
+    assert [t.get_text() for t in ax.texts] == ["64", "128"]
+    assert ax.get_title().startswith("mine")
+    assert rs.plot_probability_accuracy(table, ax=ax) is ax
