@@ -7,6 +7,7 @@ import warnings
 from pathlib import Path
 from typing import Annotated
 
+import astropy.units as u
 import numpy as np
 import typer
 from astropy.coordinates import SkyCoord
@@ -19,7 +20,7 @@ from rfpsurvey.catalog import UNITS
 __all__ = [
     "app", "check_chart", "check_outputs", "finish", "finish_estimate", "finish_table", "instrument_of",
     "load_instrument", "main", "parse_center", "parse_pairs", "print_table", "read_assignment", "read_targets",
-    "targets_and_center", "units_of",
+    "targets_and_center", "to_mm", "units_of",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -128,8 +129,7 @@ def targets_and_center(path, center, model, seed, column, unit, frame):
     if field is None and len(targets) == 0:
         field = parse_center(DEFAULT_CENTER)
     elif field is None:
-        x, y, z = targets._vectors.mean(axis=0)
-        field = SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
+        field = targets._middle
     return targets, field
 
 
@@ -186,6 +186,11 @@ def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
     """Return the units that were given, after the usual ones of a CSV file, which carries none."""
     usual = {role: str(u) for role, u in UNITS.items()} if path.suffix.lower() == ".csv" else {}
     return {**usual, **parse_pairs(unit, "--unit")}
+
+
+def to_mm(value: float | None):
+    """Return a length, if there is one."""
+    return None if value is None else value * u.mm
 
 
 def read_targets(name: str):

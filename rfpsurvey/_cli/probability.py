@@ -4,7 +4,6 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated
 
-import astropy.units as u
 import typer
 
 import rfpsurvey as rs
@@ -33,10 +32,10 @@ def probability(
     """Estimate how likely arms collide, with an interval."""
     _app.check_outputs(output, None, overwrite=overwrite)
     model = _app.load_instrument(instrument)
-    lengths = {"target_radius": target_radius, "min_separation": min_separation}
-    options = {name: None if value is None else value * u.mm for name, value in lengths.items()}
-    options.update(method=method, estimand=estimand, precision=precision, max_iterations=max_iterations, rng=seed)
+    options = {"method": method, "estimand": estimand, "precision": precision, "max_iterations": max_iterations}
     options.update(targets=_app.read_targets(targets), n_targets=n_targets, allocator=allocator, density=density)
+    options.update(target_radius=_app.to_mm(target_radius), min_separation=_app.to_mm(min_separation))
+    options.update(dynamic=dynamic, rng=seed, progress=sys.stderr.isatty())
     with ThreadPoolExecutor(workers) as executor:
-        options.update(dynamic=dynamic, progress=sys.stderr.isatty(), executor=executor)
+        options["executor"] = executor
         _app.finish_estimate(rs.collision_probability(model, **options), model, output, overwrite=overwrite)

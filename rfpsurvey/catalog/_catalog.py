@@ -157,6 +157,12 @@ class Catalog:
         """Unit vectors, ICRS, shape (n, 3): made once, used by every tile."""
         return to_vectors(self.coord)
 
+    @property
+    def _middle(self) -> SkyCoord:
+        """Mean direction of the targets."""
+        x, y, z = self._vectors.mean(axis=0)
+        return SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
+
     @classmethod
     def from_table(
         cls, table: Table, *, columns: dict | None = None, units: dict | None = None, frame: str = "icrs"

@@ -30,8 +30,6 @@ LEAST_POINTS, LEAST_WEIGHTED = 16, 256
 BITS = 30
 NARROW = 2**12
 """A density that is 0 at so many points of a patrol area is an error."""
-RATE = 1.0
-"""The error falls about as the number of points to minus this power."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +170,7 @@ def integrate(
         met = precision.standard_error is not None and half <= precision.half_width
         if met or 2 * n_points > precision.max_iterations:
             break
-        more = 4.0 if precision.half_width == 0 else (half / precision.half_width) ** (1 / RATE)
+        more = 4.0 if precision.half_width == 0 else half / precision.half_width  # the error falls about as 1 / n
         n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
     bar.close()
     per_positioner = np.full(len(first), np.nan)

@@ -1,9 +1,9 @@
 """Probability of a design in no time: a spline through quadratures on a grid of shapes."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -104,16 +104,6 @@ def interior_risk(shape: tuple[float, float, float], n_points: int, rng: np.rand
     return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(SCRAMBLES))
 
 
-@dataclass(frozen=True)
-class _Node:
-    """A task: the risk at a node of the grid."""
-
-    n_points: int
-
-    def __call__(self, shape, rng):
-        return interior_risk(shape, self.n_points, rng)[0]
-
-
 def make_surrogate(
     path: Path | str, *, rng: int = 0, executor: Executor | None = None, progress: bool = False, overwrite: bool = False
 ) -> None:
@@ -122,7 +112,7 @@ def make_surrogate(
     shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
     bar, values = Progress(progress), []
     sources = to_generator(rng).spawn(len(shapes))
-    for value in (map if executor is None else executor.map)(_Node(N_POINTS), shapes, sources):
+    for value, _ in (map if executor is None else executor.map)(interior_risk, shapes, repeat(N_POINTS), sources):
         values.append(value)
         bar(len(values) / len(shapes))
     bar.close()

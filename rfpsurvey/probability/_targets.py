@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 
 from rfpsurvey._kernels import simulate
 from rfpsurvey._units import to_points_mm, to_scalar
@@ -149,8 +148,7 @@ def _from_catalog(instrument, targets, center):
     if center is None:
         if len(targets) == 0:
             raise InputError("targets must have at least one row, got an empty Catalog")
-        x, y, z = targets._vectors.mean(axis=0)
-        center = SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
+        center = targets._middle
     science = np.arange(len(targets)) if targets.kind is None else np.flatnonzero(targets.kind == "science")
     types, priority = (None if c is None else c[science] for c in (targets.fiber_type, targets.priority))
     types = instrument._needs(types, len(science))

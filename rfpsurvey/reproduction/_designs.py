@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
@@ -31,7 +31,6 @@ class Settings:
     executor: Executor | None = None
     progress: bool = False
     seed: int = 0
-    versions: dict = field(default_factory=dict)
 
     @property
     def precision(self) -> float:

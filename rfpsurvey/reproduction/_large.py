@@ -192,12 +192,10 @@ def poisson(settings: Settings, table: QTable | None = None) -> tuple[dict[str, 
 
 def _of_reading(name, uniform, own):
     """Compare the mean over designs with that of uniform targets."""
-    (mean, other), errors = (
-        (x[:, 0].mean() for x in (uniform, own)),
-        [np.sqrt((x[:, 1] ** 2).sum()) / len(x) for x in (uniform, own)],
-    )
+    mean, other = uniform[:, 0].mean(), own[:, 0].mean()
+    error, other_error = (np.sqrt((x[:, 1] ** 2).sum()) / len(x) for x in (uniform, own))
     excess = 100 * (mean / other - 1)
-    spread = 100 * mean / other * np.hypot(errors[0] / mean, errors[1] / other)
+    spread = 100 * mean / other * np.hypot(error / mean, other_error / other)
     lower = np.count_nonzero(own[:, 0] < uniform[:, 0])
     return Claim(
         "poisson", "uniform targets collide 2.6 % more than Poisson ones", "2.6 %",
@@ -217,7 +215,7 @@ def _coordinates(scale):
 
 
 def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the polynomial on random halves of the designs, and how good the surrogate is."""
+    """Return the polynomial with random quarters of the designs held back, and how good the surrogate is."""
     table = large(settings)[0]["large"] if table is None else table
     claims, rows = [], []
     for way in ("range_200", "covered"):

@@ -28,8 +28,7 @@ EXPERIMENTS: dict[str, Callable] = {
 """Name to function of `Settings` -> (tables by name, claims)."""
 TABLES = {
     "small": ("small",), "large": ("large", "large_differences", "large_plain"), "poisson": ("poisson",),
-    "fit": ("fit", "surrogate"),
-    "intervals": ("intervals",), "speed": ("speed",),
+    "fit": ("fit", "surrogate"), "intervals": ("intervals",), "speed": ("speed",),
 }  # fmt: skip
 
 
@@ -51,8 +50,7 @@ def reproduce(
         ``small``: 19 positioners, scans of arm ratio and pitch. ``large``: 469 positioners, 80 random designs, formula
         against simulation. ``poisson``: the same designs with Poisson-distributed targets in every reading. ``fit``:
         the polynomial, and the surrogate at designs that it never saw. ``intervals``: how often intervals hold the
-        truth.
-        ``speed``: arms of 64 segments against swept areas.
+        truth. ``speed``: arms of 64 segments against swept areas.
     folder : str or path, optional
         Where tables (ECSV), figures (PNG) and the page of claims (``claims.rst``) go; made if it is not there.
     quick : bool, optional

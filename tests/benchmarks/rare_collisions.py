@@ -1,0 +1,27 @@
+"""How often the interval holds the truth where collisions are rare, as the page on probability says.
+
+``python tests/benchmarks/rare_collisions.py``; a minute on one core.
+"""
+
+import astropy.units as u
+import numpy as np
+
+import rfpsurvey as rs
+
+UNIT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+REPEATS = 500
+
+
+def main():
+    for pitch, n in ((33.0, 100_000), (35.0, 100_000), (36.5, 400_000)):
+        plane = rs.FocalPlane.hexagonal(UNIT, rings=2, pitch=pitch * u.mm)
+        truth = rs.collision_probability(plane, max_iterations=n, rng=99)
+        found = [rs.collision_probability(plane, precision=1e-3, rng=k) for k in range(REPEATS)]
+        held = np.mean([e.low <= truth.value <= e.high for e in found])
+        iterations = np.median([e.n for e in found])
+        print(f"pitch {pitch} mm: p = {truth.value:.2g} +- {truth.standard_error:.1g}, held {held:.3f}, "
+              f"{iterations:.0f} realizations")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
