@@ -4,7 +4,7 @@ The names below are the whole public interface; the way data flows is catalog, p
 arms, collisions, tile score.
 """
 
-from rfpsurvey.allocation import Allocation, allocate
+from rfpsurvey.allocation import Allocation, Requirement, allocate
 from rfpsurvey.benchmark import (
     benchmark_batches,
     benchmark_collisions,
@@ -46,6 +46,7 @@ __all__ = [
     "PolynomialFit",
     "Positioner",
     "RadialMap",
+    "Requirement",
     "RfpsurveyWarning",
     "TangentPlane",
     "Tile",

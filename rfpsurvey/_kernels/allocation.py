@@ -1,5 +1,7 @@
 """Allocation rules on reachable pairs in CSR form."""
 
+import numpy as np
+
 from rfpsurvey._jit import kernel
 
 
@@ -137,3 +139,93 @@ def nominate(
                 for m in range(t_indptr[t], t_indptr[t + 1]):
                     free_reach[t_owner[m]] -= 1
         c = upcoming  # the next class that any free positioner can see
+
+
+@kernel
+def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
+    """Closest pairs first: candidates sorted by class, then distance; a target keeps the nearest that asks for it.
+
+    Everybody asks for its next candidate until one keeps it: deferred acceptance, which ends in the plan that takes the
+    closest pair of the top class first, then the closest of those left, and so on.
+    """
+    n = indptr.size - 1
+    cursor = indptr[:-1].copy()
+    positioner_of_target[:] = -1
+    target_of_positioner[:] = -1
+    for first in range(n):
+        i = first
+        while i >= 0 and cursor[i] < indptr[i + 1]:
+            k = cursor[i]
+            t = target[k]
+            cursor[i] += 1
+            j = positioner_of_target[t]
+            if j < 0 or r2[k] < t_r2[t] or (r2[k] == t_r2[t] and i < j):
+                positioner_of_target[t] = i
+                target_of_positioner[i] = t
+                t_r2[t] = r2[k]
+                if j >= 0:
+                    target_of_positioner[j] = -1
+                i = j
+
+
+@kernel
+def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
+    """Positioners in the given order take the nearest free target that is ``wanted``, until there are enough.
+
+    What they look at is released. Returns how many are still missing.
+    """
+    for i in order:
+        if need <= 0:
+            break
+        best = -1
+        for k in range(indptr[i], indptr[i + 1]):
+            t = target[k]
+            if wanted[t] and positioner_of_target[t] < 0 and (best < 0 or r2[k] < r2[best]):
+                best = k
+        if best < 0:
+            continue
+        if target_of_positioner[i] >= 0:
+            positioner_of_target[target_of_positioner[i]] = -1
+        target_of_positioner[i] = target[best]
+        positioner_of_target[target[best]] = i
+        locked[i] = True
+        need -= 1
+    return need
+
+
+@kernel
+def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
+    """Targets in the given order enter a matching, where an augmenting path lets them; none ever leaves it again.
+
+    The targets that are matched in the end are the best that any matching has, in lexicographic order.
+    """
+    n = target_of_positioner.size
+    target_of_positioner[:] = -1
+    positioner_of_target[:] = -1
+    seen = np.full(n, -1, np.int64)
+    came_from = np.empty(n, np.int64)
+    queue = np.empty(n + 1, np.int64)
+    for t in order:
+        head, tail = 0, 1
+        queue[0] = t
+        free = -1
+        while head < tail and free < 0:
+            s = queue[head]
+            head += 1
+            for k in range(t_indptr[s], t_indptr[s + 1]):
+                i = t_owner[k]
+                if seen[i] == t:
+                    continue
+                seen[i] = t
+                came_from[i] = s
+                if target_of_positioner[i] < 0:
+                    free = i
+                    break
+                queue[tail] = target_of_positioner[i]
+                tail += 1
+        while free >= 0:
+            s = came_from[free]
+            before = positioner_of_target[s]
+            target_of_positioner[free] = s
+            positioner_of_target[s] = free
+            free = before if s != t else -1

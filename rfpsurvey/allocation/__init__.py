@@ -1,5 +1,9 @@
 """Who observes what: a table of methods behind `allocate`."""
 
-from rfpsurvey.allocation._allocate import METHODS, Allocation, allocate
+from rfpsurvey.allocation._allocate import allocate
+from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation._problem import Level
+from rfpsurvey.allocation._requirements import Requirement, Shortfall, as_requirements
 
-__all__ = ["METHODS", "Allocation", "allocate"]
+__all__ = ["METHODS", "Allocation", "Level", "Requirement", "Shortfall", "allocate", "as_requirements"]

@@ -1,94 +1,22 @@
 """The one door of target allocation."""
 
-from dataclasses import dataclass
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_generator, to_plain, to_points_mm
-from rfpsurvey.allocation._rules import balanced, lamost
-from rfpsurvey.collision import Arms, place_arms
+from rfpsurvey._units import to_flags, to_generator, to_plain, to_points_mm, to_scalar
+from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation._problem import Choice, Level, Problem
+from rfpsurvey.allocation._requirements import KINDS, Requirement, as_requirements
+from rfpsurvey.allocation._sky import find_sky
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.focal_plane import FocalPlane, Reach
 
-__all__ = ["METHODS", "Allocation", "allocate"]
+__all__ = ["allocate"]
 
-METHODS = {"balanced": balanced, "lamost": lamost}
-"""Name to function (reach, priority classes, rng) -> (target_of_positioner, queues or None)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Allocation:
-    """Which positioner observes which target.
-
-    Parameters
-    ----------
-    method : str
-        The rule that made it.
-    target_of_positioner : ndarray of int, shape (n_positioners,)
-        Target of each positioner, -1 for none.
-    positioner_of_target : ndarray of int, shape (n_targets,)
-        Positioner of each target, -1 for none.
-    handedness : ndarray of str, shape (n_positioners,)
-        Elbow of each arm, "right" or "left".
-    tips : Quantity, shape (n_positioners, 2)
-        Where each fiber is; NaN without a target.
-    fiber_type : ndarray of str, shape (n_positioners,)
-        Fiber in use.
-    n_reachable : int
-        Targets that at least one positioner reaches.
-    parked_obstacles : bool
-        Do idle equal-arm positioners count as obstacles?
-    seconds : dict of str to float
-        Time of each stage.
-    xy : Quantity, shape (n_targets, 2)
-        The targets on the focal plane.
-    wanted : ndarray of str, shape (n_targets,), or None
-        Fiber type that each target needs, ``""`` for any.
-    queues : tuple of ndarray or None
-        For ``balanced``: indptr and targets of all queues, of which the configuration is one draw.
-    """
-
-    method: str
-    target_of_positioner: np.ndarray
-    positioner_of_target: np.ndarray
-    handedness: np.ndarray
-    tips: u.Quantity
-    fiber_type: np.ndarray
-    n_reachable: int
-    parked_obstacles: bool
-    seconds: dict
-    xy: u.Quantity
-    wanted: np.ndarray | None = None
-    queues: tuple[np.ndarray, np.ndarray] | None = None
-
-    @property
-    def n_assigned(self) -> int:
-        """Number of positioners with a target."""
-        return int(np.count_nonzero(self.target_of_positioner >= 0))
-
-    def place_arms(self, focal_plane: FocalPlane) -> Arms:
-        """Return the poses that go with the allocation.
-
-        Parameters
-        ----------
-        focal_plane : FocalPlane
-            The focal plane that it was made for.
-
-        Returns
-        -------
-        Arms
-            Poses of all positioners.
-        """
-        return place_arms(
-            focal_plane, self.tips, handedness=self.handedness, fiber_type=self.fiber_type,
-            parked_obstacles=self.parked_obstacles,
-        )  # fmt: skip
-
-    def __repr__(self):
-        n, m = len(self.target_of_positioner), len(self.positioner_of_target)
-        return f"<Allocation by {self.method!r}: {self.n_assigned} of {n} positioners, {m} targets>"
+OBJECTIVES = ("priority", "count")
 
 
 def allocate(
@@ -98,10 +26,23 @@ def allocate(
     method: str = "balanced",
     priority: np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
+    kind: np.ndarray | None = None,
+    category: np.ndarray | None = None,
+    requirements: Requirement | str | list | None = None,
+    required: np.ndarray | None = None,
+    forbidden: np.ndarray | None = None,
+    sky_separation: u.Quantity | None = None,
+    objective: str = "priority",
+    time_limit: u.Quantity = 60 * u.s,
+    start: Allocation | str = "lamost",
     parked_obstacles: bool = True,
     rng: int | np.random.Generator | None = 0,
 ) -> Allocation:
     """Assign targets to positioners: one target a positioner, one positioner a target.
+
+    Science targets are what a plan is for; standards and sky positions serve requirements, and beyond these fill
+    positioners that would be idle (``sdss``, ``optimal``, ``repair``). The first three methods do not look at collisions
+    and never fail to be fast; the last two end them.
 
     Parameters
     ----------
@@ -109,35 +50,61 @@ def allocate(
         Targets on the focal plane, in catalog order; NaN is out of reach.
     focal_plane : FocalPlane
         The positioners.
-    method : {"balanced", "lamost"}, optional
-        ``balanced``: targets in catalog order, each to the positioner in reach with the shortest queue, then the
-        nearest, then the lowest row; one target of each queue, drawn uniformly, is observed.
+    method : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
+        ``balanced``: science targets in catalog order, each to the positioner in reach with the shortest queue, then the
+        nearest, then the lowest row; one target of each queue, drawn uniformly, is observed. No priorities.
+        ``nearest``: class after class, the closest pair of positioner and target first.
         ``lamost``: class after class from the top priority, every free positioner nominates its nearest
         unassigned target of the class until nobody nominates; a target nominated by several goes to the
-        one with the fewest unassigned targets (of any class) in reach, then the nearest, then the lowest row.
+        one with the fewest unassigned targets (of any class) in reach, then the nearest, then the lowest row. Then, for
+        one requirement after the other, idle positioners take what is lacking, and after them those with
+        the least important targets, which are released.
+        ``sdss``: network flow: as many as possible class after class, arms may collide; then the least sum of squared
+        distances from the centers. ``optimal``: as many as possible class after class such that no two arms
+        collide, with a proof. ``repair``: the plan ``start``, its collisions ended by local moves.
     priority : array_like of float, shape (n_targets,), optional
-        Larger is more important; targets of one value form a class. ``balanced`` does not look at it.
+        Larger is more important; targets of one value form a class.
     fiber_type : array_like of str, shape (n_targets,), optional
         Fiber type that each target needs; ``""`` means any.
+    kind : array_like of str, shape (n_targets,), optional
+        ``science`` (all, by default), ``standard`` or ``sky``.
+    category : array_like of str, shape (n_targets,), optional
+        Names that requirements refer to, such as ``sky_boss``.
+    requirements : list of Requirement or str, optional
+        What the plan must hold, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``. Minima come before
+        science, are met as far as possible and reported in ``unmet``. ``balanced`` and ``nearest`` only report.
+    required : array_like of bool, shape (n_targets,), optional
+        Targets that come before everything else (``sdss``, ``optimal``).
+    forbidden : array_like of int, shape (k, 2), optional
+        Pairs (positioner, target), by row, that must not be.
+    sky_separation : Quantity, optional
+        With it, positions at least so far (on the focal plane) from all targets serve as sky, too, also those that stuck
+        positioners look at. They are looked for where requirements on ``sky`` ask for some.
+    objective : {"priority", "count"}, optional
+        Class after class, or the number of science targets before the classes (``sdss``, ``optimal``).
+    time_limit : Quantity, optional
+        ``sdss`` and ``optimal`` then return the best plan so far, with its gap.
+    start : Allocation or str, optional
+        For ``repair``: the plan to begin with, or the method that makes it.
     parked_obstacles : bool, optional
-        Carried along for the scoring of collisions.
+        Do idle equal-arm positioners stand in the way?
     rng : int, Generator or None, optional
         Seed or source of the draw of ``balanced``; None draws anew each time.
 
     Returns
     -------
     Allocation
-        The same input gives the same allocation.
+        The same input gives the same allocation, unless the time limit cuts a search short.
 
     Raises
     ------
     InputError
-        If the method is unknown or a shape does not fit.
+        If a name is unknown or a shape does not fit.
 
     References
     ----------
     Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", Section 4.2 (both rules).
+    Positioners", Section 4.2 (balanced, lamost). Blanton et al. 2003, AJ 125, 2276 (network flow).
 
     Examples
     --------
@@ -145,32 +112,51 @@ def allocate(
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
-    >>> rs.allocate([[12, 0], [14, 0], [99, 0]] * u.mm, plane, method="lamost").target_of_positioner
-    array([0, 1])
+    >>> targets = [[12, 0], [14, 0], [20, 10], [99, 0]] * u.mm
+    >>> rs.allocate(targets, plane, method="lamost").target_of_positioner
+    array([0, 2])
+    >>> best = rs.allocate(targets, plane, method="optimal")
+    >>> best.n_assigned, best.gap
+    (2, 0.0)
     """
-    rule = METHODS[check_choice(method, METHODS, "allocator")]
+    solve = METHODS[check_choice(method, METHODS, "allocator")]
+    check_choice(objective, OBJECTIVES, "objective")
     points = to_points_mm(xy, "xy")
-    classes = _classes(priority, len(points))
-    start = perf_counter()
+    n = len(points)
+    begin = perf_counter()
     reach = focal_plane._reach(points, fiber_type)
     middle = perf_counter()
-    target_of, queues = rule(reach, classes, to_generator(rng))
-    tips, hand, types = _at_tips(focal_plane, points, target_of, fiber_type)
-    positioner_of = np.full(len(points), -1)
-    used = np.flatnonzero(target_of >= 0)
-    positioner_of[target_of[used]] = used
-    wanted = None if fiber_type is None or focal_plane.fiber_types == ("",) else np.asarray(fiber_type, dtype=str)
-    seconds = {"reach": middle - start, "allocation": perf_counter() - middle}
+    kind = _labels(kind, n, "kind")
+    for word in np.unique(kind) if kind is not None else ():
+        check_choice(str(word), KINDS, "kind of target")
+    classes, rank = _classes(priority, n)
+    if kind is not None:
+        science = kind == "science"
+        classes, rank = _squeeze(classes, rank, science)
+    named = focal_plane.fiber_types != ("",) and fiber_type is not None
+    problem = Problem(
+        focal_plane, points, _allowed(reach, forbidden, n), rank, classes, kind, _labels(category, n, "category"),
+        np.asarray(fiber_type, dtype=str) if named else None, _flags(required, n), as_requirements(requirements),
+        objective=objective, time_limit=to_scalar(time_limit, u.s, "time_limit", low=0),
+        parked_obstacles=bool(parked_obstacles), rng=to_generator(rng),
+    )  # fmt: skip
+    if sky_separation is not None:
+        problem = _with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
+    if method == "repair":
+        problem = problem.replace(start=_as_choice(start, problem))
+    choice = solve(problem)
+    found = _finish(problem, choice, n)
+    end = perf_counter()
     return Allocation(
-        method, target_of, positioner_of, hand, tips * u.mm, types, reach.n_reachable, parked_obstacles,
-        seconds, points << u.mm, wanted, queues,
+        method, **found, n_reachable=reach.n_reachable, parked_obstacles=bool(parked_obstacles),
+        seconds={"reach": middle - begin, "allocation": end - middle},
     )  # fmt: skip
 
 
 def _classes(priority, n):
-    """Rank of the priority class of each target, 0 the most important."""
+    """Priorities, the largest first, and the class of each target, 0 the most important."""
     if priority is None:
-        return np.zeros(n, dtype=np.int64)
+        return (0.0,), np.zeros(n, dtype=np.int64)
     try:
         values = to_plain(priority).astype(float)
     except ValueError as error:
@@ -179,19 +165,136 @@ def _classes(priority, n):
         raise InputError(f"priority must have one value a target, shape ({n},), got {values.shape}")
     if np.isnan(values).any():
         raise InputError(f"priority must be numbers, but {int(np.isnan(values).sum())} of {n} are NaN")
-    return np.unique(-values, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    classes, rank = np.unique(-values, return_inverse=True)
+    return tuple((-classes).tolist()), rank.reshape(-1).astype(np.int64)
 
 
-def _at_tips(focal_plane, points, target_of, fiber_type):
-    """Tip, elbow and fiber in use of each positioner."""
-    n = len(focal_plane)
+def _squeeze(classes, rank, science):
+    """Keep the classes of science targets; all others come after them."""
+    used, new = np.unique(rank[science], return_inverse=True)
+    squeezed = np.full(len(rank), len(used), dtype=np.int64)
+    squeezed[science] = new.reshape(-1)
+    return tuple(classes[k] for k in used), squeezed
+
+
+def _labels(values, n, name):
+    if values is None:
+        return None
+    labels = to_plain(values).astype(str)
+    if labels.shape != (n,):
+        raise InputError(f"{name} must have one value a target, shape ({n},), got {labels.shape}")
+    return labels
+
+
+def _flags(required, n):
+    if required is None:
+        return None
+    flags = to_flags(required, "required")
+    if flags.shape != (n,):
+        raise InputError(f"required must have one value a target, shape ({n},), got {flags.shape}")
+    return flags if flags.any() else None
+
+
+def _allowed(reach: Reach, forbidden, n) -> Reach:
+    """Take forbidden pairs out."""
+    if forbidden is None:
+        return reach
+    pairs = np.asarray(forbidden)
+    if pairs.size == 0:
+        return reach
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
+        raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got the shape {pairs.shape}")
+    if pairs.min() < 0 or pairs[:, 0].max() >= reach.n_positioners or pairs[:, 1].max() >= n:
+        raise InputError(
+            f"forbidden must name positioners 0 to {reach.n_positioners - 1} and targets 0 to {n - 1} by their rows"
+        )
+    own, target = pairs.T.astype(np.int64)
+    return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
+
+
+def _with_sky(problem: Problem, separation: float) -> Problem:
+    """Add sky positions in gaps between the targets, where a requirement asks for sky."""
+    fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
+    unknown = [name for name in fibers if name and name not in problem.plane.fiber_types]
+    if not fibers or unknown:
+        return problem
+    plane, n = problem.plane, len(problem.points)
+    own, points, wanted, stuck = find_sky(plane, problem.points, separation, fibers)
+    k = len(own)
+    reach = problem.reach
+    usable = ~stuck
+    r2 = ((points - plane._xy_mm[own]) ** 2).sum(axis=1)[usable]
+    more = np.cumsum(usable)
+    watched = np.full(len(plane), -1)
+    watched[own[stuck]] = n + np.flatnonzero(stuck)
+    kind = np.full(n, "science") if problem.kind is None else problem.kind
+    columns = {
+        "points": np.concatenate([problem.points, points]),
+        "reach": Reach(
+            np.concatenate([reach.indptr, reach.indptr[-1] + more]), np.concatenate([reach.owner, own[usable]]),
+            np.concatenate([reach.r2, r2]), len(plane),
+        ),
+        "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
+        "kind": np.concatenate([kind.astype("U8"), np.full(k, "sky")]),
+        "watched": watched if stuck.any() else None,
+    }  # fmt: skip
+    if problem.category is not None:
+        columns["category"] = np.concatenate([problem.category, np.full(k, "")])
+    if problem.required is not None:
+        columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
+    if plane.fiber_types != ("",):
+        columns["wanted"] = np.concatenate([problem.fibers, wanted])
+    return problem.replace(**columns)
+
+
+def _as_choice(start, problem: Problem) -> Choice:
+    """Return the plan that `repair` begins with."""
+    if isinstance(start, str):
+        return METHODS[check_choice(start, set(METHODS) - {"repair"}, "allocator to start with")](problem)
+    if not isinstance(start, Allocation):
+        raise InputError(f"start must be an Allocation or the name of a method, got {start!r}")
+    n, m = len(problem.plane), len(problem.points)
+    if (
+        len(start.target_of_positioner) != n
+        or start.n_given > m
+        or not np.array_equal(start.xy.to_value(u.mm)[: start.n_given], problem.points[: start.n_given], equal_nan=True)
+    ):
+        raise InputError("start must be an allocation of the same targets to the same focal plane")
+    target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)
+    return Choice(target_of, np.where(start.handedness == "left", -1.0, 1.0))
+
+
+def _finish(problem: Problem, choice: Choice, n: int) -> dict:
+    """Columns of the allocation; sky positions that nobody uses are left out."""
+    plane, target_of = problem.plane, choice.target_of
     used = np.flatnonzero(target_of >= 0)
-    tips = np.full((n, 2), np.nan)
-    tips[used] = points[target_of[used]]
-    types = np.where(target_of >= 0, focal_plane._first_type, "")
-    if fiber_type is not None and focal_plane.fiber_types != ("",):
-        wanted = np.asarray(fiber_type, dtype=str)[target_of[used]]
-        types = types.astype(f"U{max(len(t) for t in focal_plane.fiber_types)}")
-        types[used] = np.where(wanted == "", types[used], wanted)
-    hand = np.where(focal_plane._sides(tips) < 0, "left", "right")
-    return tips, hand, types
+    rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
+    new = np.full(len(problem.points) + 1, -1)  # the last one for no target
+    new[rows] = np.arange(len(rows))
+    points = problem.points[rows]
+    values = problem.values(target_of)
+    levels = [Level(name, value, float("nan")) for name, value in values.items()]
+    unmet = tuple(problem.shortfalls(target_of))
+    tips = np.full((len(plane), 2), np.nan)
+    tips[used] = problem.points[target_of[used]]
+    side = plane._sides(tips) if choice.side is None else choice.side
+    fiber = np.asarray(plane.fiber_types)[problem.fiber_of(used, target_of[used])] if len(used) else []
+    types = np.full(len(plane), "", dtype=f"U{max(max(len(t) for t in plane.fiber_types), 1)}")
+    types[used] = fiber
+    target_of = new[target_of]
+    positioner_of = np.full(len(rows), -1)
+    positioner_of[target_of[used]] = used
+    return {
+        "target_of_positioner": target_of,
+        "positioner_of_target": positioner_of,
+        "handedness": np.where(side < 0, "left", "right"),
+        "tips": tips * u.mm,
+        "fiber_type": types,
+        "xy": points << u.mm,
+        "n_given": n,
+        "wanted": None if problem.wanted is None else problem.wanted[rows],
+        "queues": choice.queues,
+        "levels": tuple(levels if choice.levels is None else choice.levels),
+        "unmet": unmet,
+        "meta": {} if choice.meta is None else choice.meta,
+    }

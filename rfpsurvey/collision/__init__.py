@@ -2,12 +2,13 @@
 
 from rfpsurvey.collision._arms import Arms, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, lay_out, make_desk, make_stage
-from rfpsurvey.collision._find import find_collisions
+from rfpsurvey.collision._exactly import closer_exactly
+from rfpsurvey.collision._find import find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
-    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "count_collisions",
-    "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs", "nearest_distance",
-    "place_arms",
+    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "closer_exactly",
+    "count_collisions", "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs", "nearest_distance",
+    "place_arms", "touching",
 ]  # fmt: skip

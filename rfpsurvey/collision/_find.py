@@ -23,7 +23,7 @@ from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["find_collisions"]
+__all__ = ["find_collisions", "touching"]
 
 MOST_POINTS = 10_000
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
@@ -121,7 +121,7 @@ def find_collisions(
     )
     order = np.argsort(first * len(focal_plane) + second)
     pairs = np.column_stack([first[order], second[order]])
-    hits, gaps, n_edge = _touched(focal_plane, segments)
+    hits, gaps, n_edge = touching(focal_plane, segments, focal_plane._obstacle_pairs)
     if n_borderline is not None:
         n_borderline += n_edge
     colliding = np.zeros(len(focal_plane), dtype=bool)
@@ -153,9 +153,9 @@ def _stand(plane, tips, given, parked_obstacles):
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 
-def _touched(plane, segments):
-    """Pairs (positioner, obstacle) closer than the clearance, distances to the edge, and how many were borderline."""
-    pairs, circles, clearance = plane._obstacle_pairs, plane._obstacles_mm, plane._columns.clearance
+def touching(plane, segments, pairs):
+    """Which of the pairs (segment, obstacle) touch, distances to the edge, and how many were borderline."""
+    circles, clearance = plane._obstacles_mm, plane._columns.clearance
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:
         return hits, distances, 0

@@ -2,6 +2,6 @@
 
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
-from rfpsurvey.focal_plane._reach import Reach, accepted_types
+from rfpsurvey.focal_plane._reach import Reach, accepted_types, joints_allow
 
-__all__ = ["FocalPlane", "Reach", "accepted_types", "hexagonal_cells"]
+__all__ = ["FocalPlane", "Reach", "accepted_types", "hexagonal_cells", "joints_allow"]

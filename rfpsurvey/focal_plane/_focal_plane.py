@@ -142,6 +142,11 @@ class FocalPlane:
         """The fiber that each positioner uses where nothing says which."""
         return np.array([row.split("+")[0] for row in self.fiber_type])
 
+    @cached_property
+    def _first_index(self):
+        """The same as an index of ``fiber_types``."""
+        return np.array([self.fiber_types.index(name) for name in self._first_type.tolist()])
+
     @property
     def collision_type(self) -> int:
         """1: no two arms can touch; 2: only those of first neighbors; 3: further ones too."""

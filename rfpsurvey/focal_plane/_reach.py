@@ -9,7 +9,7 @@ import numpy as np
 from rfpsurvey._kernels import arms, reach
 from rfpsurvey.errors import InputError
 
-__all__ = ["Reach", "accepted_types", "find_reach", "make_grid", "sides"]
+__all__ = ["Reach", "accepted_types", "find_reach", "joints_allow", "make_grid", "sides"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ def find_reach(plane, points, accepts) -> Reach:
     if not plane.positioner._joints_free:
         allowed = np.zeros(len(pairs.owner), dtype=bool)
         for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]:
-            allowed |= _joints_allow(plane, pairs.owner, points[pairs.target], side)
+            allowed |= joints_allow(plane, pairs.owner, points[pairs.target], side)
         pairs = pairs.where(allowed)
     return pairs
 
@@ -114,7 +114,7 @@ def sides(plane, points, own=None) -> np.ndarray:
     if plane.positioner.handedness == "both" and not plane.positioner._joints_free:
         rows = np.flatnonzero(np.isfinite(points).all(axis=1))
         own = np.arange(len(plane)) if own is None else own
-        right, left = (_joints_allow(plane, own[rows], points[rows], s) for s in (1.0, -1.0))
+        right, left = (joints_allow(plane, own[rows], points[rows], s) for s in (1.0, -1.0))
         side[rows[~right & left]] = -1.0
     return side
 
@@ -127,7 +127,7 @@ def _in_annulus_exactly(plane, i, point):
     return inner**2 <= r2 <= (l1 + l2) ** 2
 
 
-def _joints_allow(plane, own, points, side):
+def joints_allow(plane, own, points, side):
     """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
     theta, phi = np.empty(len(own)), np.empty(len(own))
     arms.solve(points, plane._columns.geometry_of(own), np.full(len(own), side), theta, phi)

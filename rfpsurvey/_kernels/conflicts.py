@@ -1,0 +1,175 @@
+"""Candidates: places where each arm may stand, one of them at a time, and which of them exclude each other.
+
+Candidates are sorted by positioner: those of i from ``start[i]`` up to ``start[i + 1]``. Exactly one of them is in use.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.collisions import keep_near, pair_squared
+
+# Candidate pairs that are looked at together.
+BATCH = 2048
+
+
+class Options(NamedTuple):
+    """Candidates, what they are worth, and what they exclude; -1 is the target of an idle arm."""
+
+    start: np.ndarray
+    own: np.ndarray
+    target: np.ndarray
+    rank: np.ndarray
+    """Class, 0 the most important."""
+    cost: np.ndarray
+    """Of equal rank, the lower the better."""
+    key: np.ndarray
+    as_good: np.ndarray
+    """``as_good[key[a], key[b]]``: a does for all requirements what b does."""
+    t_indptr: np.ndarray
+    t_candidate: np.ndarray
+    """Candidates of target t, from ``t_indptr[t]`` on."""
+    indptr: np.ndarray
+    other: np.ndarray
+    """Candidates that collide with c, from ``indptr[c]`` on."""
+
+
+@kernel
+def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, second, borderline):
+    """Pairs of candidates of neighbors that collide, from neighbor pair ``p`` on.
+
+    Returns how many there are, and the neighbor pair at which the lists were full. ``borderline`` marks pairs that
+    rounding may put either way.
+    """
+    n = 0
+    x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
+    room, limit, band = limits.separation + limits.slack, limits.separation**2, limits.band
+    near2 = limits.near**2
+    size = start[-1]
+    ahead = np.empty(size)
+    near = np.empty(size, np.int64)
+    back, middle_x, middle_y = np.empty(size), np.empty(size), np.empty(size)
+    marks = np.empty(size, np.bool_)
+    one, two = np.empty(BATCH + size, np.int64), np.empty(BATCH + size, np.int64)
+    while p < pairs.shape[0]:
+        i, j = pairs[p, 0], pairs[p, 1]
+        a0, a1, b0, b1 = start[i], start[i + 1], start[j], start[j + 1]
+        if n + (a1 - a0) * (b1 - b0) > first.size:
+            break
+        p += 1
+        if a0 == a1 or b0 == b1:
+            continue
+        ux, uy = geometry.cx[j] - geometry.cx[i], geometry.cy[j] - geometry.cy[i]
+        inverse = 1.0 / math.sqrt(ux * ux + uy * uy)
+        ux, uy = ux * inverse, uy * inverse
+        foremost, hindmost = -np.inf, np.inf
+        for a in range(a0, a1):
+            ahead[a] = max(x0[a] * ux + y0[a] * uy, x1[a] * ux + y1[a] * uy)
+            foremost = max(foremost, ahead[a])
+        for b in range(b0, b1):
+            ahead[b] = min(x0[b] * ux + y0[b] * uy, x1[b] * ux + y1[b] * uy)
+            hindmost = min(hindmost, ahead[b])
+        if hindmost - foremost > room:
+            continue
+        m = 0
+        for b in range(b0, b1):
+            near[m], middle_x[m], middle_y[m], back[m] = b, halves[0, b], halves[1, b], ahead[b]
+            m += ahead[b] - foremost <= room
+        a = a0
+        while a < a1:
+            found = 0
+            while a < a1 and found < BATCH:
+                line = ahead[a] + room
+                if hindmost <= line:
+                    x, y = halves[0, a], halves[1, a]
+                    for k in range(m):
+                        dx, dy = middle_x[k] - x, middle_y[k] - y
+                        marks[k] = (dx * dx + dy * dy <= near2) & (back[k] <= line)
+                    for k in range(m):
+                        one[found], two[found] = a, near[k]
+                        found += marks[k]
+                a += 1
+            for k in range(keep_near(halves, found, room**2, one, two)):
+                d2 = pair_squared(segments, one[k], two[k])
+                first[n], second[n], borderline[n] = one[k], two[k], d2 >= limit - band
+                n += d2 < limit + band
+    return n, p
+
+
+@kernel
+def adjacency(first, second, indptr, other):
+    """Both directions of the pairs, as rows of an array."""
+    indptr[:] = 0
+    for k in range(first.size):
+        indptr[first[k] + 1] += 1
+        indptr[second[k] + 1] += 1
+    for a in range(indptr.size - 1):
+        indptr[a + 1] += indptr[a]
+    fill = indptr[:-1].copy()
+    for k in range(first.size):
+        a, b = first[k], second[k]
+        other[fill[a]] = b
+        fill[a] += 1
+        other[fill[b]] = a
+        fill[b] += 1
+
+
+@kernel
+def clique_rows(edges, n_pairs, pair_start, row_start, column):
+    """Cover the conflicts of each pair of positioners with cliques: all of A excludes all of B, one of A + B is in use.
+
+    ``edges`` are conflicts (a, b) sorted by the pair of positioners, then a; those of pair p from ``pair_start[p]`` on.
+    A clique begins with one candidate a and all that it excludes, and takes in every other candidate of its positioner
+    that excludes as much. Returns the number of cliques; with an empty ``column`` their sizes alone are found.
+    """
+    first, second = edges[0], edges[1]
+    n = filled = 0
+    fill = column.size > 0
+    for p in range(n_pairs):
+        lo, hi = pair_start[p], pair_start[p + 1]
+        a, b = np.unique(first[lo:hi]), np.unique(second[lo:hi])
+        table = np.zeros((a.size, b.size), np.bool_)
+        for k in range(lo, hi):
+            table[np.searchsorted(a, first[k]), np.searchsorted(b, second[k])] = True
+        by_a, by_b = distinct_rows(table), distinct_rows(table.T)
+        turned = by_b.sum() < by_a.sum()  # as few cliques as possible
+        rows, columns = (b, a) if turned else (a, b)
+        matrix = table.T.copy() if turned else table
+        new = by_b if turned else by_a
+        for r in range(rows.size):
+            if not new[r]:
+                continue
+            for c in range(columns.size):
+                if matrix[r, c]:
+                    if fill:
+                        column[filled] = columns[c]
+                    filled += 1
+            for q in range(rows.size):
+                covers = True
+                for c in range(columns.size):
+                    covers &= matrix[q, c] | (not matrix[r, c])
+                if covers:
+                    if fill:
+                        column[filled] = rows[q]
+                    filled += 1
+            n += 1
+            row_start[n] = filled
+    return n
+
+
+@kernel
+def distinct_rows(table):
+    """Mark the first of equal rows."""
+    new = np.ones(table.shape[0], np.bool_)
+    for r in range(table.shape[0]):
+        for q in range(r):
+            if new[q]:
+                same = True
+                for c in range(table.shape[1]):
+                    same &= table[q, c] == table[r, c]
+                if same:
+                    new[r] = False
+                    break
+    return new

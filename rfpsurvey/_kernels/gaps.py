@@ -1,0 +1,61 @@
+"""Blank sky: points within reach of each positioner that keep a distance from every target."""
+
+import math
+
+from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.reach import cell_of
+
+
+@kernel
+def bin_points(x, y, x0, y0, size, nx, ny, start, order):
+    """Sort points into cells: ``order[start[c]:start[c + 1]]``; those outside the grid, and NaN, are left out."""
+    start[:] = 0
+    right, top = x0 + nx * size, y0 + ny * size
+    for step in range(2):
+        for k in range(x.size):
+            if x0 <= x[k] <= right and y0 <= y[k] <= top:
+                c = cell_of(y[k], y0, size, ny) * nx + cell_of(x[k], x0, size, nx)
+                if step == 0:
+                    start[c + 1] += 1
+                else:
+                    start[c] -= 1
+                    order[start[c]] = k
+        if step == 0:
+            # ends of the cells, from which the second pass fills downward
+            for c in range(nx * ny):
+                start[c + 1] += start[c]
+            for c in range(nx * ny):
+                start[c] = start[c + 1]
+
+
+@kernel
+def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
+    """Say whether no point is nearer than ``separation``."""
+    left, right = cell_of(px - separation, x0, size, nx), cell_of(px + separation, x0, size, nx)
+    for row in range(cell_of(py - separation, y0, size, ny), cell_of(py + separation, y0, size, ny) + 1):
+        for k in range(start[row * nx + left], start[row * nx + right + 1]):
+            dx, dy = x[order[k]] - px, y[order[k]] - py
+            if dx * dx + dy * dy < separation * separation:
+                return False
+    return True
+
+
+@kernel
+def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
+    """Up to ``most`` clear points for each positioner in ``own``, at given fractions of its area; returns how many."""
+    x0, y0, size, nx, ny, start, order = grid
+    golden = math.pi * (3.0 - math.sqrt(5.0))
+    n = 0
+    for i in own:
+        low, high = inner[i] * inner[i], outer[i] * outer[i]
+        found = 0
+        for k in range(fraction.size):
+            r = math.sqrt(low + fraction[k] * (high - low))
+            px, py = cx[i] + r * math.cos(golden * k), cy[i] + r * math.sin(golden * k)
+            if is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
+                out_own[n], out_x[n], out_y[n] = i, px, py
+                n += 1
+                found += 1
+                if found == most:
+                    break
+    return n

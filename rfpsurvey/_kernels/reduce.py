@@ -1,0 +1,94 @@
+"""Candidates that no best plan needs, and positioners that are decided without a search.
+
+A candidate excludes those that its arm would collide with, and those of the same target.
+"""
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+
+@kernel
+def dominates(a, b, i, alive, options, mark):
+    """Say whether a excludes nothing that b does not exclude, too; what collides with b is marked with b."""
+    own, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
+    indptr, other = options.indptr, options.other
+    for k in range(indptr[a], indptr[a + 1]):
+        if alive[other[k]] and mark[other[k]] != b:
+            return False
+    if target[a] >= 0 and target[a] != target[b]:
+        for k in range(t_indptr[target[a]], t_indptr[target[a] + 1]):
+            c = t_candidate[k]
+            if alive[c] and own[c] != i and mark[c] != b:
+                return False
+    return True
+
+
+@kernel
+def reduce_candidates(options, alive):
+    """Give up candidates that no best plan needs, in ``alive``.
+
+    A candidate b is not needed if another candidate a of its positioner is at least as good and excludes nothing that
+    b does not exclude. A positioner with one candidate left takes it, and what that excludes is given up.
+    """
+    start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
+    key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
+    indptr, other = options.indptr, options.other
+    n = start.size - 1
+    waiting = np.ones(n, np.bool_)
+    queue = np.arange(n)
+    head, tail = 0, n
+    mark = np.full(own.size, -1, np.int64)
+    losers = np.empty(own.size, np.int64)
+    while head < tail:
+        i = queue[head % n]
+        head += 1
+        waiting[i] = False
+        lost = left = 0
+        last = -1
+        for b in range(start[i], start[i + 1]):
+            if not alive[b]:
+                continue
+            for k in range(indptr[b], indptr[b + 1]):
+                mark[other[k]] = b
+            for a in range(start[i], start[i + 1]):
+                if a == b or not alive[a] or rank[a] > rank[b] or not as_good[key[a], key[b]]:
+                    continue
+                if rank[a] == rank[b] and cost[a] > cost[b]:
+                    continue
+                if dominates(a, b, i, alive, options, mark):
+                    alive[b] = False
+                    losers[lost] = b
+                    lost += 1
+                    break
+            if alive[b]:
+                left += 1
+                last = b
+        if left == 1:
+            for k in range(indptr[last], indptr[last + 1]):
+                if alive[other[k]]:
+                    alive[other[k]] = False
+                    losers[lost] = other[k]
+                    lost += 1
+            if target[last] >= 0:
+                for k in range(t_indptr[target[last]], t_indptr[target[last] + 1]):
+                    c = t_candidate[k]
+                    if alive[c] and own[c] != i:
+                        alive[c] = False
+                        losers[lost] = c
+                        lost += 1
+        # whoever lost a candidate, or a rival of one, is looked at again
+        for m in range(lost):
+            c = losers[m]
+            low, high = (t_indptr[target[c]], t_indptr[target[c] + 1]) if target[c] >= 0 else (0, 0)
+            for k in range(indptr[c] - 1, indptr[c + 1] + high - low):
+                if k < indptr[c]:
+                    j = own[c]
+                elif k < indptr[c + 1]:
+                    j = own[other[k]]
+                else:
+                    j = own[t_candidate[low + k - indptr[c + 1]]]
+                if not waiting[j]:
+                    waiting[j] = True
+                    queue[tail % n] = j
+                    tail += 1

@@ -1,0 +1,137 @@
+"""Local moves that end collisions: another target, the other elbow, a swap with one neighbor, or none at all."""
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+
+@kernel
+def put(i, c, options, chosen, blocked, holder):
+    """Positioner i takes candidate c, -1 for none; ``blocked`` counts what stands in the way of each candidate."""
+    indptr, other, target = options.indptr, options.other, options.target
+    old = chosen[i]
+    if old >= 0:
+        for k in range(indptr[old], indptr[old + 1]):
+            blocked[other[k]] -= 1
+        if target[old] >= 0 and holder[target[old]] == i:
+            holder[target[old]] = -1
+    chosen[i] = c
+    if c >= 0:
+        for k in range(indptr[c], indptr[c + 1]):
+            blocked[other[k]] += 1
+        if target[c] >= 0:
+            holder[target[c]] = i
+
+
+@kernel
+def best_free(i, least, options, chosen, blocked, holder):
+    """Best candidate of i that nothing stands in the way of and that is as good as the candidate ``least``; -1: none."""
+    target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
+    best = -1
+    for c in range(options.start[i], options.start[i + 1]):
+        if blocked[c] > 0 or (target[c] >= 0 and holder[target[c]] >= 0 and holder[target[c]] != i):
+            continue
+        if rank[c] > rank[least] or not as_good[key[c], key[least]]:
+            continue
+        if best < 0 or rank[c] < rank[best] or (rank[c] == rank[best] and cost[c] < cost[best]):
+            best = c
+    return best
+
+
+@kernel
+def sole_rival(c, i, options, chosen, holder):
+    """Return the one positioner that keeps i from taking c; -1 if nobody does, -2 if there are several."""
+    rival = -1
+    if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
+        rival = holder[options.target[c]]
+    for k in range(options.indptr[c], options.indptr[c + 1]):
+        d = options.other[k]
+        j = options.own[d]
+        if chosen[j] == d and j != rival:
+            if rival >= 0:
+                return -2
+            rival = j
+    return rival
+
+
+@kernel
+def push(i, floor, better, options, chosen, blocked, holder):
+    """Positioner i takes a candidate as good as ``floor``, better if asked for, from a rival that loses nothing by it."""
+    rank, key, as_good = options.rank, options.key, options.as_good
+    mine = chosen[i]
+    for c in range(options.start[i], options.start[i + 1]):
+        if c == mine or options.target[c] < 0:
+            continue
+        if rank[c] > rank[floor] - better or not as_good[key[c], key[floor]]:
+            continue
+        j = sole_rival(c, i, options, chosen, holder)
+        if j < 0:
+            continue
+        theirs = chosen[j]
+        put(j, -1, options, chosen, blocked, holder)
+        put(i, c, options, chosen, blocked, holder)
+        d = best_free(j, theirs, options, chosen, blocked, holder)
+        if d >= 0 and blocked[c] == 0:
+            put(j, d, options, chosen, blocked, holder)
+            return True
+        put(i, mine, options, chosen, blocked, holder)
+        put(j, theirs, options, chosen, blocked, holder)
+    return False
+
+
+@kernel
+def make_way(i, options, chosen, blocked, holder, fixed):
+    """Positioner i gives its target up: the best candidate that is free, else the idle arm, from which others move."""
+    idle = options.start[i + 1] - 1
+    c = best_free(i, idle, options, chosen, blocked, holder)
+    if c < 0:
+        c = idle
+        fixed[i] = True
+    put(i, c, options, chosen, blocked, holder)
+
+
+@kernel
+def repair(options, order, chosen, blocked, holder, most_rounds):
+    """End the collisions of a plan, in place; then fill positioners that are idle, or look at less than they could.
+
+    ``order`` lists positioners, those that shall move first at the front. Returns how many found another place without
+    a loss, and how many had to give their target up.
+    """
+    start, rank = options.start, options.rank
+    n = order.size
+    fixed = np.zeros(n, np.bool_)
+    moved = dropped = 0
+    for i in order:
+        fixed[i] = start[i + 1] - start[i] == 1
+        if fixed[i] or blocked[chosen[i]] == 0:
+            continue
+        c = best_free(i, chosen[i], options, chosen, blocked, holder)
+        if c >= 0:
+            put(i, c, options, chosen, blocked, holder)
+            moved += 1
+        elif push(i, chosen[i], 0, options, chosen, blocked, holder):
+            moved += 1
+    while True:
+        # whoever collides with most goes first
+        worst = -1
+        for i in order:
+            if not fixed[i] and blocked[chosen[i]] > 0 and (worst < 0 or blocked[chosen[i]] > blocked[chosen[worst]]):
+                worst = i
+        if worst < 0:
+            break
+        dropped += options.target[chosen[worst]] >= 0
+        make_way(worst, options, chosen, blocked, holder, fixed)
+    for _ in range(most_rounds):
+        changed = False
+        for i in order[::-1]:
+            if start[i + 1] - start[i] == 1 or blocked[chosen[i]] > 0:
+                continue
+            c = best_free(i, chosen[i], options, chosen, blocked, holder)
+            if c >= 0 and rank[c] < rank[chosen[i]]:
+                put(i, c, options, chosen, blocked, holder)
+                changed = True
+            elif push(i, chosen[i], 1, options, chosen, blocked, holder):
+                changed = True
+        if not changed:
+            break
+    return moved, dropped

@@ -1,0 +1,116 @@
+"""What an allocation is."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.allocation._problem import Level
+from rfpsurvey.allocation._requirements import Shortfall
+from rfpsurvey.collision import Arms, place_arms
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["Allocation"]
+
+
+@dataclass(frozen=True, eq=False)
+class Allocation:
+    """Which positioner observes which target.
+
+    Parameters
+    ----------
+    method : str
+        The rule that made it.
+    target_of_positioner : ndarray of int, shape (n_positioners,)
+        Target of each positioner, -1 for none. Rows behind those that were given are sky positions found in gaps.
+    positioner_of_target : ndarray of int, shape (n_targets,)
+        Positioner of each target, -1 for none.
+    handedness : ndarray of str, shape (n_positioners,)
+        Elbow of each arm, "right" or "left".
+    tips : Quantity, shape (n_positioners, 2)
+        Where each fiber is; NaN without a target.
+    fiber_type : ndarray of str, shape (n_positioners,)
+        Fiber in use.
+    n_reachable : int
+        Targets that at least one positioner reaches.
+    parked_obstacles : bool
+        Do idle equal-arm positioners count as obstacles?
+    seconds : dict of str to float
+        Time of each stage.
+    xy : Quantity, shape (n_targets, 2)
+        The targets on the focal plane, those given and then sky positions in use that were found in gaps.
+    n_given : int
+        Number of the former.
+    wanted : ndarray of str, shape (n_targets,), or None
+        Fiber type that each target needs, ``""`` for any.
+    queues : tuple of ndarray or None
+        For ``balanced``: indptr and targets of all queues, of which the configuration is one draw.
+    levels : tuple of Level
+        What the plan aims at, the first aim before all others: name, value and bound, which is what no plan
+        exceeds given the values before; NaN where nothing is proven.
+    unmet : tuple of Shortfall
+        Requirements that are not met; as text each is a sentence.
+    meta : dict
+        How the solution was found.
+    """
+
+    method: str
+    target_of_positioner: np.ndarray
+    positioner_of_target: np.ndarray
+    handedness: np.ndarray
+    tips: u.Quantity
+    fiber_type: np.ndarray
+    n_reachable: int
+    parked_obstacles: bool
+    seconds: dict
+    xy: u.Quantity
+    n_given: int
+    wanted: np.ndarray | None
+    queues: tuple[np.ndarray, np.ndarray] | None
+    levels: tuple[Level, ...]
+    unmet: tuple[Shortfall, ...]
+    meta: dict
+
+    @property
+    def n_assigned(self) -> int:
+        """Number of positioners with a target."""
+        return int(np.count_nonzero(self.target_of_positioner >= 0))
+
+    @property
+    def objective(self) -> float:
+        """Targets observed, less what the requirements lack."""
+        lack = sum(level.value for level in self.levels if level.name == "requirements")
+        return float(self.n_assigned + lack)
+
+    @property
+    def bound(self) -> float:
+        """What no plan with the same aims exceeds; NaN where nothing is proven."""
+        return self.objective + sum(level.bound - level.value for level in self.levels)
+
+    @property
+    def gap(self) -> float:
+        """Relative difference of bound and objective: 0 for a proven optimum, NaN where nothing is proven."""
+        missing = self.bound - self.objective
+        return missing / max(abs(self.bound), 1.0) if missing else 0.0
+
+    def place_arms(self, focal_plane: FocalPlane) -> Arms:
+        """Return the poses that go with the allocation.
+
+        Parameters
+        ----------
+        focal_plane : FocalPlane
+            The focal plane that it was made for.
+
+        Returns
+        -------
+        Arms
+            Poses of all positioners.
+        """
+        return place_arms(
+            focal_plane, self.tips, handedness=self.handedness, fiber_type=self.fiber_type,
+            parked_obstacles=self.parked_obstacles,
+        )  # fmt: skip
+
+    def __repr__(self):
+        n, m = len(self.target_of_positioner), len(self.positioner_of_target)
+        return f"<Allocation by {self.method!r}: {self.n_assigned} of {n} positioners, {m} targets>"

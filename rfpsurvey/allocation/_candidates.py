@@ -1,0 +1,166 @@
+"""Every place where an arm may stand, and which of them exclude each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey._kernels import arms, conflicts
+from rfpsurvey._kernels.collisions import halve
+from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.collision import closer_exactly, touching
+from rfpsurvey.focal_plane import joints_allow
+
+__all__ = ["Candidates", "find_candidates"]
+
+ROOM = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidates, the idle arm the last of each positioner, and their conflicts."""
+
+    problem: Problem
+    options: conflicts.Options
+    side: np.ndarray
+    """Elbow of each candidate, +1 right, -1 left."""
+    pairs: np.ndarray
+    """Candidates that collide, shape (2, m)."""
+    held: np.ndarray
+    """Which requirements count which candidates, shape (n_groups, n)."""
+
+    def __len__(self):
+        return len(self.side)
+
+    def where(self, keep: np.ndarray) -> "Candidates":
+        """Return the candidates marked in ``keep``."""
+        o, new = self.options, np.cumsum(keep) - 1
+        start = np.concatenate([[0], np.cumsum(keep)])[o.start]
+        pairs = new[self.pairs[:, keep[self.pairs].all(axis=0)]]
+        return _assemble(self.problem, start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs)
+
+
+def find_candidates(problem: Problem, *, collide: bool = True, squared_cost: bool = False) -> Candidates:
+    """Return all candidates of a problem.
+
+    Without ``collide`` arms may pass through each other and have one elbow.
+    """
+    plane = problem.plane
+    start, own, target, side, r2 = _list(problem, both=collide)
+    cost = r2 if squared_cost else np.zeros(len(own))
+    if not collide:
+        return _assemble(problem, start, own, target, side, cost, np.empty((2, 0), dtype=np.int64))
+    idle = start[1:] - 1
+    at_home = np.zeros(len(own), dtype=bool)
+    at_home[idle] = True
+    segments = _place(problem, own, target, side, idle)
+    pairs = _conflicts(plane, start, segments)
+    # two idle arms that collide, or one that touches an obstacle, do so whatever the plan is
+    pairs = pairs[:, ~at_home[pairs].all(axis=0)]
+    found = _assemble(problem, start, own, target, side, cost, pairs)
+    touch = _touches_obstacle(plane, start, segments) & ~at_home
+    return found.where(~touch) if touch.any() else found
+
+
+def _assemble(problem, start, own, target, side, cost, pairs):
+    """Put together what follows from the columns."""
+    rank = problem.rank_of(target)
+    place = problem.spectrograph_of(own, target) if problem.groups else None
+    held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
+    key, as_good = _keys(problem, target, held)
+    indptr, other = np.empty(len(own) + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
+    conflicts.adjacency(pairs[0], pairs[1], indptr, other)
+    by_target = _by_target(target, len(problem.points))
+    options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, indptr, other)
+    return Candidates(problem, options, side, pairs, held)
+
+
+def _list(problem, both):
+    """Reachable targets of each positioner with their elbows, and its idle arm."""
+    plane = problem.plane
+    indptr, target, r2 = problem.reach.by_positioner
+    own = np.repeat(np.arange(len(plane)), np.diff(indptr))
+    side = plane._sides(problem.points[target], own)
+    if both and plane.positioner.handedness == "both":
+        allowed = {s: joints_allow(plane, own, problem.points[target], s) for s in (1.0, -1.0)}
+        columns = [(own[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
+        own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    n = len(plane)
+    watched = np.full(n, -1) if problem.watched is None else problem.watched
+    columns = (own, np.arange(n)), (target, watched), (side, np.ones(n)), (r2, np.zeros(n))
+    own, target, side, r2 = (np.concatenate(parts) for parts in columns)
+    order = np.argsort(own, kind="stable")  # the idle arms come last
+    start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=n))])
+    return start, own[order], target[order], side[order], r2[order]
+
+
+def _place(problem, own, target, side, idle):
+    """Segments that can collide, shape (4, n)."""
+    plane, columns = problem.plane, problem.plane._columns
+    points = np.vstack([problem.points, [np.nan, np.nan]])[target]
+    segments = np.empty((4, len(own)))
+    arms.place(points, columns.geometry_of(own), side, segments)
+    segments[:, idle] = columns.idle(problem.parked_obstacles).segments
+    angle = plane.positioner._arm_angle_rad(plane.fiber_types)[problem.fiber_of(own, target)]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine[idle], sine[idle] = columns.angles
+    arms.shape(segments, columns.model, columns.length, cosine, sine)
+    return segments
+
+
+def _touches_obstacle(plane, start, segments):
+    """Mark candidates whose arm touches an obstacle."""
+    pairs = plane._obstacle_pairs
+    size = start[pairs[:, 0] + 1] - start[pairs[:, 0]]
+    first = np.repeat(start[pairs[:, 0]] - np.concatenate([[0], np.cumsum(size)[:-1]]), size)
+    rows = np.column_stack([first + np.arange(size.sum()), np.repeat(pairs[:, 1], size)]).astype(np.int64)
+    mark = np.zeros(segments.shape[1], dtype=bool)
+    mark[touching(plane, segments, rows)[0][:, 0]] = True
+    return mark
+
+
+def _conflicts(plane, start, segments):
+    """Pairs of candidates that collide, shape (2, m); what rounding could decide is settled exactly."""
+    columns, pairs = plane._columns, plane._neighbors
+    halves = np.empty_like(segments)
+    halve(segments, halves)
+    size = np.diff(start)
+    room = int(max(ROOM, (size[pairs[:, 0]] * size[pairs[:, 1]]).max(initial=0)))
+    first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    borderline = np.empty(room, dtype=bool)
+    p, found = 0, []
+    while p < len(pairs):
+        n, p = conflicts.list_conflicts(
+            pairs, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
+        )
+        part = np.array([first[:n], second[:n]])
+        edge = np.flatnonzero(borderline[:n])
+        if len(edge):
+            ends = segments.T.tolist()
+            close = [closer_exactly(ends[part[0, k]], ends[part[1, k]], columns.separation) for k in edge]
+            part = np.delete(part, edge[~np.array(close)], axis=1)
+        found.append(part)
+    return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)
+
+
+def _keys(problem, target, held):
+    """What each candidate does for the requirements, as a number, and which of them do at least as much as others."""
+    low = [g.requirement.minimum > 0 for g in problem.groups]
+    high = [g.requirement.maximum is not None for g in problem.groups]
+    required = np.zeros((0, len(target)), dtype=bool)
+    if problem.required is not None:
+        required = np.append(problem.required, False)[target][None]
+    does = np.concatenate([held[np.flatnonzero(low)], required])
+    spends = held[np.flatnonzero(high)]
+    if len(does) + len(spends) == 0:
+        return np.zeros(len(target), dtype=np.int64), np.ones((1, 1), dtype=bool)
+    rows, key = np.unique(np.concatenate([does, spends]).T, axis=0, return_inverse=True)
+    does, spends = rows[:, : len(does)], rows[:, len(does) :]
+    as_good = (does[:, None] >= does[None]).all(axis=2) & (spends[:, None] <= spends[None]).all(axis=2)
+    return key.reshape(-1).astype(np.int64), as_good
+
+
+def _by_target(target, n):
+    """Candidates of each target, in rows."""
+    rows = np.flatnonzero(target >= 0)
+    rows = rows[np.argsort(target[rows], kind="stable")]
+    return np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=n))]), rows

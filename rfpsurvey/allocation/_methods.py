@@ -1,0 +1,120 @@
+"""Methods of allocation: from the problem to a choice."""
+
+import numpy as np
+
+from rfpsurvey._kernels import allocation as kernels
+from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._problem import Choice, Problem
+from rfpsurvey.allocation._search import decide, mend, pick
+
+__all__ = ["METHODS"]
+
+
+def balanced(problem: Problem) -> Choice:
+    """Queues of equal length, one entry drawn from each."""
+    reach = problem.only(problem.science)
+    count = np.empty(reach.n_positioners, dtype=np.int64)
+    owner_of = np.empty(len(problem.rank), dtype=np.int64)
+    kernels.balanced(reach.indptr, reach.owner, reach.r2, count, owner_of)
+    indptr = np.empty(len(count) + 1, dtype=np.int64)
+    queue = np.empty(int(count.sum()), dtype=np.int64)
+    kernels.fill_queues(owner_of, count, indptr, queue)
+    target_of = np.empty(len(count), dtype=np.int64)
+    kernels.draw_configuration(indptr, queue, problem.rng.random(len(count)), target_of)
+    return Choice(_with_watched(problem, target_of), queues=(indptr, queue))
+
+
+def nearest(problem: Problem) -> Choice:
+    """Closest pairs first, class after class."""
+    indptr, target, r2 = _sorted(problem)
+    m = len(problem.rank)
+    target_of = np.empty(len(indptr) - 1, dtype=np.int64)
+    kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
+    return Choice(_with_watched(problem, target_of))
+
+
+def lamost(problem: Problem) -> Choice:
+    """Nomination of the nearest target, class after class; then what the requirements ask for."""
+    reach = problem.only(problem.science)
+    indptr, target, r2 = _sorted(problem)
+    n, m = reach.n_positioners, len(problem.rank)
+    target_of, owner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
+    scratch = (np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
+    kernels.nominate(
+        indptr, target, r2, problem.rank, len(problem.classes), reach.indptr, reach.owner, *scratch, target_of, owner_of
+    )
+    target_of = _with_watched(problem, target_of)
+    _fill_quotas(problem, target_of, owner_of)
+    return Choice(target_of)
+
+
+def sdss(problem: Problem) -> Choice:
+    """Network flow, class after class, then the least sum of squared distances."""
+    return decide(problem, collide=False, integral=False, squared_cost=True)
+
+
+def optimal(problem: Problem) -> Choice:
+    """As many as possible, class after class, without a collision."""
+    return decide(problem, collide=True)
+
+
+def repair(problem: Problem) -> Choice:
+    """Another plan, its collisions ended by local moves."""
+    candidates = find_candidates(problem)
+    start = problem.start
+    chosen, moved, dropped = mend(candidates, pick(candidates, start.target_of, start.side))
+    options = candidates.options
+    meta = {"n_before": int((start.target_of >= 0).sum()), "n_moved": moved, "n_dropped": dropped}
+    return Choice(options.target[chosen], candidates.side[chosen], None, None, meta)
+
+
+METHODS = {
+    "balanced": balanced, "nearest": nearest, "lamost": lamost, "sdss": sdss, "optimal": optimal, "repair": repair,
+}  # fmt: skip
+"""Name to function from a problem to a choice."""
+
+
+def _sorted(problem):
+    """Science candidates of each positioner by class, then distance."""
+    indptr, target, r2 = problem.only(problem.science).by_positioner
+    target, r2 = target.copy(), r2.copy()
+    kernels.sort_candidates(indptr, target, r2, problem.rank)
+    return indptr, target, r2
+
+
+def _with_watched(problem, target_of):
+    """Add the sky that stuck positioners look at."""
+    if problem.watched is None:
+        return target_of
+    return np.where(problem.watched >= 0, problem.watched, target_of)
+
+
+def _fill_quotas(problem, target_of, owner_of):
+    """Idle positioners, then those with the least important targets, take what the requirements lack, in place."""
+    plane, reach = problem.plane, problem.reach
+    used = np.flatnonzero(target_of >= 0)
+    owner_of[target_of[used]] = used
+    locked = ~plane._usable
+    for one in problem.requirements:
+        groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
+        if not groups:
+            continue
+        rows = reach.where(groups[0].targets[reach.target])
+        by_fiber = plane.spectrograph.ndim > 1 and one.per == "spectrograph"
+        for group in groups:
+            part = rows
+            if by_fiber:
+                part = rows.where(problem.spectrograph_of(rows.owner, rows.target) == group.spectrograph)
+            indptr, target, r2 = part.by_positioner
+            inside = np.diff(indptr) > 0
+            if not by_fiber and group.spectrograph is not None:
+                inside &= plane.spectrograph == group.spectrograph
+            used = np.flatnonzero(target_of >= 0)
+            counted = np.zeros(len(target_of), dtype=bool)
+            counted[used] = group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]))
+            locked |= counted
+            rank = problem.rank_of(target_of)
+            able = np.flatnonzero(~locked & inside)
+            order = able[np.argsort(-rank[able], kind="stable")]
+            need = one.minimum - int(counted.sum())
+            kernels.fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)

@@ -1,0 +1,180 @@
+"""What a plan must hold: so many targets of a kind, a tile or a spectrograph."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "spectrograph_of"]
+
+KINDS = ("science", "standard", "sky")
+PERS = ("tile", "spectrograph")
+FORM = re.compile(r"([^@=/]+)(?:@([^@=/]+))?=(\d+)?(-)?(\d+)?(?:/(.+))?")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """So many targets of one kind or category must, or may at most, be observed.
+
+    The minimum is met as far as that is possible, before any science target counts; the maximum is never exceeded.
+
+    Parameters
+    ----------
+    what : str
+        A category of targets, such as ``sky_boss``, or a kind: ``science``, ``standard`` or ``sky``.
+    minimum : int, optional
+        At least so many.
+    maximum : int, optional
+        At most so many.
+    per : {"tile", "spectrograph"}, optional
+        In the whole tile, or in every spectrograph.
+    fiber_type : str, optional
+        Count only targets that need this fiber type.
+
+    Raises
+    ------
+    InputError
+        If the numbers are not whole, negative, or the minimum exceeds the maximum.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.Requirement("sky", 20, per="spectrograph")
+    Requirement('sky=20/spectrograph')
+    >>> rs.Requirement.parse("standard@BOSS=50-70").maximum
+    70
+    """
+
+    what: str
+    minimum: int = 0
+    maximum: int | None = None
+    per: str = "tile"
+    fiber_type: str = ""
+
+    def __post_init__(self):
+        if not isinstance(self.what, str) or not self.what.strip():
+            raise InputError(f"a requirement must name a kind or category of targets, got {self.what!r}")
+        check_choice(self.per, PERS, "range of a requirement")
+        for name in ("minimum", "maximum"):
+            value = getattr(self, name)
+            if not (value is None and name == "maximum") and not (
+                isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 0
+            ):
+                raise InputError(f"{name} of {self.what!r} must be a whole number of at least 0, got {value!r}")
+        if self.maximum is not None and self.minimum > self.maximum:
+            raise InputError(
+                f"the requirement on {self.what!r} contradicts itself: at least {self.minimum}, at most {self.maximum}"
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> "Requirement":
+        """Read a requirement from text.
+
+        Parameters
+        ----------
+        text : str
+            ``WHAT=MIN``, ``WHAT=MIN-MAX`` or ``WHAT=-MAX``, with ``@FIBER`` after WHAT and ``/spectrograph`` at the end
+            where that is meant.
+
+        Returns
+        -------
+        Requirement
+            The requirement.
+
+        Raises
+        ------
+        InputError
+            If the text has another form.
+        """
+        found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
+        if found is None or (found[3] is None and found[5] is None) or (found[5] and not found[4]):
+            raise InputError(
+                f"a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, "
+                f"got {text!r}"
+            )
+        what, fiber, low, _, high, per = found.groups()
+        return cls(what.strip(), int(low or 0), None if high is None else int(high), per or "tile", fiber or "")
+
+    def __str__(self):
+        most = "" if self.maximum is None else f"-{self.maximum}"
+        fiber = f"@{self.fiber_type}" if self.fiber_type else ""
+        return f"{self.what}{fiber}={self.minimum}{most}" + ("/spectrograph" if self.per == "spectrograph" else "")
+
+    def __repr__(self):
+        return f"Requirement({str(self)!r})"
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """A requirement that a plan does not meet.
+
+    Parameters
+    ----------
+    requirement : Requirement or None
+        Which one; None for targets that are required one by one.
+    spectrograph : int or None
+        Where, for requirements on every spectrograph.
+    wanted : int
+        How many there must be, at least or (where ``found`` is more) at most.
+    found : int
+        How many there are.
+    possible : int
+        How many such targets are in reach of positioners that can take them.
+    """
+
+    requirement: Requirement | None
+    spectrograph: int | None
+    wanted: int
+    found: int
+    possible: int
+
+    def __str__(self):
+        where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
+        if self.requirement is None:
+            what = "required targets"
+        else:
+            fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
+            what = f"{self.requirement.what} targets{fiber}"
+        missing = self.wanted - self.found
+        if missing < 0:
+            return f"{what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
+        why = f"; only {self.possible} are in reach" if self.possible < self.wanted else ""
+        return f"{what}{where}: {self.found} of {self.wanted}, {missing} missing{why}"
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The targets and fibers that one requirement counts."""
+
+    requirement: Requirement
+    spectrograph: int | None
+    targets: np.ndarray
+    """Targets that count, shape (n_targets,)."""
+
+    def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
+        """Mark pairs of a target (-1: none) and the spectrograph of its fiber that count."""
+        inside = np.append(self.targets, False)[target]
+        return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
+
+
+def as_requirements(given: object) -> tuple[Requirement, ...]:
+    """Return requirements from themselves or from text, one or several."""
+    if given is None:
+        return ()
+    given = [given] if isinstance(given, str | Requirement) else given
+    if not isinstance(given, Iterable):
+        raise InputError(f"requirements must be a list of Requirement or text, got {given!r}")
+    found = []
+    for one in given:
+        if not isinstance(one, str | Requirement):
+            raise InputError(f"a requirement must be a Requirement or text such as 'sky=20/spectrograph', got {one!r}")
+        found.append(Requirement.parse(one) if isinstance(one, str) else one)
+    return tuple(found)
+
+
+def spectrograph_of(plane, own: np.ndarray, fiber: np.ndarray) -> np.ndarray:
+    """Return the spectrograph of the fibers in use (their index among the types) of the positioners in ``own``."""
+    return plane.spectrograph[own] if plane.spectrograph.ndim == 1 else plane.spectrograph[own, fiber]

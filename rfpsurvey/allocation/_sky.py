@@ -1,0 +1,71 @@
+"""Sky fibers: blank positions in gaps between the targets, and what stuck fibers look at."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._kernels import gaps
+from rfpsurvey.focal_plane import joints_allow
+
+__all__ = ["Sky", "find_sky"]
+
+# Points of each positioner that are looked at, and how many blank ones among them are kept.
+N_TRIALS, N_KEPT = 64, 4
+
+
+class Sky(NamedTuple):
+    """Blank positions, each for one positioner and one fiber type."""
+
+    own: np.ndarray
+    points: np.ndarray
+    wanted: np.ndarray
+    stuck: np.ndarray
+    """Those that a stuck fiber looks at."""
+
+
+def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:
+    """Return positions at least ``separation`` (mm) from all points, for fibers of the given types ("": any)."""
+    x, y = np.ascontiguousarray(points.T)
+    grid = _bin(plane, x, y, separation)
+    cx, cy = plane._xy_mm.T.copy()
+    # a van der Corput sequence: the first points are spread like all of them
+    k = np.arange(N_TRIALS)
+    fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
+    parts = []
+    for name in fiber_types:
+        able = np.array([name == "" or name in row.split("+") for row in plane.fiber_type.tolist()])
+        own = np.flatnonzero(able & plane._usable)
+        room = len(own) * N_KEPT
+        out = np.empty(room, dtype=np.int64), np.empty(room), np.empty(room)
+        n = gaps.find_gaps(
+            own, cx, cy, plane._inner_mm, plane._outer_mm, fraction, N_KEPT, separation, x, y, grid, *out
+        )
+        own, px, py = (column[:n] for column in out)
+        spots = np.column_stack([px, py])
+        if not plane.positioner._joints_free:
+            keep = joints_allow(plane, own, spots, plane._sides(spots, own))
+            own, spots = own[keep], spots[keep]
+        fixed = np.flatnonzero(able & plane._is_stuck)
+        seen = plane._columns.idle(False).segments[2:, fixed].T
+        clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
+        parts += [(own, spots, name, False), (fixed[clear], seen[clear], name, True)]
+    taken, columns = np.zeros(len(plane), dtype=bool), []
+    for own, spots, name, stuck in parts:
+        keep = ~taken[own] if stuck else np.ones(len(own), dtype=bool)  # a stuck fiber looks at one position
+        if stuck:
+            taken[own] = True
+        n = int(keep.sum())
+        columns.append((own[keep], spots[keep], np.full(n, name), np.full(n, stuck)))
+    return Sky(*(np.concatenate(c) for c in zip(*columns, strict=True)))
+
+
+def _bin(plane, x, y, separation):
+    """Targets sorted into cells: x0, y0, size, nx, ny, start, order."""
+    margin = plane._outer_mm[:, None] + separation
+    low, high = (plane._xy_mm - margin).min(axis=0), (plane._xy_mm + margin).max(axis=0)
+    size = max(separation, float(np.sqrt(np.prod(high - low) / max(len(x), 1))), float((high - low).max()) / 4096)
+    nx, ny = (int(n) for n in (high - low) // size + 1)
+    start, order = np.zeros(nx * ny + 1, dtype=np.int64), np.empty(len(x), dtype=np.int64)
+    grid = float(low[0]), float(low[1]), size, nx, ny, start, order
+    gaps.bin_points(x, y, *grid)
+    return grid

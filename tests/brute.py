@@ -1,0 +1,91 @@
+"""Every plan of a few positioners, one after the other."""
+
+from itertools import combinations, product
+
+import astropy.units as u
+import numpy as np
+from shapely import LineString, Point
+
+from rfpsurvey.collision import place_arms
+
+MM = u.mm
+
+
+def options_of(plane, xy, fiber_type, both, forbidden=()):
+    """For each positioner: None, and what it can look at, as (target, elbow)."""
+    elbows = ("right", "left") if both else (plane.positioner.handedness,)
+    can = plane.reachable(xy * MM, fiber_type).toarray()
+    found = []
+    for i in range(len(plane)):
+        mine = [None]
+        for t in np.flatnonzero(can[i]):
+            if (i, t) in forbidden:
+                continue
+            for elbow in elbows:
+                angles = plane.positioner.inverse((xy[t] - plane._xy_mm[i])[None] * MM, elbow)
+                if np.isfinite(angles[0][0]):
+                    mine.append((int(t), elbow))
+        found.append(mine)
+    return found
+
+
+def bodies_of(plane, xy, options, fiber_type, parked):
+    """For each option the segment that can collide (None: the arm is not there)."""
+    n = len(plane)
+    bodies = [[None] * len(mine) for mine in options]
+    for k in range(max(map(len, options))):
+        tips, hand, types = np.full((n, 2), np.nan), np.full(n, "right"), np.full(n, "", dtype="U8")
+        for i, mine in enumerate(options):
+            if k < len(mine) and mine[k] is not None:
+                tips[i], hand[i] = xy[mine[k][0]], mine[k][1]
+                types[i] = "" if fiber_type is None else fiber_type[mine[k][0]]
+        posed = place_arms(plane, tips * MM, handedness=hand, fiber_type=types, parked_obstacles=parked)
+        for i, mine in enumerate(options):
+            if k < len(mine) and np.isfinite(posed.segments[i]).all():
+                bodies[i][k] = LineString(posed.segments[i].reshape(2, 2))
+    return bodies
+
+
+def conflicts_of(plane, bodies):
+    """Pairs ((i, k), (j, m)) of options that collide, and options (i, k) that touch an obstacle.
+
+    Two idle arms, and an idle arm at an obstacle, are nobody's fault.
+    """
+    separation, clearance = plane.positioner._separation_mm, plane.positioner._clearance_mm
+    pairs, barred = set(), set()
+    for i, j in combinations(range(len(bodies)), 2):
+        for (k, a), (m, b) in product(enumerate(bodies[i]), enumerate(bodies[j])):
+            if (k or m) and a is not None and b is not None and a.distance(b) < separation:
+                pairs.add(((i, k), (j, m)))
+    for x, y, r in plane._obstacles_mm.tolist():
+        for i, mine in enumerate(bodies):
+            for k, a in enumerate(mine):
+                if k and a is not None and a.distance(Point(x, y)) < r + clearance:
+                    barred.add((i, k))
+    return pairs, barred
+
+
+def best_plan(options, pairs, barred, value, cost):
+    """Return the best (value, -cost) of all plans; ``value`` gives None for a plan that must not be."""
+    best, n = None, len(options)
+    partners = {}
+    for a, b in pairs:
+        partners.setdefault(b, set()).add(a)
+
+    def go(i, taken, picked):
+        nonlocal best
+        if i == n:
+            reached = value([options[j][k] for j, k in enumerate(picked)])
+            if reached is not None:
+                found = (reached, -cost([options[j][k] for j, k in enumerate(picked)]))
+                best = found if best is None or found > best else best
+            return
+        for k, option in enumerate(options[i]):
+            if (i, k) in barred or (option is not None and option[0] in taken):
+                continue
+            if any(picked[j] == m for j, m in partners.get((i, k), ())):
+                continue
+            go(i + 1, taken | ({option[0]} if option else set()), [*picked, k])
+
+    go(0, frozenset(), [])
+    return best
