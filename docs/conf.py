@@ -39,10 +39,10 @@ def write_help(app):
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     commands = (
-        "plan", "score", "probability", "reproduce", "instruments", "benchmark", "benchmark collisions",
-        "benchmark batches", "benchmark probability",
+        "plan", "compare-allocators", "score", "probability", "reproduce", "instruments", "benchmark",
+        "benchmark collisions", "benchmark batches", "benchmark probability",
     )  # fmt: skip
-    calls = {f"help_{c.replace(' ', '_')}": [*c.split(), "--help"] for c in commands}
+    calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}
     for name, arguments in {**calls, "instruments": ["instruments"]}.items():
         call = [sys.executable, "-m", "rfpsurvey", *arguments]
         text = subprocess.run(call, capture_output=True, text=True, check=True).stdout

@@ -13,6 +13,7 @@ from rfpsurvey.benchmark import (
 )  # fmt: skip
 from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
+from rfpsurvey.compare import compare_allocators
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
@@ -58,6 +59,7 @@ __all__ = [
     "benchmark_densities",
     "benchmark_probability",
     "collision_probability",
+    "compare_allocators",
     "count_collisions",
     "find_collisions",
     "fit_polynomial",

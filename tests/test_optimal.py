@@ -1,7 +1,5 @@
 """Proven plans against every plan there is."""
 
-from dataclasses import replace
-
 import astropy.units as u
 import numpy as np
 import pytest

@@ -14,7 +14,7 @@ MM = u.mm
 CENTER = SkyCoord(95, 23, unit="deg")
 COLUMNS = (
     "id spectrograph x y status target_id ra dec fiber_type theta phi elbow_x elbow_y tip_x tip_y in_collision "
-    "colliding_with clearance arm_x arm_y"
+    "colliding_with clearance arm_x arm_y kind"
 ).split()
 
 

@@ -1,8 +1,18 @@
 """The command line: parse, call the library, write."""
 
-from rfpsurvey._cli import benchmark, benchmark_probability, instruments, plan, probability, reproduce, score
+from rfpsurvey._cli import (
+    benchmark,
+    benchmark_probability,
+    compare_allocators,
+    instruments,
+    plan,
+    probability,
+    reproduce,
+    score,
+)
 from rfpsurvey._cli._app import app, main
 
 __all__ = [
-    "app", "benchmark", "benchmark_probability", "instruments", "main", "plan", "probability", "reproduce", "score",
+    "app", "benchmark", "benchmark_probability", "compare_allocators", "instruments", "main", "plan", "probability",
+    "reproduce", "score",
 ]  # fmt: skip

@@ -18,12 +18,13 @@ from rfpsurvey._io import WRITABLE, check_output, output_path, read_table, write
 from rfpsurvey.catalog import UNITS
 
 __all__ = [
-    "app", "check_chart", "check_outputs", "finish", "finish_estimate", "finish_table", "instrument_of",
-    "load_instrument", "main", "parse_center", "parse_pairs", "print_table", "read_assignment", "read_targets",
-    "targets_and_center", "to_mm", "units_of",
+    "app", "check_chart", "check_outputs", "finish", "finish_comparison", "finish_estimate", "finish_table",
+    "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs", "plan_options", "print_table",
+    "read_assignment", "read_targets", "targets_and_center", "to_mm", "units_of",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
+MOST_AIMS = 12
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
 app = typer.Typer(
@@ -133,6 +134,20 @@ def targets_and_center(path, center, model, seed, column, unit, frame):
     return targets, field
 
 
+def plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit) -> dict:
+    """Return the arguments of plan_tile that options stand for."""
+    own = require is not None and "instrument" in require
+    if own and len(require) > 1:
+        raise rs.InputError("--require instrument stands for all requirements of the instrument: give no others")
+    if sky_separation is not None:
+        sky_separation = sky_separation * u.arcsec
+    return {
+        "position_angle": pa * u.deg, "equinox": equinox, "epoch": epoch, "required": required or None,
+        "requirements": "instrument" if own else require, "sky_separation": sky_separation, "objective": objective,
+        "time_limit": time_limit * u.s,
+    }  # fmt: skip
+
+
 def print_summary(tile: "rs.Tile") -> None:
     """Print what came out, a line a figure."""
     labels = {
@@ -165,8 +180,38 @@ def print_summary(tile: "rs.Tile") -> None:
         value = tile.summary.get(key, 0)
         if value or key in ("n_colliding", "n_colliding_pairs", "collision_rate"):
             print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
+    _print_aims(tile.summary)
     seconds = tile.summary["seconds"]
     print(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  " + ", ".join(f"{k} {v:.3f}" for k, v in seconds.items()))
+
+
+def _print_aims(summary) -> None:
+    """Print the classes of targets, whether the plan is proven, and what it lacks."""
+    aims = summary.get("aims", [])
+    if len(aims) > 1:
+        for name, value, bound in aims[:MOST_AIMS]:
+            label = "  missing of the requirements" if name == "requirements" else f"  {name}"
+            proof = "" if bound in (None, value) else f"  at most {abs(bound):.0f}"
+            print(f"{label:<34}{abs(value):>10.0f}{proof}")
+        if len(aims) > MOST_AIMS:
+            print(f"  and {len(aims) - MOST_AIMS} more classes")
+    if summary.get("gap") is not None:
+        model = summary["search"].get("model", "")
+        print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}")
+    for sentence in summary.get("unmet", []):
+        print(f"not met: {sentence}")
+
+
+def finish_comparison(table, output: Path | None, *, overwrite: bool) -> None:
+    """Print methods side by side, and write the table where asked."""
+    print(f"{table.meta['instrument']}; {table.meta['blind_science']} science targets if arms could pass each other")
+    print_table(table)
+    for name, sentences in table.meta["unmet"].items():
+        for sentence in sentences:
+            print(f"{name}: not met: {sentence}")
+    if output is not None:
+        write_table(table, output, overwrite=overwrite)
+        print(f"wrote {output}")
 
 
 def read_assignment(path: Path, select: list[str] | None):

@@ -5,6 +5,32 @@ from typing import Annotated
 
 import typer
 
+CatalogArgument = Annotated[
+    Path | None, typer.Argument(help="FITS, ECSV, CSV, VOTable or Parquet. None: a synthetic Poisson catalog.")
+]
+CenterOption = Annotated[str | None, typer.Option(help="Field center, ICRS. None: the middle of the catalog.")]
+PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of random numbers.", min=0)]
+FrameOption = Annotated[str, typer.Option(help="Frame of the catalog's coordinates.")]
+AllocatorOption = Annotated[
+    str,
+    typer.Option(
+        help="lamost, nearest, balanced (which does not look at priorities), sdss (network flow), optimal (no "
+        "collisions, proven), or repair (lamost, its collisions ended by local moves)."
+    ),
+]
+RequireOption = Annotated[
+    list[str] | None,
+    typer.Option(help="What the tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."),
+]
+RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
+SkyOption = Annotated[
+    float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.", min=0)
+]
+ObjectiveOption = Annotated[
+    str, typer.Option(help="sdss, optimal: priority (class after class), or count (their number first).")
+]
+TimeLimitOption = Annotated[float, typer.Option(help="sdss, optimal: seconds for the search.", min=0)]
 InstrumentOption = Annotated[str, typer.Option(help="Preset, or the path of a TOML file.")]
 EquinoxOption = Annotated[
     str | None, typer.Option(help="Measure the position angle from the north of this date, as J2026.0.")
@@ -30,6 +56,14 @@ Examples:
   rfpsurvey plan
   rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
   rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
+  rfpsurvey plan stars.fits --allocator optimal --require instrument --sky-separation 10
+"""
+
+COMPARE_ALLOCATORS_EXAMPLES = """\b
+Examples:
+  rfpsurvey compare-allocators
+  rfpsurvey compare-allocators stars.fits --instrument moons --output table.ecsv
+  rfpsurvey compare-allocators stars.fits --require instrument --sky-separation 10 --allocator sdss --allocator optimal
 """
 
 SCORE_EXAMPLES = """\b

@@ -1,31 +1,28 @@
 """``rfpsurvey plan``."""
 
-from pathlib import Path
-from typing import Annotated
-
-import astropy.units as u
-import typer
-
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 
 
 @_app.app.command(epilog=_options.PLAN_EXAMPLES)
 def plan(
-    catalog: Annotated[
-        Path | None, typer.Argument(help="FITS, ECSV, CSV, VOTable or Parquet. None: a synthetic Poisson catalog.")
-    ] = None,
+    catalog: _options.CatalogArgument = None,
     instrument: _options.InstrumentOption = "lamost",
-    center: Annotated[str | None, typer.Option(help="Field center, ICRS. None: the middle of the catalog.")] = None,
-    pa: Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.")] = 0.0,
+    center: _options.CenterOption = None,
+    pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
-    allocator: Annotated[str, typer.Option(help="lamost, or balanced (which does not look at priorities).")] = "lamost",
-    seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
+    allocator: _options.AllocatorOption = "lamost",
+    require: _options.RequireOption = None,
+    required: _options.RequiredOption = None,
+    sky_separation: _options.SkyOption = None,
+    objective: _options.ObjectiveOption = "priority",
+    time_limit: _options.TimeLimitOption = 60.0,
+    seed: _options.SeedOption = 0,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
-    frame: Annotated[str, typer.Option(help="Frame of the catalog's coordinates.")] = "icrs",
+    frame: _options.FrameOption = "icrs",
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
     overwrite: _options.OverwriteOption = False,
@@ -34,6 +31,6 @@ def plan(
     _app.check_outputs(output, plot, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
-    options = {"position_angle": pa * u.deg, "equinox": equinox, "epoch": epoch, "parked_obstacles": parked}
-    tile = rs.plan_tile(targets, model, field, allocator=allocator, rng=seed, **options)
+    options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
+    tile = rs.plan_tile(targets, model, field, allocator=allocator, rng=seed, parked_obstacles=parked, **options)
     _app.finish(tile, output, plot, overwrite=overwrite)

@@ -25,7 +25,7 @@ def put(i, c, options, chosen, blocked, holder):
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Best candidate of i that nothing stands in the way of and that is as good as the candidate ``least``; -1: none."""
+    """Best candidate of i that nothing keeps it from and that is as good as the candidate ``least``; -1: none."""
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -56,7 +56,7 @@ def sole_rival(c, i, options, chosen, holder):
 
 @kernel
 def push(i, floor, better, options, chosen, blocked, holder):
-    """Positioner i takes a candidate as good as ``floor``, better if asked for, from a rival that loses nothing by it."""
+    """Positioner i takes a candidate as good as ``floor``, or better, from a rival that loses nothing by it."""
     rank, key, as_good = options.rank, options.key, options.as_good
     mine = chosen[i]
     for c in range(options.start[i], options.start[i + 1]):
@@ -88,6 +88,20 @@ def make_way(i, options, chosen, blocked, holder, fixed):
         c = idle
         fixed[i] = True
     put(i, c, options, chosen, blocked, holder)
+
+
+@kernel
+def claim(order, need, counts, options, chosen, blocked, holder):
+    """Positioners in the given order take a candidate that ``counts``, if they can, until there are enough."""
+    for i in order:
+        if need <= 0:
+            break
+        for c in range(options.start[i], options.start[i + 1]):
+            t = options.target[c]
+            if counts[c] and blocked[c] == 0 and (t < 0 or holder[t] < 0):
+                put(i, c, options, chosen, blocked, holder)
+                need -= 1
+                break
 
 
 @kernel

@@ -41,8 +41,8 @@ def allocate(
     """Assign targets to positioners: one target a positioner, one positioner a target.
 
     Science targets are what a plan is for; standards and sky positions serve requirements, and beyond these fill
-    positioners that would be idle (``sdss``, ``optimal``, ``repair``). The first three methods do not look at collisions
-    and never fail to be fast; the last two end them.
+    positioners that would be idle (``sdss``, ``optimal``, ``repair``). Only ``optimal`` and ``repair`` look at
+    collisions, and leave none.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def allocate(
     focal_plane : FocalPlane
         The positioners.
     method : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
-        ``balanced``: science targets in catalog order, each to the positioner in reach with the shortest queue, then the
-        nearest, then the lowest row; one target of each queue, drawn uniformly, is observed. No priorities.
+        ``balanced``: science targets in catalog order, each to the positioner in reach with the shortest queue, then
+        the nearest, then the lowest row; one target of each queue, drawn uniformly, is observed. No priorities.
         ``nearest``: class after class, the closest pair of positioner and target first.
         ``lamost``: class after class from the top priority, every free positioner nominates its nearest
         unassigned target of the class until nobody nominates; a target nominated by several goes to the
@@ -78,8 +78,8 @@ def allocate(
     forbidden : array_like of int, shape (k, 2), optional
         Pairs (positioner, target), by row, that must not be.
     sky_separation : Quantity, optional
-        With it, positions at least so far (on the focal plane) from all targets serve as sky, too, also those that stuck
-        positioners look at. They are looked for where requirements on ``sky`` ask for some.
+        With it, positions at least so far (on the focal plane) from all targets serve as sky, too, also those that
+        stuck positioners look at. They are looked for where requirements on ``sky`` ask for some.
     objective : {"priority", "count"}, optional
         Class after class, or the number of science targets before the classes (``sdss``, ``optimal``).
     time_limit : Quantity, optional
@@ -126,12 +126,13 @@ def allocate(
     begin = perf_counter()
     reach = focal_plane._reach(points, fiber_type)
     middle = perf_counter()
-    kind = _labels(kind, n, "kind")
-    for word in np.unique(kind) if kind is not None else ():
-        check_choice(str(word), KINDS, "kind of target")
     classes, rank = _classes(priority, n)
+    kind = _labels(kind, n, "kind")
     if kind is not None:
-        science = kind == "science"
+        science, *others = (kind == word for word in KINDS)
+        strange = kind[~(science | others[0] | others[1])]
+        if len(strange):
+            check_choice(str(strange[0]), KINDS, "kind of target")
         classes, rank = _squeeze(classes, rank, science)
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
     problem = Problem(

@@ -143,7 +143,7 @@ def _conflicts(plane, start, segments):
 
 
 def _keys(problem, target, held):
-    """What each candidate does for the requirements, as a number, and which of them do at least as much as others."""
+    """Group candidates by what they do for the requirements, and say which groups do at least as much as others."""
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)

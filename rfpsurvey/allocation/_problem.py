@@ -116,7 +116,8 @@ class Problem:
         if self.required is not None:
             levels["required targets"] = float(self.required[used].sum())
         if self.groups:
-            levels["requirements"] = -float(sum(s.wanted - s.found for s in self.shortfalls(target_of, high=False)))
+            lack = sum(s.wanted - s.found for s in self.shortfalls(target_of, high=False))
+            levels["requirements"] = 0.0 - lack
         if self.objective == "count" and len(self.classes) > 1:
             levels["science"] = float(counts[:-1].sum())
         for priority, count in zip(self.classes, counts[:-1], strict=True):

@@ -66,7 +66,7 @@ class Program:
     def _targets(self):
         """No target is observed twice."""
         real = np.flatnonzero(self.target >= 0)
-        names, row, count = np.unique(self.target[real], return_inverse=True, return_counts=True)
+        _, row, count = np.unique(self.target[real], return_inverse=True, return_counts=True)
         shared = count[row] > 1
         _, row = np.unique(row[shared], return_inverse=True)
         self._add(row, real[shared], -np.inf, np.ones(int(row.max(initial=-1)) + 1))

@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "spectrograph_of"]
+__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences", "spectrograph_of"]
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
@@ -131,18 +131,45 @@ class Shortfall:
     found: int
     possible: int
 
+    @property
+    def what(self) -> str:
+        """What is lacking."""
+        if self.requirement is None:
+            return "required targets"
+        fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
+        return f"{self.requirement.what} targets{fiber}"
+
     def __str__(self):
         where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
-        if self.requirement is None:
-            what = "required targets"
-        else:
-            fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
-            what = f"{self.requirement.what} targets{fiber}"
         missing = self.wanted - self.found
         if missing < 0:
-            return f"{what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
-        why = f"; only {self.possible} are in reach" if self.possible < self.wanted else ""
-        return f"{what}{where}: {self.found} of {self.wanted}, {missing} missing{why}"
+            return f"{self.what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
+        why = f"; {_few(self.possible)} in reach" if self.possible < self.wanted else ""
+        return f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}"
+
+
+def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
+    """Say what is lacking, a sentence for each requirement."""
+    by_requirement: dict = {}
+    for one in shortfalls:
+        by_requirement.setdefault((one.requirement, one.wanted > one.found), []).append(one)
+    found = []
+    for (_, lacking), rows in by_requirement.items():
+        if len(rows) == 1 or not lacking:
+            found += [str(one) for one in rows]
+            continue
+        missing, possible = sum(r.wanted - r.found for r in rows), sum(r.possible for r in rows)
+        places = ", ".join(str(r.spectrograph) for r in rows[:16]) + (", ..." if len(rows) > 16 else "")
+        why = f"; {_few(possible)} in reach there" if possible < sum(r.wanted for r in rows) else ""
+        found.append(
+            f"{rows[0].what}, {rows[0].wanted} in each spectrograph: {missing} missing in {len(rows)} of them "
+            f"({places}){why}"
+        )
+    return found
+
+
+def _few(n):
+    return "none is" if n == 0 else f"only {n} {'is' if n == 1 else 'are'}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,14 +101,25 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 
 def mend(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
     """Return a plan without collisions, how many positioners moved without a loss, and how many gave up."""
-    options = candidates.options
+    options, held = candidates.options, candidates.held
+    groups = candidates.problem.groups
+    low = [group.requirement.minimum > 0 for group in groups]
     n = len(chosen)
     now = np.full(n, -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.points), -1)
     for i in range(n):
         moves.put(i, chosen[i], options, now, blocked, holder)
-    order = np.argsort(-options.rank[chosen], kind="stable")
-    moved, dropped = moves.repair(options, order, now, blocked, holder, ROUNDS)
+
+    def order():
+        """Return positioners, those that no requirement needs and with the least important targets first."""
+        return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
+
+    moved, dropped = moves.repair(options, order(), now, blocked, holder, ROUNDS)
+    for counts, group in zip(held, groups, strict=True):
+        need = group.requirement.minimum - int(counts[now].sum())
+        spare = ~held[low][:, now].any(axis=0)
+        first = order()
+        moves.claim(first[spare[first]], need, counts, options, now, blocked, holder)
     return now, int(moved), int(dropped)
 
 

@@ -9,6 +9,6 @@ from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
     "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "closer_exactly",
-    "count_collisions", "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs", "nearest_distance",
-    "place_arms", "touching",
+    "count_collisions", "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs",
+    "nearest_distance", "place_arms", "touching",
 ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -22,6 +23,7 @@ __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instrumen
 
 ENTRY_POINTS = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
+_NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +129,18 @@ class Instrument:
         """``targets_per_fiber`` targets for every positioner's share of the field, per solid angle."""
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
+
+    @property
+    def requirements(self) -> tuple[str, ...]:
+        """Sky fibers and standards that a tile needs, as `allocate` reads them, such as ``sky=20/spectrograph``."""
+        found = []
+        for name, entry in self.values.items():
+            match = _NEED.fullmatch(name)
+            if match:
+                fiber, kind, per = match.groups()
+                fiber = f"@{fiber.upper()}" if fiber else ""
+                found.append(f"{kind.removesuffix('s')}{fiber}={entry['value']}{'/spectrograph' if per else ''}")
+        return tuple(found)
 
     def _needs(self, types: np.ndarray | None, n: int) -> np.ndarray | None:
         """Fiber type that each of n targets needs; None where any will do."""

@@ -11,13 +11,14 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import allocate
+from rfpsurvey.allocation import Requirement, allocate, as_requirements, sentences
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.collision import find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
 from rfpsurvey.tile._tile import Tile, build_tile
+from rfpsurvey.tile._wishes import describe, find_ids, keep_clear, to_length
 
 __all__ = ["plan_tile"]
 
@@ -33,12 +34,21 @@ def plan_tile(
     equinox: str | None = None,
     epoch: Time | str | float | None = None,
     allocator: str = "lamost",
+    requirements: Requirement | str | list | None = None,
+    required: np.ndarray | None = None,
+    sky_separation: u.Quantity | None = None,
+    keep_out: SkyCoord | None = None,
+    keep_out_radius: u.Quantity | None = None,
+    objective: str = "priority",
+    time_limit: u.Quantity = 60 * u.s,
+    start: str = "lamost",
     parked_obstacles: bool = True,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
     """Assign the targets of one field to fibers and find the arms that collide there.
 
-    Only targets of the kind ``science`` are assigned; sky positions and standard stars are counted and set aside.
+    Without requirements only targets of the kind ``science`` are assigned; sky positions and standard stars are counted
+    and set aside.
     Where each fiber type has its own radial map, a target without a fiber type is one for the first type.
 
     Parameters
@@ -55,8 +65,21 @@ def plan_tile(
         Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
     epoch : Time, str or float, optional
         Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
-    allocator : {"lamost", "balanced"}, optional
-        Rule of the allocation, see `allocate`.
+    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
+        Method of the allocation, see `allocate`.
+    requirements : list of Requirement or str, or "instrument", optional
+        Sky fibers, standards and others that the tile must hold, see `allocate`; ``"instrument"``: those of the
+        instrument.
+    required : array_like, optional
+        Ids of targets that come before everything else.
+    sky_separation : Quantity, optional
+        Angle or length: positions at least so far from all targets serve as sky, too.
+    keep_out : SkyCoord, optional
+        Directions, such as guide stars, that no arm may cover; obstacles of this tile.
+    keep_out_radius : Quantity, optional
+        Angle or length about them; needed with ``keep_out``.
+    objective, time_limit, start : optional
+        See `allocate`.
     parked_obstacles : bool, optional
         Do idle equal-arm positioners stand in the way?
     rng : int, Generator or None, optional
@@ -85,13 +108,15 @@ def plan_tile(
     ['id', 'spectrograph', 'x', 'y']
     """
     seconds = {}
-    start = perf_counter()
+    begin = perf_counter()
     instrument = as_instrument(instrument)
+    wishes = as_requirements(instrument.requirements if requirements == "instrument" else requirements)
     catalog = _as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = north_of_date(center, equinox)
     plane = instrument.projection(center, position_angle)
+    instrument = keep_clear(instrument, plane, keep_out, keep_out_radius)
     n_targets, everything = len(catalog), catalog
     radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if epoch is not None:
@@ -105,39 +130,45 @@ def plan_tile(
             f"no target lies within {instrument.field_radius:.4g} of the field center "
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
         )
-    seconds["select"] = perf_counter() - start
-    start = perf_counter()
-    science = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]
-    n_twice = len(science) - len(np.unique(catalog.id[science])) if catalog._has_twins else 0
+    seconds["select"] = perf_counter() - begin
+    begin = perf_counter()
+    given = rows if catalog.kind is None or wishes else rows[catalog.kind[rows] == "science"]
+    n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog._has_twins else 0
     if n_twice:
         warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)
-    needs = None if catalog.fiber_type is None else catalog.fiber_type[science]
-    needs = instrument._needs(needs, len(science))
-    xy = plane._project(catalog._vectors[science], needs)
-    seconds["projection"] = perf_counter() - start
-    priority = None if catalog.priority is None else catalog.priority[science]
+    needs = None if catalog.fiber_type is None else catalog.fiber_type[given]
+    needs = instrument._needs(needs, len(given))
+    xy = plane._project(catalog._vectors[given], needs)
+    seconds["projection"] = perf_counter() - begin
+    columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category")}
+    columns = {name: None if values is None else values[given] for name, values in columns.items()}
+    wanted, absent = find_ids(everything.id, catalog.id[given], required)
     rng, seed = _generator(rng)
     allocation = allocate(
-        xy * u.mm, instrument.focal_plane, method=allocator, priority=priority, fiber_type=needs,
-        parked_obstacles=parked_obstacles, rng=rng,
+        xy * u.mm, instrument.focal_plane, method=allocator, **columns, fiber_type=needs, requirements=wishes,
+        required=wanted, sky_separation=to_length(sky_separation, instrument, "sky_separation"), objective=objective,
+        time_limit=time_limit, start=start, parked_obstacles=parked_obstacles, rng=rng,
     )  # fmt: skip
     seconds.update(allocation.seconds)
     if allocation.n_assigned == 0:
-        what = "no science target" if len(science) else f"none of the {len(rows)} targets in the field is science and"
+        what = "no science target" if len(given) else f"none of the {len(rows)} targets in the field is science and"
         raise InputError(f"{what} lies in reach of a positioner of {instrument.name}")
-    start = perf_counter()
+    begin = perf_counter()
     posed = allocation.place_arms(instrument.focal_plane)
-    seconds["arms"] = perf_counter() - start
-    start = perf_counter()
+    seconds["arms"] = perf_counter() - begin
+    begin = perf_counter()
     report = find_collisions(instrument.focal_plane, posed)
-    seconds["collisions"] = perf_counter() - start
-    target_of = allocation.target_of_positioner
+    seconds["collisions"] = perf_counter() - begin
     summary = {
         "n_targets": n_targets + catalog.n_dropped,
         "n_dropped": catalog.n_dropped,
         "n_in_field": len(rows),
-        "n_set_aside": len(rows) - len(science),
+        "n_set_aside": len(rows) - len(given),
         "n_reachable": allocation.n_reachable,
+        "aims": [[level.name, level.value, _known(level.bound)] for level in allocation.levels],
+        "gap": _known(allocation.gap),
+        "unmet": sentences(allocation.unmet) + absent,
+        "search": allocation.meta,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
     log.info("planned a tile of %s: %s", instrument.name, summary)
@@ -146,17 +177,15 @@ def plan_tile(
         "epoch": epoch_text(catalog.epoch),
         "epoch_asked": None if epoch is None else str(epoch),
         "allocator": allocator,
+        "requirements": [str(one) for one in wishes],
+        "objective": objective,
         "parked_obstacles": bool(parked_obstacles),
         "rng": seed,
     }
-    used = np.flatnonzero(target_of >= 0)
-    rows = science[target_of[used]]
-    icrs = catalog.coord[rows].icrs
-    row_of = np.full(len(target_of), -1)
-    row_of[used] = np.arange(len(used))
+    ids, sky_deg, kind, row_of = describe(allocation, plane, catalog, given)
     return build_tile(
-        instrument, catalog.id[rows], np.array([icrs.ra.deg, icrs.dec.deg]), row_of, allocation.fiber_type, posed,
-        report, summary, parameters, catalog.meta,
+        instrument, ids, sky_deg, row_of, allocation.fiber_type, posed, report, summary, parameters, catalog.meta,
+        kind=kind,
     )  # fmt: skip
 
 
@@ -164,6 +193,11 @@ def _as_catalog(catalog) -> Catalog:
     if isinstance(catalog, Catalog):
         return catalog
     return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)
+
+
+def _known(value):
+    """Return a number, or None for NaN, which not every file can hold."""
+    return None if np.isnan(value) else value
 
 
 def _generator(rng):

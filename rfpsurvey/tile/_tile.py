@@ -36,7 +36,8 @@ class Tile:
         without a target), ``ra``, ``dec`` (ICRS), ``fiber_type``, ``theta``, ``phi``, ``elbow_x``,
         ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with`` (ids, and ``obstacle-3`` for a circle,
         separated by spaces), ``clearance`` (distance to the nearest other arm minus D), ``arm_x``, ``arm_y`` (end
-        of the segment from the elbow that can collide). Numbers that do not apply are NaN.
+        of the segment from the elbow that can collide), and in planned tiles ``kind`` (``science``, ``standard``,
+        ``sky``, or nothing; a stuck unit can look at sky, too). Numbers that do not apply are NaN.
         Its ``meta`` holds ``summary``, ``provenance`` and ``geometry``.
 
     Raises
@@ -165,10 +166,12 @@ def build_tile(
     summary: dict,
     parameters: dict,
     catalog_meta: dict,
+    kind: np.ndarray | None = None,
 ) -> Tile:
     """Put the columns together.
 
-    ``ids`` and ``sky_deg`` (rows ra, dec in ICRS) describe the targets; ``target_of`` are their rows, -1 for none.
+    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` are their rows, -1 for
+    none.
     """
     plane = instrument.focal_plane
     n = len(plane)
@@ -198,6 +201,8 @@ def build_tile(
     table["colliding_with"] = [" ".join(p) for p in partners]
     table["clearance"] = (nearest_distance(posed) - plane.positioner._separation_mm) * u.mm
     table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
+    if kind is not None:
+        table["kind"] = np.append(kind, "")[target_of]
     summary = {
         **summary,
         "n_positioners": n,

@@ -1,0 +1,40 @@
+"""``rfpsurvey compare-allocators``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options
+
+
+@_app.app.command(epilog=_options.COMPARE_ALLOCATORS_EXAMPLES)
+def compare_allocators(
+    catalog: _options.CatalogArgument = None,
+    instrument: _options.InstrumentOption = "lamost",
+    center: _options.CenterOption = None,
+    pa: _options.PaOption = 0.0,
+    equinox: _options.EquinoxOption = None,
+    epoch: _options.EpochOption = None,
+    allocator: Annotated[list[str] | None, typer.Option(help="Only these; may be given several times.")] = None,
+    require: _options.RequireOption = None,
+    required: _options.RequiredOption = None,
+    sky_separation: _options.SkyOption = None,
+    objective: _options.ObjectiveOption = "priority",
+    time_limit: _options.TimeLimitOption = 60.0,
+    seed: _options.SeedOption = 0,
+    parked: _options.ParkedOption = True,
+    column: _options.ColumnOption = None,
+    unit: _options.UnitOption = None,
+    frame: _options.FrameOption = "icrs",
+    output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Plan one field by several methods, side by side."""
+    _app.check_outputs(output, None, overwrite=overwrite)
+    model = _app.load_instrument(instrument)
+    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
+    options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
+    options.update(allocators=allocator, rng=seed, parked_obstacles=parked)
+    _app.finish_comparison(rs.compare_allocators(targets, model, field, **options), output, overwrite=overwrite)

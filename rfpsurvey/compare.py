@@ -1,0 +1,123 @@
+"""Several methods of allocation on the same field."""
+
+import logging
+import warnings
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+from rfpsurvey.allocation import METHODS
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.tile import Tile, plan_tile
+
+__all__ = ["compare_allocators"]
+
+# Priority classes with a column of their own.
+MOST_CLASSES = 8
+log = logging.getLogger("rfpsurvey")
+
+
+def compare_allocators(
+    catalog: Catalog | SkyCoord,
+    instrument: Instrument | str,
+    center: SkyCoord,
+    *,
+    allocators: list[str] | None = None,
+    **options: object,
+) -> QTable:
+    """Plan the same field by several methods, and say what each costs.
+
+    Parameters
+    ----------
+    catalog : Catalog or SkyCoord
+        The targets.
+    instrument : Instrument or str
+        The instrument, or the name of a preset.
+    center : SkyCoord
+        Field center.
+    allocators : list of str, optional
+        Methods of `allocate`; all of them by default.
+    **options
+        Passed to `plan_tile`, such as ``requirements``.
+
+    Returns
+    -------
+    QTable
+        A row for each method. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (fibers on each kind); fibers
+        on each priority class, where there are several (eight at most); ``missing`` (what the requirements
+        lack); ``colliding`` (positioners), ``pairs`` and ``at_obstacles``; ``usable`` (science fibers without a
+        collision); ``loss`` (``usable`` against the science fibers of the best plan that does not look at
+        collisions, as a part of these); ``gap`` (NaN where nothing is proven); ``seconds`` (reach and
+        allocation, once compiled). ``meta`` holds the unmet requirements of each method, and the provenance.
+
+    Raises
+    ------
+    InputError
+        As for `plan_tile`.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=2000, rng=1)
+    >>> table = rs.compare_allocators(sky, "moons", center, allocators=["lamost", "optimal"])
+    >>> table["colliding"][1]
+    np.int64(0)
+    """
+    names = list(METHODS) if allocators is None else [allocators] if isinstance(allocators, str) else list(allocators)
+    if not names:
+        raise InputError("allocators must name at least one method, got none")
+    for name in names:
+        check_choice(name, METHODS, "allocator")
+    instrument = as_instrument(instrument)
+    tiles = {}
+    for name in dict.fromkeys(["sdss", *names]):
+        with warnings.catch_warnings():
+            if tiles:
+                warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
+            plan_tile(catalog, instrument, center, allocator=name, **{**options, "time_limit": 1 * u.ms})  # compiles
+            warnings.simplefilter("ignore", RfpsurveyWarning)
+            tiles[name] = plan_tile(catalog, instrument, center, allocator=name, **options)
+        log.info("planned by %s: %s", name, tiles[name])
+    blind = _on_kind(tiles["sdss"], "science")
+    rows = [_row(name, tiles[name], blind) for name in names]
+    table = QTable({key: [row[key] for row in rows] for key in rows[0]})
+    provenance = tiles[names[0]].provenance
+    table.meta.update(
+        unmet={name: tiles[name].summary["unmet"] for name in names}, blind_science=blind,
+        instrument=provenance["instrument"]["name"], software=provenance["software"],
+        parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},
+    )  # fmt: skip
+    table["seconds"].unit = u.s
+    return table
+
+
+def _on_kind(tile: Tile, kind: str) -> int:
+    return int(np.count_nonzero(tile.table["kind"] == kind))
+
+
+def _row(name, tile, blind):
+    """Figures of one plan."""
+    summary, table = tile.summary, tile.table
+    aims = {aim: value for aim, value, _ in summary["aims"]}
+    usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
+    row = {"allocator": name, **{kind: _on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
+    classes = [aim for aim in aims if aim.startswith("priority ")]
+    row.update({aim.replace(" ", "_"): int(aims[aim]) for aim in classes[:MOST_CLASSES]})
+    seconds = summary["seconds"]
+    return row | {
+        "missing": int(-aims.get("requirements", 0)),
+        "colliding": summary["n_colliding"],
+        "pairs": summary["n_colliding_pairs"],
+        "at_obstacles": summary["n_obstacle_collisions"],
+        "usable": usable,
+        "loss": 1 - usable / blind if blind else np.nan,
+        "gap": np.nan if summary["gap"] is None else summary["gap"],
+        "seconds": seconds["reach"] + seconds["allocation"],
+    }
