@@ -4,7 +4,6 @@ from time import perf_counter
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import reduce
@@ -125,6 +124,8 @@ def mend(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, i
 
 def _parts(candidates, rows):
     """Split undecided candidates into parts that do not touch each other, with the conflicts in each."""
+    from scipy.sparse.csgraph import connected_components
+
     options, problem = candidates.options, candidates.problem
     if len(rows) == 0:
         return
