@@ -94,3 +94,60 @@ def test_real_catalogs_are_planned(presets, real_data, file, instrument, center,
     )
     ids = tile.table["target_id"].compressed()
     assert len(np.unique(ids)) == len(ids) == s["n_assigned"]
+
+
+REQUIRED = {"sky_boss": 300, "standard_boss": 20, "sky_apogee": 50, "standard_apogee": 20}
+
+
+@pytest.mark.parametrize("where", ["focal plane", "sky"])
+def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_collision(
+    presets, real_data, field_a, where
+):
+    """The survey's own planner assigned 494 of the 500."""
+    plane = presets["sdss_apo"].focal_plane
+    requirements = [f"{name}={n}" for name, n in REQUIRED.items()]
+    catalog = rs.Catalog.read(real_data("sdssv_robostrategy_field_a.ecsv"))
+    if where == "sky":
+        center = SkyCoord(269.59, 66.55, unit="deg")
+        options = {"position_angle": 40 * u.deg, "allocator": "optimal", "requirements": requirements}
+        tile = rs.plan_tile(catalog, presets["sdss_apo"], center, **options)
+        assert (tile.summary["n_assigned"], tile.summary["gap"], tile.summary["unmet"]) == (500, 0, [])
+        category = dict(zip(catalog.id.tolist(), catalog.category, strict=True))
+        used = [category[i] for i in tile.table["target_id"].tolist()]
+        report = tile.summary["n_colliding_pairs"], tile.summary["n_obstacle_collisions"]
+    else:
+        t = field_a[field_a["within"] == 1]
+        category = np.asarray(t["category"]).astype(str)
+        kind = np.array(["science" if "_" not in c else c.split("_")[0] for c in category])
+        xy = np.column_stack([t["x_wok"], t["y_wok"]])
+        columns = {"fiber_type": np.asarray(t["fiber_type"]).astype(str), "kind": kind, "category": category}
+        plan = rs.allocate(xy, plane, method="optimal", requirements=requirements, **columns)
+        assert (plan.n_assigned, plan.gap, plan.unmet) == (500, 0, ())
+        used = category[plan.target_of_positioner].tolist()
+        found = rs.find_collisions(plane, plan)
+        report = len(found.pairs), len(found.obstacle_pairs)
+        boss_only = plane.fiber_type == "BOSS"
+        assert boss_only.sum() == 202
+        assert all(columns["fiber_type"][plan.target_of_positioner[boss_only]] == "BOSS")
+    assert report == (0, 0)
+    assert all(used.count(name) >= n for name, n in REQUIRED.items())
+    assert used.count("science") == 4
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "center", "least"),
+    [
+        ("zcosmos_bright.ecsv", "moons", None, 0.2),
+        ("tycho2_pleiades_r4.ecsv", "lamost", None, 0.02),
+        ("tycho2_anticentre_r8.ecsv.gz", "lamost", (92.25, 24.35), 0.02),
+    ],
+)
+def test_what_rules_lose_to_collisions_in_crowded_fields_is_won_back(real_data, file, name, center, least):
+    catalog = rs.Catalog.read(real_data(file))
+    center = catalog._middle if center is None else SkyCoord(*center, unit="deg")
+    table = rs.compare_allocators(catalog, name, center, allocators=["lamost", "repair", "optimal"])
+    rule, mended, best = table
+    assert best["gap"] == 0
+    assert best["colliding"] == mended["colliding"] == 0
+    assert rule["usable"] < mended["usable"] <= best["usable"]
+    assert rule["loss"] > least > best["loss"]

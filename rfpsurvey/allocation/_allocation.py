@@ -89,7 +89,10 @@ class Allocation:
 
     @property
     def gap(self) -> float:
-        """Relative difference of bound and objective: 0 for a proven optimum, NaN where nothing is proven."""
+        """Relative difference of bound and objective: 0 for a proven optimum, NaN where nothing is proven.
+
+        The bound of ``repair`` is what arms could reach that pass through each other: it lost at most so much.
+        """
         missing = self.bound - self.objective
         return missing / max(abs(self.bound), 1.0) if missing else 0.0
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._candidates import find_candidates
-from rfpsurvey.allocation._problem import Choice, Problem
-from rfpsurvey.allocation._search import decide, mend, pick
+from rfpsurvey.allocation._problem import Choice, Level, Problem
+from rfpsurvey.allocation._search import decide, match, mend, pick
 
 __all__ = ["METHODS"]
 
@@ -65,13 +65,25 @@ def repair(problem: Problem) -> Choice:
     chosen, moved, dropped = mend(candidates, pick(candidates, start.target_of, start.side))
     options = candidates.options
     meta = {"n_before": int((start.target_of >= 0).sum()), "n_moved": moved, "n_dropped": dropped}
-    return Choice(options.target[chosen], candidates.side[chosen], None, None, meta)
+    target_of = options.target[chosen]
+    levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
+    return Choice(target_of, candidates.side[chosen], None, levels, meta)
 
 
 METHODS = {
     "balanced": balanced, "nearest": nearest, "lamost": lamost, "sdss": sdss, "optimal": optimal, "repair": repair,
 }  # fmt: skip
 """Name to function from a problem to a choice."""
+
+
+def _bounded(problem, target_of, blind):
+    """What a plan reaches, and what it could if arms passed through each other; nothing is known of later aims."""
+    reached, most = problem.values(target_of), problem.values(blind)
+    levels, known = [], True
+    for name, value in reached.items():
+        levels.append(Level(name, value, most[name] if known else np.nan))
+        known &= value == most[name]
+    return levels
 
 
 def _sorted(problem):

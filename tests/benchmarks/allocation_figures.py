@@ -1,0 +1,112 @@
+"""Figures of the page on benchmarks: what allocation costs, and what collisions cost.
+
+``python tests/benchmarks/allocation_figures.py``; about a minute on one core. Real fields need RFPSURVEY_TEST_DATA.
+"""
+
+import os
+from pathlib import Path
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+import rfpsurvey as rs
+
+REPEATS = 15
+# rings, pitch, central and eccentric arm, safe distance (mm), targets
+HEXAGONS = {
+    "LAMOST": (36, 25.6, 8.25, 8.25, 4.5, 15988),
+    "DESI-like": (40, 10.4, 3, 3, 2.0, 24605),
+    "MOONS-like": (18, 25.0, 8, 17, 5.0, 1232),
+    "SDSS-V": (36, 22.4, 7.4, 15, 5.0782, 15988),
+    "SDSS-V, few targets": (36, 22.4, 7.4, 15, 5.0782, 3997),
+}
+REQUIRED = ["sky_boss=300", "standard_boss=20", "sky_apogee=50", "standard_apogee=20"]
+SKY = ["sky=20/spectrograph", "standard=5/spectrograph"]
+
+
+def disc(radius, n, seed):
+    """Points uniform in a disc, mm."""
+    rng = np.random.default_rng(seed)
+    r, angle = radius * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+
+
+def median(call, *arguments, repeats=REPEATS, **options):
+    """Median time of a call once compiled, and its result."""
+    result, times = call(*arguments, **options), []
+    for _ in range(repeats):
+        start = perf_counter()
+        result = call(*arguments, **options)
+        times.append(perf_counter() - start)
+    return np.median(times), result
+
+
+def hexagons():
+    print("full hexagons, one elbow, all targets alike; seeds 0 to 4")
+    for name, (rings, pitch, l1, l2, separation, n) in HEXAGONS.items():
+        unit = rs.Positioner(l1 * u.mm, l2 * u.mm, separation / 2 * u.mm)
+        plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
+        for seed in range(5):
+            xy = disc(0.95 * (rings + 0.5) * pitch, n, seed)
+            options = {"parked_obstacles": False}
+            seconds, best = median(rs.allocate, xy, plane, method="optimal", repeats=5, **options)
+            mend_s, mended = median(rs.allocate, xy, plane, method="repair", repeats=5, **options)
+            blind = int((maximum_bipartite_matching(plane.reachable(xy), perm_type="column") >= 0).sum())
+            rule = rs.allocate(xy, plane, method="lamost", **options)
+            usable = rule.n_assigned - int(rs.find_collisions(plane, rule).in_collision.sum())
+            pairs = len(rs.find_collisions(plane, best).pairs)
+            print(
+                f"  {name:<20} {best.n_assigned:>5} of {blind}  gap {best.gap:g}  collisions {pairs}  {seconds:.3f} s"
+                f"   repair {mended.n_assigned} in {1e3 * mend_s:.1f} ms   lamost {rule.n_assigned}, usable {usable}"
+                f"   {best.meta['n_candidates']} candidates, {best.meta['n_conflicts']} conflicts, "
+                f"{best.meta['n_open']} positioners left to the solver"
+            )
+
+
+def rules():
+    print("100,000 targets over LAMOST")
+    plane = rs.Instrument.preset("lamost").focal_plane
+    xy = disc(873.0, 100_000, 1)
+    kind = np.where(np.arange(100_000) % 50 == 0, "standard", "science")
+    for name in ("balanced", "nearest", "lamost"):
+        seconds, _ = median(rs.allocate, xy, plane, method=name)
+        print(f"  {name:<10} {1e3 * seconds:.1f} ms")
+    options = {"kind": kind, "requirements": SKY, "sky_separation": 1 * u.mm}
+    seconds, found = median(rs.allocate, xy, plane, method="lamost", **options)
+    print(f"  lamost with sky and standards {1e3 * seconds:.1f} ms, {len(found.unmet)} requirements not met")
+    for name in ("sdss", "optimal"):
+        seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3)
+        print(f"  {name:<10} {seconds:.3f} s, {found.n_assigned} positioners, gap {found.gap:g}")
+
+
+def fields(folder):
+    catalog = rs.Catalog.read(folder / "sdssv_robostrategy_field_a.ecsv")
+    options = {"position_angle": 40 * u.deg, "requirements": REQUIRED}
+    print("an SDSS-V field with its requirements (its own planner assigned 494 of 500)")
+    center = SkyCoord(269.59, 66.55, unit="deg")
+    seconds, tile = median(rs.plan_tile, catalog, "sdss_apo", center, allocator="optimal", repeats=3, **options)
+    print(f"  optimal: {tile.summary['n_assigned']} assigned, gap {tile.summary['gap']}, {seconds:.2f} s in all")
+    show(catalog, "sdss_apo", center, **options)
+    for name, file in (("moons", "zcosmos_bright.ecsv"), ("lamost", "tycho2_pleiades_r4.ecsv")):
+        catalog = rs.Catalog.read(folder / file)
+        print(file)
+        show(catalog, name, catalog._middle)
+    print("tycho2_anticentre_r8.ecsv.gz, M35")
+    show(rs.Catalog.read(folder / "tycho2_anticentre_r8.ecsv.gz"), "lamost", SkyCoord(92.25, 24.35, unit="deg"))
+
+
+def show(catalog, name, center, **options):
+    table = rs.compare_allocators(catalog, name, center, **options)
+    for column in ("loss", "seconds"):
+        table[column].info.format = ".4f"
+    print("\n".join(table.pformat(max_lines=-1, max_width=-1)))
+
+
+if __name__ == "__main__":
+    hexagons()
+    rules()
+    if os.environ.get("RFPSURVEY_TEST_DATA"):
+        fields(Path(os.environ["RFPSURVEY_TEST_DATA"]))
