@@ -71,6 +71,8 @@ def compare_allocators(
     np.int64(0)
     """
     names = list(METHODS) if allocators is None else [allocators] if isinstance(allocators, str) else list(allocators)
+    if "allocator" in options:
+        raise InputError("the methods to compare are given by allocators, not by allocator")
     if not names:
         raise InputError("allocators must name at least one method, got none")
     for name in names:

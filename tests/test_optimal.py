@@ -55,9 +55,9 @@ def random_case(seed, *, quotas):
     if quotas:
         options["kind"] = rng.choice(["science", "science", "standard", "sky"], m)
         options["category"] = rng.choice(["good", "poor", "odd"], m)
-        whats = rng.choice(["sky", "standard", "science", "good", "poor", "missing"], rng.integers(1, 4), replace=False)
+        names = rng.choice(["sky", "standard", "science", "good", "poor", "missing"], rng.integers(1, 4), replace=False)
         options["requirements"] = []
-        for what in whats:
+        for what in names:
             low, more = int(rng.integers(0, 4)), int(rng.integers(0, 3))
             most = None if rng.random() < 0.5 else low + more
             per = rng.choice(["tile", "spectrograph"])

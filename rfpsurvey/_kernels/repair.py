@@ -91,17 +91,29 @@ def make_way(i, options, chosen, blocked, holder, fixed):
 
 
 @kernel
-def claim(order, need, counts, options, chosen, blocked, holder):
-    """Positioners in the given order take a candidate that ``counts``, if they can, until there are enough."""
+def claim(order, need, group, held, count, most, options, chosen, blocked, holder):
+    """Positioners in the given order take a candidate of a group, if they can, until there are enough.
+
+    ``count[g]`` of the candidates in use belong to group g, ``held[g]``, and ``most[g]`` of them may.
+    """
     for i in order:
         if need <= 0:
             break
+        now = chosen[i]
         for c in range(options.start[i], options.start[i + 1]):
             t = options.target[c]
-            if counts[c] and blocked[c] == 0 and (t < 0 or holder[t] < 0):
-                put(i, c, options, chosen, blocked, holder)
-                need -= 1
-                break
+            if not held[group, c] or blocked[c] > 0 or (t >= 0 and holder[t] >= 0):
+                continue
+            full = False
+            for g in range(count.size):
+                full |= held[g, c] and not held[g, now] and count[g] >= most[g]
+            if full:
+                continue
+            for g in range(count.size):
+                count[g] += int(held[g, c]) - int(held[g, now])
+            put(i, c, options, chosen, blocked, holder)
+            need -= 1
+            break
 
 
 @kernel

@@ -11,6 +11,7 @@ from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._problem import Choice, Level, Problem
 from rfpsurvey.allocation._requirements import KINDS, Requirement, as_requirements
 from rfpsurvey.allocation._sky import find_sky
+from rfpsurvey.collision import check_plane
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
@@ -121,6 +122,7 @@ def allocate(
     """
     solve = METHODS[check_choice(method, METHODS, "allocator")]
     check_choice(objective, OBJECTIVES, "objective")
+    check_plane(focal_plane)
     points = to_points_mm(xy, "xy")
     n = len(points)
     begin = perf_counter()
@@ -134,17 +136,21 @@ def allocate(
         if len(strange):
             check_choice(str(strange[0]), KINDS, "kind of target")
         classes, rank = _squeeze(classes, rank, science)
+    requirements = as_requirements(requirements)
+    for one in requirements:
+        if one.fiber_type:
+            check_choice(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
     problem = Problem(
         focal_plane, points, _allowed(reach, forbidden, n), rank, classes, kind, _labels(category, n, "category"),
-        np.asarray(fiber_type, dtype=str) if named else None, _flags(required, n), as_requirements(requirements),
+        np.asarray(fiber_type, dtype=str) if named else None, _flags(required, n), requirements,
         objective=objective, time_limit=to_scalar(time_limit, u.s, "time_limit", low=0),
         parked_obstacles=bool(parked_obstacles), rng=to_generator(rng),
     )  # fmt: skip
     if sky_separation is not None:
         problem = _with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
     if method == "repair":
-        problem = problem.replace(start=_as_choice(start, problem))
+        problem = problem.replace(start=_as_choice(start, problem, n, reach.n_reachable))
     choice = solve(problem)
     found = _finish(problem, choice, n)
     end = perf_counter()
@@ -190,7 +196,10 @@ def _labels(values, n, name):
 def _flags(required, n):
     if required is None:
         return None
-    flags = to_flags(required, "required")
+    try:
+        flags = to_flags(required, "required")
+    except TypeError:
+        raise InputError(f"required must hold truth values, got {required!r}") from None
     if flags.shape != (n,):
         raise InputError(f"required must have one value a target, shape ({n},), got {flags.shape}")
     return flags if flags.any() else None
@@ -200,7 +209,10 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
     """Take forbidden pairs out."""
     if forbidden is None:
         return reach
-    pairs = np.asarray(forbidden)
+    try:
+        pairs = np.asarray(forbidden)
+    except ValueError:
+        raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got {forbidden!r}") from None
     if pairs.size == 0:
         return reach
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
@@ -216,8 +228,7 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
 def _with_sky(problem: Problem, separation: float) -> Problem:
     """Add sky positions in gaps between the targets, where a requirement asks for sky."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
-    unknown = [name for name in fibers if name and name not in problem.plane.fiber_types]
-    if not fibers or unknown:
+    if not fibers:
         return problem
     plane, n = problem.plane, len(problem.points)
     own, points, wanted, stuck = find_sky(plane, problem.points, separation, fibers)
@@ -240,7 +251,7 @@ def _with_sky(problem: Problem, separation: float) -> Problem:
         "watched": watched if stuck.any() else None,
     }  # fmt: skip
     if problem.category is not None:
-        columns["category"] = np.concatenate([problem.category, np.full(k, "")])
+        columns["category"] = np.concatenate([problem.category, np.full(k, "sky")])
     if problem.required is not None:
         columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
     if plane.fiber_types != ("",):
@@ -248,18 +259,24 @@ def _with_sky(problem: Problem, separation: float) -> Problem:
     return problem.replace(**columns)
 
 
-def _as_choice(start, problem: Problem) -> Choice:
+def _as_choice(start, problem: Problem, n_given: int, n_reachable: int) -> Choice:
     """Return the plan that `repair` begins with."""
     if isinstance(start, str):
         return METHODS[check_choice(start, set(METHODS) - {"repair"}, "allocator to start with")](problem)
     if not isinstance(start, Allocation):
         raise InputError(f"start must be an Allocation or the name of a method, got {start!r}")
-    n, m = len(problem.plane), len(problem.points)
-    if (
-        len(start.target_of_positioner) != n
-        or start.n_given > m
-        or not np.array_equal(start.xy.to_value(u.mm)[: start.n_given], problem.points[: start.n_given], equal_nan=True)
-    ):
+    plane, points = problem.plane, problem.points[:n_given]
+    same = len(start.target_of_positioner) == len(plane) and (start.n_given, start.n_reachable) == (
+        n_given,
+        n_reachable,
+    )
+    same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given], points, equal_nan=True)
+    if same:
+        own = np.flatnonzero((start.target_of_positioner >= 0) & plane._usable)
+        r = np.hypot(*(start.tips.to_value(u.mm)[own] - plane._xy_mm[own]).T)
+        slack = plane._columns.reach_slack
+        same = not ((r > plane._outer_mm[own] + slack) | (r < plane._inner_mm[own] - slack)).any()
+    if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
     target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)
     return Choice(target_of, np.where(start.handedness == "left", -1.0, 1.0))

@@ -86,7 +86,7 @@ def _list(problem, both):
         own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     n = len(plane)
     watched = np.full(n, -1) if problem.watched is None else problem.watched
-    columns = (own, np.arange(n)), (target, watched), (side, np.ones(n)), (r2, np.zeros(n))
+    columns = (own, np.arange(n)), (target, watched), (side, plane._sides(plane._xy_mm)), (r2, np.zeros(n))
     own, target, side, r2 = (np.concatenate(parts) for parts in columns)
     order = np.argsort(own, kind="stable")  # the idle arms come last
     start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=n))])

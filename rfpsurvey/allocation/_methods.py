@@ -4,8 +4,9 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._moves import match, mend, pick, trim
 from rfpsurvey.allocation._problem import Choice, Level, Problem
-from rfpsurvey.allocation._search import decide, match, mend, pick
+from rfpsurvey.allocation._search import decide
 
 __all__ = ["METHODS"]
 
@@ -60,11 +61,12 @@ def optimal(problem: Problem) -> Choice:
 
 def repair(problem: Problem) -> Choice:
     """Another plan, its collisions ended by local moves."""
-    candidates = find_candidates(problem)
-    start = problem.start
-    chosen, moved, dropped = mend(candidates, pick(candidates, start.target_of, start.side))
-    options = candidates.options
-    meta = {"n_before": int((start.target_of >= 0).sum()), "n_moved": moved, "n_dropped": dropped}
+    candidates, start = find_candidates(problem), problem.start
+    first = pick(candidates, trim(problem, start.target_of), start.side)
+    chosen, moved, dropped = mend(candidates, first)
+    options, had = candidates.options, start.target_of >= 0
+    dropped += int((had & (first < 0)).sum())  # at obstacles, or beyond a maximum
+    meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
     levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
     return Choice(target_of, candidates.side[chosen], None, levels, meta)
@@ -77,7 +79,7 @@ METHODS = {
 
 
 def _bounded(problem, target_of, blind):
-    """What a plan reaches, and what it could if arms passed through each other; nothing is known of later aims."""
+    """Return what a plan reaches, and what it could if arms passed through each other, as far as that is known."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():

@@ -12,14 +12,16 @@ __all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sen
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
-FORM = re.compile(r"([^@=/]+)(?:@([^@=/]+))?=(\d+)?(-)?(\d+)?(?:/(.+))?")
+FORM = re.compile(r"([^@=/]+)(?:@([^@=/]+))?=(?:(\d{1,9})|(\d{1,9})?-(\d{1,9}))(?:/(.+))?")
+MOST = 10**9
 
 
 @dataclass(frozen=True)
 class Requirement:
     """So many targets of one kind or category must, or may at most, be observed.
 
-    The minimum is met as far as that is possible, before any science target counts; the maximum is never exceeded.
+    The minimum is met as far as that is possible, before any science target counts; the maximum is not exceeded by
+    ``sdss``, ``optimal`` and ``repair``. Rules do not look at maxima, and report.
 
     Parameters
     ----------
@@ -57,13 +59,15 @@ class Requirement:
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
             raise InputError(f"a requirement must name a kind or category of targets, got {self.what!r}")
+        if not isinstance(self.fiber_type, str):
+            raise InputError(f"fiber_type of {self.what!r} must be a name, got {self.fiber_type!r}")
         check_choice(self.per, PERS, "range of a requirement")
         for name in ("minimum", "maximum"):
             value = getattr(self, name)
             if not (value is None and name == "maximum") and not (
-                isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 0
+                isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value < MOST
             ):
-                raise InputError(f"{name} of {self.what!r} must be a whole number of at least 0, got {value!r}")
+                raise InputError(f"{name} of {self.what!r} must be a whole number from 0 to 10^9, got {value!r}")
         if self.maximum is not None and self.minimum > self.maximum:
             raise InputError(
                 f"the requirement on {self.what!r} contradicts itself: at least {self.minimum}, at most {self.maximum}"
@@ -90,13 +94,14 @@ class Requirement:
             If the text has another form.
         """
         found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
-        if found is None or (found[3] is None and found[5] is None) or (found[5] and not found[4]):
+        if found is None:
             raise InputError(
                 f"a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, "
                 f"got {text!r}"
             )
-        what, fiber, low, _, high, per = found.groups()
-        return cls(what.strip(), int(low or 0), None if high is None else int(high), per or "tile", fiber or "")
+        what, fiber, least, low, high, per = found.groups()
+        most = None if high is None else int(high)
+        return cls(what.strip(), int(least or low or 0), most, per or "tile", (fiber or "").strip())
 
     def __str__(self):
         most = "" if self.maximum is None else f"-{self.maximum}"
@@ -199,7 +204,7 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
         if not isinstance(one, str | Requirement):
             raise InputError(f"a requirement must be a Requirement or text such as 'sky=20/spectrograph', got {one!r}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
-    return tuple(found)
+    return tuple(dict.fromkeys(found))  # one that is given twice is one
 
 
 def spectrograph_of(plane, own: np.ndarray, fiber: np.ndarray) -> np.ndarray:

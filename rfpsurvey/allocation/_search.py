@@ -5,18 +5,17 @@ from time import perf_counter
 import numpy as np
 from scipy.sparse import coo_array
 
-from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import reduce
-from rfpsurvey._kernels import repair as moves
-from rfpsurvey.allocation._candidates import Candidates, find_candidates
+from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._moves import improve, match, mend, pick, trim
 from rfpsurvey.allocation._problem import Choice, Level, Problem
 from rfpsurvey.allocation._program import Program
+from rfpsurvey.allocation._pursue import pursue
 
-__all__ = ["decide", "match", "mend", "pick"]
+__all__ = ["decide"]
 
 # Parts are solved together until they have so many positioners: a call of the solver has its price.
 SMALLEST = 200
-ROUNDS = 10
 
 
 def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_cost: bool = False) -> Choice:
@@ -29,97 +28,76 @@ def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_co
     options = candidates.options
     n_left = np.diff(options.start)
     blind = pick(candidates, match(candidates))
-    start = mend(candidates, blind)[0] if collide else blind
+    # a plan to begin with; where an idle arm is not among the candidates, it may turn out to be none
+    start = mend(candidates, blind)[0] if collide else np.where(blind < 0, options.start[1:] - 1, blind)
     chosen = np.where(n_left == 1, options.start[:-1], -1)
     known = chosen[chosen >= 0]
-    levels = problem.values(np.where(n_left == 1, options.target[chosen], -1))
-    values = bounds = np.array(list(levels.values()))
+    names = list(problem.values(np.full(len(chosen), -1)))
+    values = bounds = np.array(list(problem.values(np.where(chosen < 0, -1, options.target[chosen])).values()))
+    # a part that knows of requirements counts what is known already
+    adds = np.array([name != "requirements" for name in names])
     n_parts = n_programs = 0
-    integers = False
+    integers, complete = False, True
     for rows, edges in _parts(candidates, np.flatnonzero((n_left > 1)[options.own])):
-        program = Program(problem, candidates, rows, known, edges)
+        program = Program(candidates, rows, known, edges)
         mine = np.unique(options.own[rows])
-        limit = None if problem.groups else program.value_of(program.picked(blind[mine]))
-        part = program.solve(start[mine], deadline, limit, integral=integral, squared_cost=squared_cost)
-        # a part that knows of requirements counts what is known already
-        adds = [name != "requirements" for name in levels]
-        bounds = np.where(adds, bounds, 0.0) + part.bounds
-        if part.chosen is None:  # requirements, and no time at all: there is one part only
-            return _by_moves(everything, match(candidates), levels, bounds)
-        values = np.where(adds, values, 0.0) + part.values
-        chosen[options.own[part.chosen]] = part.chosen
+        limit = None if problem.groups else program.reaches(program.variables(blind[mine][blind[mine] >= 0]))
+        part = pursue(program, start[mine], deadline, limit, integral=integral, squared_cost=squared_cost)
+        values, bounds = np.where(adds, values, 0.0) + part.values, np.where(adds, bounds, 0.0) + part.bounds
+        if part.chosen is None:
+            complete = False
+        else:
+            chosen[options.own[part.chosen]] = part.chosen
         n_parts, n_programs = n_parts + 1, n_programs + part.n_programs
         integers |= part.integral and part.n_programs > 0
-    found = [Level(n, float(v), float(b)) for n, v, b in zip(levels, values, bounds, strict=True)]
+    used, target_of = candidates, options.target[chosen]
+    proven = complete and (values == bounds).all()
+    if not complete:
+        used, target_of = everything, trim(problem, match(everything))
+        chosen, idle = pick(everything, target_of), everything.options.start[1:] - 1
+        chosen = mend(everything, chosen)[0] if collide else np.where(chosen < 0, idle, chosen)
+    elif not proven and collide:
+        chosen = improve(candidates, chosen)
+    target_of = used.options.target[chosen]
+    if not proven:
+        values = np.array(list(problem.values(target_of).values()))
+        bounds = _bounds(problem, everything, names, values, bounds)
+    found = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
     meta = {
         "model": "integer program" if integers else "linear program" if n_programs else "no search needed",
         "n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1],
         "n_open": int((n_left > 1).sum()), "n_parts": n_parts, "n_programs": n_programs,
     }  # fmt: skip
-    return Choice(options.target[chosen], candidates.side[chosen], None, found, meta)
+    return Choice(target_of, used.side[chosen], None, found, meta)
 
 
-def _by_moves(candidates, target_of, names, bounds) -> Choice:
-    """Return a plan that exceeds no maximum, where there was no time for a better one."""
-    problem, options = candidates.problem, candidates.options
-    for group in problem.groups:
-        most = group.requirement.maximum
-        own = np.flatnonzero(target_of >= 0)
-        own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
-        own = own[np.argsort(problem.rank_of(target_of[own]), kind="stable")]
-        target_of[own[len(own) if most is None else most :]] = -1
-    chosen = mend(candidates, pick(candidates, target_of))[0]
-    target_of = options.target[chosen]
-    values = problem.values(target_of).values()
-    levels = [Level(n, v, max(v, float(b))) for n, v, b in zip(names, values, bounds, strict=True)]
-    return Choice(target_of, candidates.side[chosen], None, levels, {"model": "out of time"})
+def _bounds(problem, everything, names, values, bounds):
+    """Return what no plan exceeds, given the values before: as proven up to the first level that falls short of it.
+
+    After that, no plan has more targets of the first classes, or of all, than a matching of arms that may collide.
+    """
+    first = int(np.flatnonzero(values < bounds)[0]) if (values < bounds).any() else len(names)
+    target_of = match(everything)
+    counts = np.bincount(problem.rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)
+    if problem.required is not None:  # which came before the classes in the matching
+        counts = np.bincount(problem.rank[np.diff(problem.reach.indptr) > 0], minlength=len(counts))
+    most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
+    offset = names.index(_first_class(problem, names))
+    out = bounds.copy()
+    for k in range(first + 1, len(names)):
+        if k < offset:
+            out[k] = 0.0 if names[k] == "requirements" else min(int(most[-2]), len(target_of))
+        elif k < offset + len(problem.classes):
+            out[k] = min(most[k - offset], len(target_of)) - values[offset:k].sum()
+        else:
+            out[k] = total
+    return np.maximum(out, values)
 
 
-def match(candidates: Candidates) -> np.ndarray:
-    """Return the target of each positioner in the best plan of arms that may collide, without requirements."""
-    options, problem = candidates.options, candidates.problem
-    n, m = len(options.start) - 1, len(problem.points)
-    classes = problem.rank if problem.required is None else problem.rank - problem.required * (len(problem.classes) + 2)
-    target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    order = np.argsort(classes, kind="stable")
-    rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
-    return target_of
-
-
-def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
-    """Return the candidate of each positioner for given targets and elbows; the last one where there is none."""
-    options = candidates.options
-    fits = (options.target >= 0) & (options.target == target_of[options.own])
-    if side is not None:
-        fits &= candidates.side == side[options.own]
-    chosen = options.start[1:] - 1
-    rows = np.flatnonzero(fits)[::-1]
-    chosen[options.own[rows]] = rows
-    return chosen
-
-
-def mend(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Return a plan without collisions, how many positioners moved without a loss, and how many gave up."""
-    options, held = candidates.options, candidates.held
-    groups = candidates.problem.groups
-    low = [group.requirement.minimum > 0 for group in groups]
-    n = len(chosen)
-    now = np.full(n, -1)
-    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.points), -1)
-    for i in range(n):
-        moves.put(i, chosen[i], options, now, blocked, holder)
-
-    def order():
-        """Return positioners, those that no requirement needs and with the least important targets first."""
-        return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
-
-    moved, dropped = moves.repair(options, order(), now, blocked, holder, ROUNDS)
-    for counts, group in zip(held, groups, strict=True):
-        need = group.requirement.minimum - int(counts[now].sum())
-        spare = ~held[low][:, now].any(axis=0)
-        first = order()
-        moves.claim(first[spare[first]], need, counts, options, now, blocked, holder)
-    return now, int(moved), int(dropped)
+def _first_class(problem, names):
+    """Name of the first level that counts a priority class."""
+    first = (n for n in names if n.startswith("priority") or (n == "science" and len(problem.classes) == 1))
+    return next(first, names[-1])
 
 
 def _parts(candidates, rows):

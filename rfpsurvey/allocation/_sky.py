@@ -45,7 +45,8 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         if not plane.positioner._joints_free:
             keep = joints_allow(plane, own, spots, plane._sides(spots, own))
             own, spots = own[keep], spots[keep]
-        fixed = np.flatnonzero(able & plane._is_stuck)
+        # where a stuck fiber is, is known of the first one of its positioner
+        fixed = np.flatnonzero(plane._is_stuck & ((name == "") | (plane._first_type == name)))
         seen = plane._columns.idle(False).segments[2:, fixed].T
         clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
         parts += [(own, spots, name, False), (fixed[clear], seen[clear], name, True)]

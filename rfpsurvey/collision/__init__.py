@@ -1,6 +1,6 @@
 """Static collisions: where the arms stand, and which of them are closer than the safe distance."""
 
-from rfpsurvey.collision._arms import Arms, nearest_distance, place_arms
+from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, lay_out, make_desk, make_stage
 from rfpsurvey.collision._exactly import closer_exactly
 from rfpsurvey.collision._find import find_collisions, touching
@@ -8,7 +8,7 @@ from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_clo
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
-    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "closer_exactly",
+    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "check_plane", "closer_exactly",
     "count_collisions", "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs",
     "nearest_distance", "place_arms", "touching",
 ]  # fmt: skip

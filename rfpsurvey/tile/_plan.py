@@ -18,7 +18,7 @@ from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
 from rfpsurvey.tile._tile import Tile, build_tile
-from rfpsurvey.tile._wishes import describe, find_ids, keep_clear, to_length
+from rfpsurvey.tile._wishes import describe, find_ids, is_required, keep_clear, to_length
 
 __all__ = ["plan_tile"]
 
@@ -132,7 +132,9 @@ def plan_tile(
         )
     seconds["select"] = perf_counter() - begin
     begin = perf_counter()
-    given = rows if catalog.kind is None or wishes else rows[catalog.kind[rows] == "science"]
+    given = rows
+    if catalog.kind is not None and not wishes:
+        given = rows[(catalog.kind[rows] == "science") | is_required(catalog.id[rows], required)]
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog._has_twins else 0
     if n_twice:
         warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)

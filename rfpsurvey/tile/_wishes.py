@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.projection import TangentPlane
 
-__all__ = ["describe", "find_ids", "keep_clear", "to_length"]
+__all__ = ["describe", "find_ids", "is_required", "keep_clear", "to_length"]
 
 
 def to_length(value: u.Quantity | None, instrument: Instrument, name: str) -> u.Quantity | None:
@@ -47,6 +47,8 @@ def find_ids(known: np.ndarray, here: np.ndarray, required) -> tuple[np.ndarray 
     """Mark the targets ``here`` that are required, and say which required ones are not in the field."""
     if required is None:
         return None, []
+    if np.size(required) == 0:
+        return None, []
     names = np.atleast_1d(to_labels(np.atleast_1d(required), "required"))
     as_text = known.astype(str)
     strange = names[~np.isin(names.astype(str), as_text)]
@@ -54,7 +56,14 @@ def find_ids(known: np.ndarray, here: np.ndarray, required) -> tuple[np.ndarray 
         raise InputError(f"required must hold ids of the catalog, got {strange[0]} ({len(strange)} of {len(names)})")
     away = names[~np.isin(names.astype(str), here.astype(str))]
     absent = [f"required targets outside the field: {', '.join(str(name) for name in away[:5])} ({len(away)} in all)"]
-    return np.isin(here.astype(str), names.astype(str)), absent if len(away) else []
+    return is_required(here, names), absent if len(away) else []
+
+
+def is_required(ids: np.ndarray, required) -> np.ndarray:
+    """Mark the ids that are among those required."""
+    if required is None or np.size(required) == 0:
+        return np.zeros(len(ids), dtype=bool)
+    return np.isin(ids.astype(str), np.atleast_1d(required).astype(str))
 
 
 def describe(allocation: Allocation, plane: TangentPlane, catalog: Catalog, given: np.ndarray):
@@ -77,12 +86,19 @@ def describe(allocation: Allocation, plane: TangentPlane, catalog: Catalog, give
     types = None if allocation.wanted is None else allocation.wanted[blank]
     where = plane.to_sky(allocation.xy[blank], types)
     sky_deg[:, found] = where.ra.deg, where.dec.deg
-    number = np.arange(int(found.sum()))
-    if catalog.id.dtype.kind == "i":
-        ids = np.empty(len(used), dtype=np.int64)
-        ids[found] = min(-1, int(catalog.id.min(initial=0))) - 1 - number
-    else:
-        ids = np.empty(len(used), dtype=f"U{max(catalog.id.dtype.itemsize // 4, 12)}")
-        ids[found] = np.char.add("blank-sky-", number.astype(str))
+    names = _new_ids(catalog.id, int(found.sum()))
+    ids = np.empty(len(used), dtype=np.result_type(catalog.id.dtype, names.dtype))
+    ids[found] = names
     ids[~found] = catalog.id[rows]
     return ids, sky_deg, kind, row_of
+
+
+def _new_ids(known: np.ndarray, n: int) -> np.ndarray:
+    """Return n ids that the catalog does not have: below all others, or names."""
+    if known.dtype.kind == "i":
+        lowest = min(-1, int(known.min(initial=0)))
+        if lowest - n >= np.iinfo(np.int64).min:
+            return lowest - 1 - np.arange(n)
+        return np.setdiff1d(np.arange(-2 * len(known) - 2 * n - 2, -1), known)[::-1][:n]
+    names = np.char.add("blank-sky-", np.arange(n + len(known)).astype(str))
+    return names[~np.isin(names, known)][:n]

@@ -1,0 +1,89 @@
+"""Plans without a proof: the best matching of arms that may collide, and local moves that end collisions."""
+
+import numpy as np
+
+from rfpsurvey._kernels import allocation as rules
+from rfpsurvey._kernels import repair as moves
+from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._problem import Problem
+
+__all__ = ["improve", "match", "mend", "pick", "trim"]
+
+ROUNDS = 10
+
+
+def match(candidates: Candidates) -> np.ndarray:
+    """Return the target of each positioner in the best plan of arms that may collide, without requirements."""
+    options, problem = candidates.options, candidates.problem
+    n, m = len(options.start) - 1, len(problem.points)
+    classes = problem.rank if problem.required is None else problem.rank - problem.required * (len(problem.classes) + 2)
+    target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
+    order = np.argsort(classes, kind="stable")
+    rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
+    return target_of
+
+
+def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
+    """Return the candidate of each positioner for given targets and elbows, -1 where there is none."""
+    options = candidates.options
+    fits = (options.target >= 0) & (options.target == target_of[options.own])
+    if side is not None:
+        fits &= candidates.side == side[options.own]
+    chosen = np.full(len(target_of), -1)
+    rows = np.flatnonzero(fits)[::-1]
+    chosen[options.own[rows]] = rows
+    return chosen
+
+
+def trim(problem: Problem, target_of: np.ndarray) -> np.ndarray:
+    """Return a plan that exceeds no maximum: the least important targets are given up."""
+    target_of = target_of.copy()
+    for group in problem.groups:
+        most = group.requirement.maximum
+        own = np.flatnonzero((target_of >= 0) & problem.plane._usable)
+        own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
+        own = own[np.argsort(problem.rank_of(target_of[own]), kind="stable")]
+        target_of[own[len(own) if most is None else most :]] = -1
+    return target_of
+
+
+def mend(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """Return a plan without collisions, how many positioners moved without a loss, and how many gave up.
+
+    The last candidate of each positioner must be its idle arm, which stands in for none (-1).
+    """
+    options, held = candidates.options, candidates.held
+    groups = candidates.problem.groups
+    now, *state = _stand(candidates, np.where(chosen < 0, options.start[1:] - 1, chosen))
+    low = [group.requirement.minimum > 0 for group in groups]
+    most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
+
+    def order():
+        """Return positioners, those that no requirement needs and with the least important targets first."""
+        return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
+
+    moved, dropped = moves.repair(options, order(), now, *state, ROUNDS)
+    for g, group in enumerate(groups):
+        count = held[:, now].sum(axis=1)
+        first = order()
+        first = first[~held[low][:, now].any(axis=0)[first]]
+        need = group.requirement.minimum - count[g]
+        moves.claim(first, need, g, held, count, most, options, now, *state)
+    return now, int(moved), int(dropped)
+
+
+def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
+    """Return a plan without collisions in which some positioners look at more important targets, if moves find any."""
+    now, *state = _stand(candidates, chosen)
+    order = np.argsort(-candidates.options.rank[now], kind="stable")
+    moves.repair(candidates.options, order, now, *state, ROUNDS)
+    return now
+
+
+def _stand(candidates, chosen):
+    """Return what is in use, how many of these block each candidate, and who holds each target."""
+    now = np.full(len(chosen), -1)
+    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.points), -1)
+    for i, c in enumerate(chosen):
+        moves.put(i, c, candidates.options, now, blocked, holder)
+    return now, blocked, holder
