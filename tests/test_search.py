@@ -122,3 +122,17 @@ def test_a_stuck_fiber_of_another_type_is_somewhere_else():
     found = rs.allocate([[11.0, 8.1]] * MM, plane, requirements="sky@B=1", **options)
     assert found.target_of_positioner[0] >= found.n_given
     assert found.unmet == ()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_other(seed):
+    plane = dense_plane(rings=3)
+    xy, rng = sparse_targets(plane, seed)
+    options = {"priority": rng.integers(0, 2, len(xy)), "required": rng.random(len(xy)) < 0.2}
+    blind = rs.allocate(xy * MM, plane, method="sdss", **options)
+    mended = rs.allocate(xy * MM, plane, method="repair", **options)
+    for level, best in zip(mended.levels, blind.levels, strict=True):
+        assert (level.name, level.bound) == (best.name, best.value)
+        assert level.value <= level.bound
+        if level.value < level.bound:
+            break

@@ -21,7 +21,7 @@ def probability(
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
     target_radius: Annotated[float | None, typer.Option(help="Of the circle where they fall, mm.")] = None,
     min_separation: Annotated[float | None, typer.Option(help="Of poisson_disc, mm.")] = None,
-    allocator: Annotated[str, typer.Option(help="balanced or lamost.")] = "balanced",
+    allocator: Annotated[str, typer.Option(help="balanced, or another method of plan.")] = "balanced",
     density: Annotated[str | None, typer.Option(help="Independent: uniform, shared or voronoi.")] = None,
     dynamic: Annotated[float, typer.Option(help="Rate of dynamic failures.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,

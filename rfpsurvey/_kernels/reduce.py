@@ -25,6 +25,16 @@ def dominates(a, b, i, alive, options, mark):
 
 
 @kernel
+def wake(i, waiting, queue, tail):
+    """Put a positioner into the queue, unless it waits there; returns the end of the queue."""
+    if not waiting[i]:
+        waiting[i] = True
+        queue[tail % queue.size] = i
+        tail += 1
+    return tail
+
+
+@kernel
 def reduce_candidates(options, alive):
     """Give up candidates that no best plan needs, in ``alive``.
 
@@ -80,15 +90,9 @@ def reduce_candidates(options, alive):
         # whoever lost a candidate, or a rival of one, is looked at again
         for m in range(lost):
             c = losers[m]
-            low, high = (t_indptr[target[c]], t_indptr[target[c] + 1]) if target[c] >= 0 else (0, 0)
-            for k in range(indptr[c] - 1, indptr[c + 1] + high - low):
-                if k < indptr[c]:
-                    j = own[c]
-                elif k < indptr[c + 1]:
-                    j = own[other[k]]
-                else:
-                    j = own[t_candidate[low + k - indptr[c + 1]]]
-                if not waiting[j]:
-                    waiting[j] = True
-                    queue[tail % n] = j
-                    tail += 1
+            tail = wake(own[c], waiting, queue, tail)
+            for k in range(indptr[c], indptr[c + 1]):
+                tail = wake(own[other[k]], waiting, queue, tail)
+            if target[c] >= 0:
+                for k in range(t_indptr[target[c]], t_indptr[target[c] + 1]):
+                    tail = wake(own[t_candidate[k]], waiting, queue, tail)

@@ -10,7 +10,7 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._problem import Choice, Level, Problem
 from rfpsurvey.allocation._requirements import KINDS, Requirement, as_requirements
-from rfpsurvey.allocation._sky import find_sky
+from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.collision import check_plane
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, Reach
@@ -148,7 +148,7 @@ def allocate(
         parked_obstacles=bool(parked_obstacles), rng=to_generator(rng),
     )  # fmt: skip
     if sky_separation is not None:
-        problem = _with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
+        problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
     if method == "repair":
         problem = problem.replace(start=_as_choice(start, problem, n, reach.n_reachable))
     choice = solve(problem)
@@ -223,40 +223,6 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
         )
     own, target = pairs.T.astype(np.int64)
     return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
-
-
-def _with_sky(problem: Problem, separation: float) -> Problem:
-    """Add sky positions in gaps between the targets, where a requirement asks for sky."""
-    fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
-    if not fibers:
-        return problem
-    plane, n = problem.plane, len(problem.points)
-    own, points, wanted, stuck = find_sky(plane, problem.points, separation, fibers)
-    k = len(own)
-    reach = problem.reach
-    usable = ~stuck
-    r2 = ((points - plane._xy_mm[own]) ** 2).sum(axis=1)[usable]
-    more = np.cumsum(usable)
-    watched = np.full(len(plane), -1)
-    watched[own[stuck]] = n + np.flatnonzero(stuck)
-    kind = np.full(n, "science") if problem.kind is None else problem.kind
-    columns = {
-        "points": np.concatenate([problem.points, points]),
-        "reach": Reach(
-            np.concatenate([reach.indptr, reach.indptr[-1] + more]), np.concatenate([reach.owner, own[usable]]),
-            np.concatenate([reach.r2, r2]), len(plane),
-        ),
-        "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
-        "kind": np.concatenate([kind.astype("U8"), np.full(k, "sky")]),
-        "watched": watched if stuck.any() else None,
-    }  # fmt: skip
-    if problem.category is not None:
-        columns["category"] = np.concatenate([problem.category, np.full(k, "sky")])
-    if problem.required is not None:
-        columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
-    if plane.fiber_types != ("",):
-        columns["wanted"] = np.concatenate([problem.fibers, wanted])
-    return problem.replace(**columns)
 
 
 def _as_choice(start, problem: Problem, n_given: int, n_reachable: int) -> Choice:

@@ -1,6 +1,7 @@
 """Plans that are proven: what no best plan needs is given up, the rest falls apart, and each part is solved alone."""
 
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -24,18 +25,54 @@ def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_co
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
     alive = np.ones(len(everything), dtype=bool)
     reduce.reduce_candidates(everything.options, alive)
-    candidates = everything.where(alive)
-    options = candidates.options
+    used = everything.where(alive)
+    blind = pick(used, match(used))
+    # where an idle arm is not among the candidates, this may turn out to be no plan
+    start = _plan(used, blind, collide)
+    found = _solve(used, blind, start, deadline, integral=integral, squared_cost=squared_cost)
+    chosen, values, bounds = found.chosen, found.values, found.bounds
+    proven = found.complete and (values == bounds).all()
+    if not found.complete:
+        used = everything
+        chosen = _plan(used, pick(used, trim(problem, match(used))), collide)
+    elif not proven and collide:
+        chosen = improve(used, chosen)
+    target_of = used.options.target[chosen]
+    names = list(problem.values(target_of))
+    if not proven:
+        values = np.array(list(problem.values(target_of).values()))
+        bounds = _bounds(problem, everything, names, values, bounds)
+    levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
+    meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
+    return Choice(target_of, used.side[chosen], None, levels, meta)
+
+
+def _plan(candidates, chosen, collide):
+    """Return a plan to begin with: no target (-1) is the idle arm, the last candidate, and collisions are mended."""
+    if collide:
+        return mend(candidates, chosen)[0]
+    return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
+
+
+class _Found(NamedTuple):
+    chosen: np.ndarray
+    """Candidates in use, -1 where no time was left."""
+    values: np.ndarray
+    bounds: np.ndarray
+    complete: bool
+    meta: dict
+
+
+def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Found:
+    """Solve part after part; ``blind`` are the candidates of a matching whose arms may collide, -1 for none."""
+    problem, options = candidates.problem, candidates.options
     n_left = np.diff(options.start)
-    blind = pick(candidates, match(candidates))
-    # a plan to begin with; where an idle arm is not among the candidates, it may turn out to be none
-    start = mend(candidates, blind)[0] if collide else np.where(blind < 0, options.start[1:] - 1, blind)
     chosen = np.where(n_left == 1, options.start[:-1], -1)
     known = chosen[chosen >= 0]
-    names = list(problem.values(np.full(len(chosen), -1)))
-    values = bounds = np.array(list(problem.values(np.where(chosen < 0, -1, options.target[chosen])).values()))
+    levels = problem.values(np.where(chosen < 0, -1, options.target[chosen]))
+    values = bounds = np.array(list(levels.values()))
     # a part that knows of requirements counts what is known already
-    adds = np.array([name != "requirements" for name in names])
+    adds = np.array([name != "requirements" for name in levels])
     n_parts = n_programs = 0
     integers, complete = False, True
     for rows, edges in _parts(candidates, np.flatnonzero((n_left > 1)[options.own])):
@@ -50,25 +87,11 @@ def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_co
             chosen[options.own[part.chosen]] = part.chosen
         n_parts, n_programs = n_parts + 1, n_programs + part.n_programs
         integers |= part.integral and part.n_programs > 0
-    used, target_of = candidates, options.target[chosen]
-    proven = complete and (values == bounds).all()
-    if not complete:
-        used, target_of = everything, trim(problem, match(everything))
-        chosen, idle = pick(everything, target_of), everything.options.start[1:] - 1
-        chosen = mend(everything, chosen)[0] if collide else np.where(chosen < 0, idle, chosen)
-    elif not proven and collide:
-        chosen = improve(candidates, chosen)
-    target_of = used.options.target[chosen]
-    if not proven:
-        values = np.array(list(problem.values(target_of).values()))
-        bounds = _bounds(problem, everything, names, values, bounds)
-    found = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
     meta = {
         "model": "integer program" if integers else "linear program" if n_programs else "no search needed",
-        "n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1],
         "n_open": int((n_left > 1).sum()), "n_parts": n_parts, "n_programs": n_programs,
     }  # fmt: skip
-    return Choice(target_of, used.side[chosen], None, found, meta)
+    return _Found(chosen, values, bounds, complete, meta)
 
 
 def _bounds(problem, everything, names, values, bounds):

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import gaps
-from rfpsurvey.focal_plane import joints_allow
+from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.focal_plane import Reach, joints_allow
 
-__all__ = ["Sky", "find_sky"]
+__all__ = ["Sky", "find_sky", "with_sky"]
 
 # Points of each positioner that are looked at, and how many blank ones among them are kept.
 N_TRIALS, N_KEPT = 64, 4
@@ -58,6 +59,40 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         n = int(keep.sum())
         columns.append((own[keep], spots[keep], np.full(n, name), np.full(n, stuck)))
     return Sky(*(np.concatenate(c) for c in zip(*columns, strict=True)))
+
+
+def with_sky(problem: Problem, separation: float) -> Problem:
+    """Add sky positions in gaps between the targets, where a requirement asks for sky."""
+    fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
+    if not fibers:
+        return problem
+    plane, n = problem.plane, len(problem.points)
+    own, points, wanted, stuck = find_sky(plane, problem.points, separation, fibers)
+    k = len(own)
+    reach = problem.reach
+    usable = ~stuck
+    r2 = ((points - plane._xy_mm[own]) ** 2).sum(axis=1)[usable]
+    more = np.cumsum(usable)
+    watched = np.full(len(plane), -1)
+    watched[own[stuck]] = n + np.flatnonzero(stuck)
+    kind = np.full(n, "science") if problem.kind is None else problem.kind
+    columns = {
+        "points": np.concatenate([problem.points, points]),
+        "reach": Reach(
+            np.concatenate([reach.indptr, reach.indptr[-1] + more]), np.concatenate([reach.owner, own[usable]]),
+            np.concatenate([reach.r2, r2]), len(plane),
+        ),
+        "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
+        "kind": np.concatenate([kind.astype("U8"), np.full(k, "sky")]),
+        "watched": watched if stuck.any() else None,
+    }  # fmt: skip
+    if problem.category is not None:
+        columns["category"] = np.concatenate([problem.category, np.full(k, "sky")])
+    if problem.required is not None:
+        columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
+    if plane.fiber_types != ("",):
+        columns["wanted"] = np.concatenate([problem.fibers, wanted])
+    return problem.replace(**columns)
 
 
 def _bin(plane, x, y, separation):
