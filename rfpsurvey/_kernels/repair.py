@@ -24,6 +24,13 @@ def put(i, c, options, chosen, blocked, holder):
 
 
 @kernel
+def put_all(plan, options, chosen, blocked, holder):
+    """All positioners take the candidates of a plan."""
+    for i in range(plan.size):
+        put(i, plan[i], options, chosen, blocked, holder)
+
+
+@kernel
 def best_free(i, least, options, chosen, blocked, holder):
     """Best candidate of i that nothing keeps it from and that is as good as the candidate ``least``; -1: none."""
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good

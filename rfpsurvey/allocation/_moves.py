@@ -84,6 +84,5 @@ def _stand(candidates, chosen):
     """Return what is in use, how many of these block each candidate, and who holds each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.points), -1)
-    for i, c in enumerate(chosen):
-        moves.put(i, c, candidates.options, now, blocked, holder)
+    moves.put_all(chosen, candidates.options, now, blocked, holder)
     return now, blocked, holder
