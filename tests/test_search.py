@@ -1,5 +1,8 @@
 """What once went wrong in the search for the best plan, and plans that run out of time."""
 
+from collections import Counter
+from itertools import combinations, product
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -8,6 +11,8 @@ from scipy.sparse import csr_array
 
 import rfpsurvey as rs
 from brute import bodies_of, conflicts_of, options_of
+from rfpsurvey._kernels import conflicts
+from rfpsurvey._kernels.reduce import reduce_candidates
 
 MM = u.mm
 
@@ -136,3 +141,96 @@ def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_o
         assert level.value <= level.bound
         if level.value < level.bound:
             break
+
+
+@pytest.mark.parametrize("largest", [10, 1e6])
+@pytest.mark.parametrize("steep", [1.0, 8.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, largest):
+    """Aims with too little weight in an objective lose something, which must be noticed."""
+    unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5391 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=22.4 * MM)
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-75, 75, (60, 2)) * MM
+    options = {
+        "method": "optimal",
+        "priority": rng.integers(0, 5, 60),
+        "objective": "count" if seed % 2 else "priority",
+    }
+    usual = rs.allocate(xy, plane, **options)
+    for name, value in {"LARGE": 0, "STEEP": steep, "LARGEST": largest}.items():
+        monkeypatch.setattr(f"rfpsurvey.allocation._pursue.{name}", value)
+    found = rs.allocate(xy, plane, **options)
+    assert found.levels == usual.levels
+    assert found.gap == 0
+
+
+def random_conflicts(rng):
+    """Candidates of a few positioners that exclude each other at random, as no arms could."""
+    n = int(rng.integers(2, 6))
+    own, target, pairs = [], [], []
+    for i in range(n):
+        mine = rng.choice(6, rng.integers(0, 4), replace=False)
+        own += [i] * (len(mine) + 1)
+        target += [*mine.tolist(), -1]
+    own, target = np.array(own), np.array(target)
+    for a in range(len(own)):
+        for b in range(a):
+            if own[a] != own[b] and (target[a] >= 0 or target[b] >= 0) and rng.random() < 0.25:
+                pairs.append((b, a))
+    pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2).T.copy()
+    rank = np.append(rng.integers(0, 3, 6), 4)[target]
+    key = np.append(rng.integers(0, 2, 6), 2)[target]
+    as_good = np.array([[True, False, rng.random() < 0.5], [False, True, True], [False, False, True]])
+    rows = np.flatnonzero(target >= 0)
+    rows = rows[np.argsort(target[rows], kind="stable")]
+    indptr, other = np.empty(len(own) + 1, np.int64), np.empty(2 * pairs.shape[1], np.int64)
+    conflicts.adjacency(pairs[0], pairs[1], indptr, other)
+    cost = rng.integers(0, 3, 6).astype(float)[target]
+    return conflicts.Options(
+        np.searchsorted(own, np.arange(n + 1)), own, target, rank, cost, key, as_good,
+        np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=6))]), rows, indptr, other,
+    ), pairs  # fmt: skip
+
+
+def plans(options, pairs, alive):
+    """All plans of some candidates, with what they are worth: classes, keys, and cost."""
+    mine = [[c for c in range(*options.start[i : i + 2]) if alive[c]] for i in range(len(options.start) - 1)]
+    bad = {tuple(p) for p in pairs.T.tolist()}
+    for plan in product(*mine):
+        used = [options.target[c] for c in plan if options.target[c] >= 0]
+        if len(set(used)) == len(used) and not any(p in bad for p in combinations(plan, 2)):
+            classes = tuple(sum(options.rank[c] == k for c in plan) for k in range(3))
+            yield (
+                plan,
+                classes,
+                Counter(options.key[c] for c in plan),
+                -sum(options.cost[c] for c in plan if options.target[c] >= 0),
+            )
+
+
+def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclude():
+    for seed in range(1500):
+        rng = np.random.default_rng(seed)
+        options, pairs = random_conflicts(rng)
+        # without requirements: all keys are as good as each other
+        free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
+        for case, with_keys in ((free, False), (options, True)):
+            everything, alive = np.ones(len(options.own), bool), np.ones(len(options.own), bool)
+            before = list(plans(case, pairs, everything))
+            if not before:
+                continue
+            reduce_candidates(case, alive)
+            after = list(plans(case, pairs, alive))
+            weigh = [lambda p: (p[1], p[3])]
+            if with_keys:  # whatever a requirement on one key asks for
+                weigh = [lambda p, k=k, s=s: (s * p[2][k], p[1]) for k in (0, 1) for s in (1,) if case.as_good[k, 2]]
+            for worth in weigh:
+                assert max(map(worth, after)) == max(map(worth, before)), seed
+            n_left = np.add.reduceat(alive, options.start[:-1])
+            decided = set(np.flatnonzero(alive & (n_left == 1)[options.own]).tolist())
+            for a, b in pairs.T.tolist():
+                assert not (alive[a] and alive[b] and (a in decided or b in decided)), seed
+            for a in decided:
+                rivals = (options.target == options.target[a]) & (options.own != options.own[a]) & alive
+                assert options.target[a] < 0 or not rivals.any(), seed
