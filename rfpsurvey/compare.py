@@ -16,7 +16,7 @@ from rfpsurvey.tile import Tile, plan_tile
 
 __all__ = ["compare_allocators"]
 
-# Priority classes with a column of their own.
+# No more priority classes than that have columns of their own.
 MOST_CLASSES = 8
 log = logging.getLogger("rfpsurvey")
 
@@ -48,11 +48,12 @@ def compare_allocators(
     -------
     QTable
         A row for each method. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (fibers on each kind); fibers
-        on each priority class, where there are several (eight at most); ``missing`` (what the requirements
+        on each priority class, where there are from two to eight; ``missing`` (what the requirements
         lack); ``colliding`` (positioners), ``pairs`` and ``at_obstacles``; ``usable`` (science fibers without a
         collision); ``loss`` (``usable`` against the science fibers of the best plan that does not look at
-        collisions, as a part of these); ``gap`` (NaN where nothing is proven); ``seconds`` (reach and
-        allocation, once compiled). ``meta`` holds the unmet requirements of each method, and the provenance.
+        collisions, as a part of these; it can be negative for methods that do not look at requirements);
+        ``gap`` (NaN where nothing is proven); ``seconds`` (reach and allocation, once compiled). ``meta`` holds the
+        unmet requirements of each method, and the provenance.
 
     Raises
     ------
@@ -111,7 +112,8 @@ def _row(name, tile, blind):
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
     row = {"allocator": name, **{kind: _on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
     classes = [aim for aim in aims if aim.startswith("priority ")]
-    row.update({aim.replace(" ", "_"): int(aims[aim]) for aim in classes[:MOST_CLASSES]})
+    if len(classes) <= MOST_CLASSES:
+        row.update({aim.replace(" ", "_"): int(aims[aim]) for aim in classes})
     seconds = summary["seconds"]
     return row | {
         "missing": int(-aims.get("requirements", 0)),

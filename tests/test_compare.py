@@ -143,3 +143,19 @@ def test_commands(tmp_path, crowded):
     done = run("plan", path, "--instrument", "moons", "--require", "skies")
     assert done.returncode == 2
     assert "a requirement must have a form such as" in done.stderr
+
+
+def test_fields_without_science_and_misspelled_names(crowded):
+    sky = rs.Catalog(crowded.coord, kind=np.full(len(crowded), "sky"), category=np.full(len(crowded), "sky_faint"))
+    table = rs.compare_allocators(sky, "moons", CENTER, requirements="sky=20")
+    assert table["sky"].tolist() == [0, 0, 20, table["sky"][3], table["sky"][4], table["sky"][5]]
+    with pytest.raises(
+        rs.InputError, match="none of the 1[12].. targets in the field is science; requirements such as"
+    ):
+        rs.plan_tile(sky, "moons", CENTER)
+    tile = rs.plan_tile(sky, "moons", CENTER, requirements=["sky_fiant=20"], allocator="optimal")
+    assert tile.summary["unmet"] == [
+        "sky_fiant targets: 0 of 20, 20 missing; none is in reach; did you mean 'sky_faint'?"
+    ]
+    with pytest.raises(rs.InputError, match="sky_separation must be one finite value above 0 arcsec"):
+        rs.plan_tile(sky, "moons", CENTER, requirements="sky=20", sky_separation=0 * u.arcsec)

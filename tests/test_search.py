@@ -234,3 +234,26 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
             for a in decided:
                 rivals = (options.target == options.target[a]) & (options.own != options.own[a]) & alive
                 assert options.target[a] < 0 or not rivals.any(), seed
+
+
+def test_classes_after_required_targets_may_be_larger_than_in_a_matching():
+    """A matching has the best classes only if it keeps as many required targets; 23 passed for the most that can be."""
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 3 * MM), rings=7, pitch=18 * MM)
+    n, rng = len(plane), np.random.default_rng(2)
+    xy = plane._xy_mm[rng.integers(n, size=2 * n)] + rng.uniform(-12, 12, (2 * n, 2))
+    options = {"priority": rng.integers(0, 4, 2 * n), "required": rng.random(2 * n) < 0.5}
+    found = rs.allocate(xy * MM, plane, method="optimal", parked_obstacles=False, **options)
+    assert found.levels[-1].value == found.levels[-1].bound == 27
+
+
+@pytest.mark.parametrize("options", [{"method": "optimal", "time_limit": 1 * u.ns}, {"method": "repair"}])
+def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    stuck = [[0, 90], [10, 90], [np.nan, np.nan]] * u.deg
+    plane = rs.FocalPlane([[0, 0], [60, 0], [120, 0]] * MM, unit, stuck=stuck)
+    xy = [[123, 3.0]] * MM
+    if options["method"] == "repair":
+        options = {**options, "start": rs.allocate(xy, plane, method="sdss", kind=["sky"])}
+    found = rs.allocate(xy, plane, kind=["sky"], requirements=["sky=1-2"], sky_separation=1 * MM, **options)
+    assert found.n_assigned == 2
+    assert found.unmet == ()

@@ -126,6 +126,7 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
     assert 37 >= len(sees) >= (part > 0.06).sum() > 0 or separation > 10
 
 
+@pytest.mark.filterwarnings("ignore:sky_separation changes nothing")
 @pytest.mark.parametrize("method", FILLING)
 @pytest.mark.parametrize("wishes", [None, "standard=3", "sky=0", "sky=-5", "sky_boss=3", "science=3"])
 def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
@@ -391,3 +392,16 @@ def test_a_separation_in_a_real_field(tycho, presets):
     assert blank.sum() == 320
     there = SkyCoord(tile.table["ra"][blank], tile.table["dec"][blank])
     assert there.match_to_catalog_sky(catalog.coord)[1].min() > 9.9 * u.arcsec
+
+
+def test_found_sky_does_not_hide_sky_of_the_catalog():
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
+    options = {"kind": ["sky", "sky"], "category": ["sky_a", "sky_a"], "requirements": ["sky=1-1"]}
+    found = rs.allocate([[3, 3], [28, 3.0]] * MM, plane, method="optimal", sky_separation=1 * MM, **options)
+    assert found.n_assigned == 1
+
+
+def test_a_separation_that_nobody_needs_is_said():
+    plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
+    with pytest.warns(rs.RfpsurveyWarning, match="sky_separation changes nothing: no requirement asks for sky"):
+        rs.allocate([[3, 3]] * MM, plane, sky_separation=1 * MM)

@@ -1,5 +1,6 @@
 """The one door of target allocation."""
 
+import warnings
 from time import perf_counter
 
 import astropy.units as u
@@ -12,7 +13,7 @@ from rfpsurvey.allocation._problem import Choice, Level, Problem
 from rfpsurvey.allocation._requirements import KINDS, Requirement, as_requirements
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.collision import check_plane
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
 __all__ = ["allocate"]
@@ -148,6 +149,9 @@ def allocate(
         parked_obstacles=bool(parked_obstacles), rng=to_generator(rng),
     )  # fmt: skip
     if sky_separation is not None:
+        if not any(one.what == "sky" and one.minimum for one in requirements):
+            text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
+            warnings.warn(text, RfpsurveyWarning, stacklevel=2)
         problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
     if method == "repair":
         problem = problem.replace(start=_as_choice(start, problem, n, reach.n_reachable))

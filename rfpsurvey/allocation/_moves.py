@@ -38,12 +38,18 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 def trim(problem: Problem, target_of: np.ndarray) -> np.ndarray:
     """Return a plan that exceeds no maximum: the least important targets are given up."""
     target_of = target_of.copy()
+    if problem.watched is not None:
+        target_of = np.where(problem.watched >= 0, problem.watched, target_of)
     for group in problem.groups:
         most = group.requirement.maximum
-        own = np.flatnonzero((target_of >= 0) & problem.plane._usable)
+        if most is None:
+            continue
+        own = np.flatnonzero(target_of >= 0)
         own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
-        own = own[np.argsort(problem.rank_of(target_of[own]), kind="stable")]
-        target_of[own[len(own) if most is None else most :]] = -1
+        # what stuck fibers look at cannot be given up
+        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.plane._usable[own]))]
+        extra = own[most:]
+        target_of[extra[problem.plane._usable[extra]]] = -1
     return target_of
 
 

@@ -1,6 +1,7 @@
 """One allocation to make: targets, who reaches them, what they are worth, and what the plan must hold."""
 
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import cached_property
 from typing import NamedTuple
 
@@ -135,13 +136,22 @@ class Problem:
         for group in self.groups:
             one, n = group.requirement, int(group.holds(used, place).sum())
             if n < one.minimum:
-                found.append(Shortfall(one, group.spectrograph, one.minimum, n, self._possible(group)))
+                found.append(
+                    Shortfall(one, group.spectrograph, one.minimum, n, self._possible(group), self._hint(group))
+                )
             elif high and one.maximum is not None and n > one.maximum:
                 found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
         if high and self.required is not None and (n := int(self.required[used].sum())) < self.required.sum():
             possible = int((self.required & (np.diff(self.reach.indptr) > 0)).sum())
             found.append(Shortfall(None, None, int(self.required.sum()), n, possible))
         return found
+
+    def _hint(self, group: Group) -> str:
+        """Return a kind or category that is spelled like one that no target has."""
+        if group.targets.any() or group.requirement.what in KINDS:
+            return ""
+        names = {*KINDS, *(() if self.category is None else np.unique(self.category).tolist())} - {""}
+        return next(iter(get_close_matches(group.requirement.what.lower(), sorted(names), n=1)), "")
 
     def _possible(self, group: Group) -> int:
         """How many targets of a group are in reach of a fiber that would count."""

@@ -49,7 +49,9 @@ class _Pursuit:
         if self.limit is None:
             return most
         if not aims[k].is_class:
-            return min(most, self.limit[k])
+            # the matching is the best one if all that comes before is as good as in it
+            known = self.program.problem.required is None or all(values[:k] >= self.limit[:k])
+            return min(most, self.limit[k]) if known else most
         classes = [j for j in range(k) if aims[j].is_class]
         # no plan has more targets of the classes up to this one than the best matching has
         return min(most, self.limit[[*classes, k]].sum() - sum(values[j] for j in classes))

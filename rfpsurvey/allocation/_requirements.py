@@ -12,7 +12,7 @@ __all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sen
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
-FORM = re.compile(r"([^@=/]+)(?:@([^@=/]+))?=(?:(\d{1,9})|(\d{1,9})?-(\d{1,9}))(?:/(.+))?")
+FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))\s*(?:/\s*(.+))?")
 MOST = 10**9
 
 
@@ -128,6 +128,8 @@ class Shortfall:
         How many there are.
     possible : int
         How many such targets are in reach of positioners that can take them.
+    hint : str, optional
+        A name that may have been meant.
     """
 
     requirement: Requirement | None
@@ -135,6 +137,7 @@ class Shortfall:
     wanted: int
     found: int
     possible: int
+    hint: str = ""
 
     @property
     def what(self) -> str:
@@ -150,7 +153,12 @@ class Shortfall:
         if missing < 0:
             return f"{self.what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
         why = f"; {_few(self.possible)} in reach" if self.possible < self.wanted else ""
-        return f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}"
+        return f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}{self.guess}"
+
+    @property
+    def guess(self) -> str:
+        """Ask whether another name was meant."""
+        return f"; did you mean {self.hint!r}?" if self.hint else ""
 
 
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
@@ -168,7 +176,7 @@ def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
         why = f"; {_few(possible)} in reach there" if possible < sum(r.wanted for r in rows) else ""
         found.append(
             f"{rows[0].what}, {rows[0].wanted} in each spectrograph: {missing} missing in {len(rows)} of them "
-            f"({places}){why}"
+            f"({places}){why}{rows[0].guess}"
         )
     return found
 

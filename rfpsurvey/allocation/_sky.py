@@ -87,7 +87,9 @@ def with_sky(problem: Problem, separation: float) -> Problem:
         "watched": watched if stuck.any() else None,
     }  # fmt: skip
     if problem.category is not None:
-        columns["category"] = np.concatenate([problem.category, np.full(k, "sky")])
+        # where sky is a category, it is that; else the kind says what it is
+        name = "sky" if np.any(problem.category == "sky") else ""
+        columns["category"] = np.concatenate([problem.category, np.full(k, name)])
     if problem.required is not None:
         columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
     if plane.fiber_types != ("",):

@@ -152,9 +152,13 @@ def plan_tile(
         time_limit=time_limit, start=start, parked_obstacles=parked_obstacles, rng=rng,
     )  # fmt: skip
     seconds.update(allocation.seconds)
-    if allocation.n_assigned == 0:
-        what = "no science target" if len(given) else f"none of the {len(rows)} targets in the field is science and"
-        raise InputError(f"{what} lies in reach of a positioner of {instrument.name}")
+    if len(given) == 0:
+        raise InputError(
+            f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
+        )
+    if allocation.n_reachable == 0:
+        what = "target" if wishes else "science target"
+        raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
     begin = perf_counter()
     posed = allocation.place_arms(instrument.focal_plane)
     seconds["arms"] = perf_counter() - begin

@@ -176,6 +176,8 @@ def build_tile(
     plane = instrument.focal_plane
     n = len(plane)
     has_target = posed.assigned
+    if len(ids) == 0:  # a plan without any target
+        ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
     row = np.where(has_target, target_of, 0)
     names = np.array([str(i) for i in plane.id])
     status = np.full(n, "idle", dtype="U12")

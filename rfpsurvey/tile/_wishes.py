@@ -21,7 +21,7 @@ def to_length(value: u.Quantity | None, instrument: Instrument, name: str) -> u.
     if value is None:
         return None
     if isinstance(value, u.Quantity) and value.unit.is_equivalent(u.rad):
-        value = value * instrument.plate_scale
+        value = to_scalar(value, value.unit, name, low=0) * value.unit * instrument.plate_scale
     return to_scalar(value, u.mm, name, low=0) * u.mm
 
 
