@@ -222,3 +222,17 @@ def test_every_fiber_type_needs_a_map(presets):
     sdss = presets["sdss_apo"]
     with pytest.raises(rs.InputError, match="must have a map for the fiber type 'APOGEE'"):
         rs.Instrument("half", sdss.focal_plane, distortion={"BOSS": sdss.distortion["BOSS"]})
+
+
+def test_what_tiles_of_each_preset_must_hold(presets):
+    expected = {
+        "lamost": ("sky=20/spectrograph", "standard=5/spectrograph"),
+        "sdss_apo": ("sky@BOSS=50", "sky@APOGEE=35", "standard@BOSS=50", "standard@APOGEE=15"),
+        "sdss_lco": ("sky@BOSS=50", "sky@APOGEE=35", "standard@BOSS=50", "standard@APOGEE=15"),
+        "moons": (),
+        "desi": ("sky=40/spectrograph", "standard=10/spectrograph"),
+        "pfs": ("sky=240", "standard=40"),
+    }
+    for name, instrument in presets.items():
+        assert instrument.requirements == expected[name]
+        assert tuple(str(rs.Requirement.parse(text)) for text in instrument.requirements) == expected[name]

@@ -135,6 +135,10 @@ def plan_tile(
     given = rows
     if catalog.kind is not None and not wishes:
         given = rows[(catalog.kind[rows] == "science") | is_required(catalog.id[rows], required)]
+    if len(given) == 0:
+        raise InputError(
+            f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
+        )
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog._has_twins else 0
     if n_twice:
         warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)
@@ -146,16 +150,13 @@ def plan_tile(
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     wanted, absent = find_ids(everything.id, catalog.id[given], required)
     rng, seed = _generator(rng)
+    separation = to_length(sky_separation, instrument, "sky_separation")
     allocation = allocate(
         xy * u.mm, instrument.focal_plane, method=allocator, **columns, fiber_type=needs, requirements=wishes,
-        required=wanted, sky_separation=to_length(sky_separation, instrument, "sky_separation"), objective=objective,
-        time_limit=time_limit, start=start, parked_obstacles=parked_obstacles, rng=rng,
+        required=wanted, sky_separation=separation, objective=objective, time_limit=time_limit, start=start,
+        parked_obstacles=parked_obstacles, rng=rng,
     )  # fmt: skip
     seconds.update(allocation.seconds)
-    if len(given) == 0:
-        raise InputError(
-            f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
-        )
     if allocation.n_reachable == 0:
         what = "target" if wishes else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
@@ -184,7 +185,11 @@ def plan_tile(
         "epoch_asked": None if epoch is None else str(epoch),
         "allocator": allocator,
         "requirements": [str(one) for one in wishes],
+        "required": [] if required is None else [str(name) for name in np.atleast_1d(required)],
+        "sky_separation_mm": None if separation is None else float(separation.to_value(u.mm)),
+        "n_keep_out": 0 if keep_out is None else int(keep_out.size),
         "objective": objective,
+        "time_limit_s": float(time_limit.to_value(u.s)),
         "parked_obstacles": bool(parked_obstacles),
         "rng": seed,
     }
