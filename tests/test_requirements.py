@@ -192,9 +192,10 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
     xy = np.concatenate([c + [[1, 0], [0, 2], [-3, 0], [0, 4]] for c in ROW.xy.value])
     found = rs.allocate(xy * MM, ROW, method=method, kind=["sky"] * 12, requirements=["sky=5", "sky=3/spectrograph"])
     assert found.n_assigned == 3
+    why = "all requirements ask for 11 fibers, and there are 3"
     assert sentences(found.unmet) == [
-        "sky targets: 3 of 5, 2 missing",
-        "sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9)",
+        f"sky targets: 3 of 5, 2 missing; {why}",
+        f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",
     ]
     assert [(s.spectrograph, s.wanted, s.found, s.possible) for s in found.unmet] == [
         (None, 5, 3, 12), (7, 3, 2, 8), (9, 3, 1, 4),

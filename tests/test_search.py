@@ -82,10 +82,9 @@ def edges_alone(plane, xy, parked):
     rows += list(by_target.values())
     own = [[column[i, k] for k in range(len(mine))] for i, mine in enumerate(choices)]
     everything = rows + own
-    matrix = csr_array(
-        (np.ones(sum(map(len, everything))), np.concatenate(everything), np.cumsum([0, *map(len, everything)])),
-        shape=(len(everything), len(column)),
-    )
+    indptr = np.cumsum([0, *map(len, everything)], dtype=np.int32)
+    ones, indices = np.ones(indptr[-1]), np.concatenate(everything).astype(np.int32)
+    matrix = csr_array((ones, indices, indptr), shape=(len(everything), len(column)))
     low = np.append(np.full(len(rows), -np.inf), np.ones(len(own)))
     most = np.ones(len(column))
     most[[column[c] for c in barred]] = 0

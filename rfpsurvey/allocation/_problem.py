@@ -136,9 +136,9 @@ class Problem:
         for group in self.groups:
             one, n = group.requirement, int(group.holds(used, place).sum())
             if n < one.minimum:
-                found.append(
-                    Shortfall(one, group.spectrograph, one.minimum, n, self._possible(group), self._hint(group))
-                )
+                possible = self._possible(group)
+                hint = self._hint(group, possible)
+                found.append(Shortfall(one, group.spectrograph, one.minimum, n, possible, hint))
             elif high and one.maximum is not None and n > one.maximum:
                 found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
         if high and self.required is not None and (n := int(self.required[used].sum())) < self.required.sum():
@@ -146,12 +146,17 @@ class Problem:
             found.append(Shortfall(None, None, int(self.required.sum()), n, possible))
         return found
 
-    def _hint(self, group: Group) -> str:
-        """Return a kind or category that is spelled like one that no target has."""
-        if group.targets.any() or group.requirement.what in KINDS:
+    def _hint(self, group: Group, possible: int) -> str:
+        """Say what may be wrong: a name that no target has, or more than there are positioners."""
+        if group.targets.any():
+            enough = possible >= group.requirement.minimum
+            asked, there = sum(g.requirement.minimum for g in self.groups), int(self.plane._usable.sum())
+            return f"all requirements ask for {asked} fibers, and there are {there}" if asked > there and enough else ""
+        if group.requirement.what in KINDS:
             return ""
         names = {*KINDS, *(() if self.category is None else np.unique(self.category).tolist())} - {""}
-        return next(iter(get_close_matches(group.requirement.what.lower(), sorted(names), n=1)), "")
+        close = get_close_matches(group.requirement.what.lower(), sorted(names), n=1)
+        return f"did you mean {close[0]!r}?" if close else ""
 
     def _possible(self, group: Group) -> int:
         """How many targets of a group are in reach of a fiber that would count."""

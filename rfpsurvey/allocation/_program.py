@@ -84,6 +84,9 @@ class Program:
         if keep:
             matrix = vstack([matrix, csr_array(np.array([aim.flags for aim, _ in keep]))], format="csr")
             low, high = np.append(low, [value for _, value in keep]), np.append(high, np.full(len(keep), np.inf))
+        # HiGHS takes short indices only
+        short = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
+        matrix = csr_array((matrix.data, *short), shape=matrix.shape)
         most = np.append(np.ones(len(self.candidate)), np.full(len(self.short), np.inf))
         found = milp(
             -goal, constraints=LinearConstraint(matrix, low, high), bounds=Bounds(0, most),

@@ -129,7 +129,7 @@ class Shortfall:
     possible : int
         How many such targets are in reach of positioners that can take them.
     hint : str, optional
-        A name that may have been meant.
+        A name that may have been meant, or what stands in the way.
     """
 
     requirement: Requirement | None
@@ -153,12 +153,9 @@ class Shortfall:
         if missing < 0:
             return f"{self.what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
         why = f"; {_few(self.possible)} in reach" if self.possible < self.wanted else ""
-        return f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}{self.guess}"
-
-    @property
-    def guess(self) -> str:
-        """Ask whether another name was meant."""
-        return f"; did you mean {self.hint!r}?" if self.hint else ""
+        return (
+            f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}{self.hint and '; ' + self.hint}"
+        )
 
 
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
@@ -176,7 +173,7 @@ def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
         why = f"; {_few(possible)} in reach there" if possible < sum(r.wanted for r in rows) else ""
         found.append(
             f"{rows[0].what}, {rows[0].wanted} in each spectrograph: {missing} missing in {len(rows)} of them "
-            f"({places}){why}{rows[0].guess}"
+            f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
         )
     return found
 

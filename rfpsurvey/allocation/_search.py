@@ -142,7 +142,8 @@ def _parts(candidates, rows):
     twins = twins[:, options.target[twins[0]] == options.target[twins[1]]]
     first, second = options.own[np.concatenate([edges, twins], axis=1)]
     n = len(options.start) - 1
-    _, label = connected_components(coo_array((np.ones(len(first)), (first, second)), shape=(n, n)), directed=False)
+    ends = first.astype(np.int32), second.astype(np.int32)  # what older versions take
+    _, label = connected_components(coo_array((np.ones(len(first)), ends), shape=(n, n)), directed=False)
     # parts of a few positioners each, put together in the order of their labels
     members = np.unique(options.own[rows])
     names, size = np.unique(label[members], return_counts=True)

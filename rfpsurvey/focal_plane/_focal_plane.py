@@ -278,6 +278,8 @@ class FocalPlane:
         """
         points = to_points_mm(xy, "xy")
         indptr, target, _ = self._reach(points, fiber_type).by_positioner
+        if len(target) < 2**31:  # graph routines of older versions of SciPy take short indices only
+            indptr, target = indptr.astype(np.int32), target.astype(np.int32)
         return csr_array((np.ones(len(target), bool), target, indptr), shape=(len(self), len(points)))
 
     def _reach(self, points: np.ndarray, fiber_type=None) -> Reach:

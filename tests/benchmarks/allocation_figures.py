@@ -1,6 +1,6 @@
 """Figures of the page on benchmarks: what allocation costs, and what collisions cost.
 
-``python tests/benchmarks/allocation_figures.py``; about a minute on one core. Real fields need RFPSURVEY_TEST_DATA.
+``python tests/benchmarks/allocation_figures.py``; a few minutes on one core. Real fields need RFPSURVEY_TEST_DATA.
 """
 
 import os
@@ -82,6 +82,23 @@ def rules():
         print(f"  {name:<10} {seconds:.3f} s, {found.n_assigned} positioners, gap {found.gap:g}")
 
 
+def classes():
+    print("presets and priority classes: seconds of optimal, once each (gap where it is not proven within 60 s)")
+    rng = np.random.default_rng(0)
+    for name in ("lamost", "sdss_apo", "moons", "desi", "pfs"):
+        model = rs.Instrument.preset(name)
+        plane = model.focal_plane
+        n = int(4 * len(plane))
+        xy = disc(np.hypot(*plane.xy.to_value(u.mm).T).max(), n, 0)
+        types = None if plane.fiber_types == ("",) else rng.choice(plane.fiber_types, n)
+        cells = []
+        for k in (1, 3, 10, 100):
+            options = {"method": "optimal", "priority": rng.integers(0, k, n), "fiber_type": types}
+            seconds, found = median(rs.allocate, xy, plane, repeats=1, **options)
+            cells.append(f"{k} classes {seconds:.2f} s" + (f" gap {found.gap:.4f}" if found.gap else ""))
+        print(f"  {name:<10} " + "   ".join(cells))
+
+
 def fields(folder):
     catalog = rs.Catalog.read(folder / "sdssv_robostrategy_field_a.ecsv")
     options = {"position_angle": 40 * u.deg, "requirements": REQUIRED}
@@ -108,5 +125,6 @@ def show(catalog, name, center, **options):
 if __name__ == "__main__":
     hexagons()
     rules()
+    classes()
     if os.environ.get("RFPSURVEY_TEST_DATA"):
         fields(Path(os.environ["RFPSURVEY_TEST_DATA"]))
