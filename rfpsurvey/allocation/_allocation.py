@@ -84,8 +84,9 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """What no plan with the same aims exceeds; NaN where nothing is proven."""
-        return self.objective + sum(level.bound - level.value for level in self.levels)
+        """What no plan exceeds that is as good in all aims that are proven; NaN where nothing is proven."""
+        # classes that are not proven have bounds on all classes up to them: the largest gap counts, not their sum
+        return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property
     def gap(self) -> float:

@@ -13,10 +13,8 @@ __all__ = ["Aim", "Program"]
 
 
 class Aim(NamedTuple):
-    """Something to be as large as possible."""
+    """Something to be as large as possible, a row of `Program.matrix`."""
 
-    flags: np.ndarray
-    """Coefficients of the variables."""
     low: float
     high: float
     """No plan reaches less or more."""
@@ -45,7 +43,7 @@ class Program:
         self._targets()
         self._requirements(others)
         self.rows = vstack(self._parts, format="csr"), np.concatenate(self._low), np.concatenate(self._high)
-        self.aims = self._aims()
+        self.matrix, self.aims = self._aims()
 
     def variables(self, chosen: np.ndarray) -> np.ndarray:
         """Return the variables of a plan; what requirements lack is what they lack in it."""
@@ -62,7 +60,11 @@ class Program:
 
     def reaches(self, x: np.ndarray) -> np.ndarray:
         """Return what each aim reaches."""
-        return np.array([np.round(aim.flags @ x) for aim in self.aims])
+        return np.round(self.matrix @ x)
+
+    def goal(self, first: int, weights: np.ndarray) -> np.ndarray:
+        """Return the coefficients of a weighted sum of aims, from the first one on."""
+        return self.matrix[first : first + len(weights)].T @ weights
 
     def holds(self, x: np.ndarray) -> bool:
         """Say whether variables keep all constraints."""
@@ -73,7 +75,7 @@ class Program:
     def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, keep=(), gap: float = 0.0):
         """Return variables (None: nothing found in time) and what the goal cannot exceed.
 
-        ``keep`` are aims and values that must not be lost, ``gap`` the relative error that is allowed.
+        ``keep`` are values of the first aims that must not be lost, ``gap`` the relative error that is allowed.
         """
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -81,9 +83,9 @@ class Program:
         if left <= 0:
             return None, np.inf
         matrix, low, high = self.rows
-        if keep:
-            matrix = vstack([matrix, csr_array(np.array([aim.flags for aim, _ in keep]))], format="csr")
-            low, high = np.append(low, [value for _, value in keep]), np.append(high, np.full(len(keep), np.inf))
+        if len(keep):
+            matrix = vstack([matrix, self.matrix[: len(keep)]], format="csr")
+            low, high = np.append(low, keep), np.append(high, np.full(len(keep), np.inf))
         # HiGHS takes short indices only
         short = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
         matrix = csr_array((matrix.data, *short), shape=matrix.shape)
@@ -167,25 +169,30 @@ class Program:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
     def _aims(self):
-        """Everything to be as large as possible, in strict order."""
-        problem = self.problem
+        """Everything to be as large as possible, in strict order: coefficients of the variables, and limits."""
+        problem, n_classes = self.problem, len(self.problem.classes)
         rank = self.candidates.options.rank[self.candidate]
-        aims, nothing = [], np.zeros(len(self.short))
+        columns, worth, aims = [], [], []
 
-        def add(flags, *, is_class=False):
-            used = np.flatnonzero(flags)
+        def add(used, *, is_class=False):
             most = min(len(np.unique(self.own[used])), len(np.unique(self.target[used])))
-            aims.append(Aim(np.append(flags.astype(float), nothing), 0.0, float(most), is_class))
+            columns.append(used)
+            worth.append(1.0)
+            aims.append(Aim(0.0, float(most), is_class))
 
         if problem.required is not None:
-            add(np.append(problem.required, False)[self.target])
+            add(np.flatnonzero(np.append(problem.required, False)[self.target]))
         if problem.groups:
-            wanted = sum(g.requirement.minimum for g in problem.groups)
-            aims.append(Aim(np.append(np.zeros(len(rank)), nothing - 1.0), -float(wanted), 0.0))
-        if problem.objective == "count" and len(problem.classes) > 1:
-            add(rank < len(problem.classes))
-        for k in range(len(problem.classes)):
-            add(rank == k, is_class=problem.required is None)
+            columns.append(self.short)
+            worth.append(-1.0)
+            aims.append(Aim(-float(sum(g.requirement.minimum for g in problem.groups)), 0.0))
+        if problem.objective == "count" and n_classes > 1:
+            add(np.flatnonzero(rank < n_classes))
+        order = np.argsort(rank, kind="stable")
+        for used in np.split(order, np.searchsorted(rank[order], np.arange(n_classes + 1)))[1:-1]:
+            add(used, is_class=problem.required is None)
         if not problem.science.all():
-            add(self.target >= 0)
-        return aims
+            add(np.flatnonzero(self.target >= 0))
+        sizes = [len(used) for used in columns]
+        row, column = np.repeat(np.arange(len(aims)), sizes), np.concatenate(columns)
+        return csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(aims), self.n)), aims

@@ -38,23 +38,25 @@ class _Pursuit:
     def __init__(self, program: Program, first, limit, *, integral):
         self.program, self.limit = program, limit
         self.integral, self.n_programs = integral, 0
+        self.high = np.array([aim.high for aim in program.aims])
+        self.classes = np.array([aim.is_class for aim in program.aims])
         x = program.variables(first)
         self.x = x if program.holds(x) else None
         self.values = program.reaches(x)
-        self.solved: list[tuple] = []  # aims and their values
+        self.solved: list[float] = []  # values of the first aims
 
-    def upper(self, k, values):
-        """Return what aim k cannot exceed, given the values of those before it."""
-        aims, most = self.program.aims, self.program.aims[k].high
+    def upper(self, values):
+        """Return what each aim cannot exceed, given the values of those before it."""
         if self.limit is None:
-            return most
-        if not aims[k].is_class:
+            return self.high
+        # no plan has more targets of the first classes than the best matching has
+        before = np.cumsum(self.classes * values) - self.classes * values
+        most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
+        if self.program.problem.required is not None:
             # the matching is the best one if all that comes before is as good as in it
-            known = self.program.problem.required is None or all(values[:k] >= self.limit[:k])
-            return min(most, self.limit[k]) if known else most
-        classes = [j for j in range(k) if aims[j].is_class]
-        # no plan has more targets of the classes up to this one than the best matching has
-        return min(most, self.limit[[*classes, k]].sum() - sum(values[j] for j in classes))
+            known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
+            most = np.where(known, most, np.inf)
+        return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
         """Return the best variables for a goal and its bound; a linear program first, if that may do."""
@@ -86,27 +88,29 @@ class _Pursuit:
     def prove(self, k, deadline):
         """Solve aim k, and those that fit in with it; return how many are proven then, and a bound of the first."""
         program, n_solved = self.program, len(self.solved)
-        if self.x is not None and self.is_kept(self.values) and self.values[k] >= self.upper(k, self.values):
-            self.solved.append((program.aims[k], self.values[k]))
-            return 1, self.values[k]
+        if self.x is not None and self.is_kept(self.values):
+            short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
+            n = int(short[0]) if len(short) else len(program.aims) - k
+            if n:
+                self.solved += self.values[k : k + n].tolist()
+                return n, self.values[k]
         # aims that are proven: as constraints, or (without these a large program is far easier) in the objective
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
-        goal = sum(w * aim.flags for w, aim in zip(weights, program.aims[k : k + n], strict=True))
+        goal = program.goal(k, weights)
         lowest = sum(w * aim.low for w, aim in zip(weights[1:], program.aims[k + 1 : k + n], strict=True))
         for n_soft in dict.fromkeys([min(in_goal, n_solved), 0]):
-            hard, soft = self.solved[: n_solved - n_soft], self.solved[n_solved - n_soft :]
+            first = n_solved - n_soft
             slope = weights[0] * STEEP ** np.arange(n_soft, 0, -1)
-            extra = sum(w * aim.flags for w, (aim, _) in zip(slope, soft, strict=True)) if soft else 0.0
-            worth = sum(w * value for w, (_, value) in zip(slope, soft, strict=True))
-            x, bound = self.maximize(goal + extra, hard, deadline)
+            extra, worth = program.goal(first, slope), slope @ self.solved[first:]
+            x, bound = self.maximize(goal + extra, self.solved[:first], deadline)
             if x is None:
                 return 0, np.inf
             self.take(x)
             values = program.reaches(x)
             done = (goal + extra) @ x >= bound - 0.5
             if done and self.is_kept(values):
-                self.solved += list(zip(program.aims[k : k + n], values[k : k + n], strict=True))
+                self.solved += values[k : k + n].tolist()
                 self.x, self.values = x, values
                 return n, values[k]
             if not done:
@@ -115,16 +119,14 @@ class _Pursuit:
 
     def fill(self, k, deadline):
         """Make the best of the aims from k on, which could not be proven, about in their order."""
-        aims = self.program.aims[k:]
-        worth = np.maximum(STEEP ** -np.arange(len(aims)), FLATTEST)
-        goal = sum(w * aim.flags for w, aim in zip(worth, aims, strict=True))
-        x, _ = self.maximize(goal, self.solved, deadline, gap=GOOD_ENOUGH)
+        worth = np.maximum(STEEP ** -np.arange(len(self.program.aims) - k, dtype=float), FLATTEST)
+        x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
         if x is not None:
             self.take(x)
 
     def is_kept(self, values):
         """Say whether nothing that is proven is lost."""
-        return all(value >= best for value, (_, best) in zip(values, self.solved, strict=False))
+        return bool((values[: len(self.solved)] >= self.solved).all())
 
 
 def pursue(program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool) -> Solution:
@@ -137,16 +139,16 @@ def pursue(program: Program, first, deadline: float, limit, *, integral: bool, s
     aims, k = program.aims, 0
     left = deadline - perf_counter()
     halt = deadline - FOR_FILLING * left if np.isfinite(left) and len(aims) > 1 else deadline
-    bounds = np.array([aim.high for aim in aims])
+    bounds = now.high.copy()
     while k < len(aims):
         n, bound = now.prove(k, halt)
         if n == 0:
             if k < len(aims) - 1:
                 now.fill(k, deadline)
-            bounds[k:] = [now.upper(j, now.values) for j in range(k, len(aims))]
+            bounds[k:] = now.upper(now.values)[k:]
             bounds[k] = min(bound, bounds[k])
             break
-        bounds[k : k + n] = [value for _, value in now.solved[k:]]
+        bounds[k : k + n] = now.solved[k:]
         k += n
     if squared_cost and k == len(aims):
         cost = np.append(program.candidates.options.cost[program.candidate], np.zeros(len(program.short)))

@@ -22,6 +22,8 @@ from rfpsurvey.tile._wishes import describe, find_ids, is_required, keep_clear, 
 
 __all__ = ["plan_tile"]
 
+# Classes of targets that a summary lists.
+MOST_AIMS = 100
 log = logging.getLogger("rfpsurvey")
 
 
@@ -172,7 +174,7 @@ def plan_tile(
         "n_in_field": len(rows),
         "n_set_aside": len(rows) - len(given),
         "n_reachable": allocation.n_reachable,
-        "aims": [[level.name, level.value, _known(level.bound)] for level in allocation.levels],
+        "aims": [[level.name, level.value, _known(level.bound)] for level in allocation.levels[:MOST_AIMS]],
         "gap": _known(allocation.gap),
         "unmet": sentences(allocation.unmet) + absent,
         "search": allocation.meta,
