@@ -80,6 +80,13 @@ def rules():
     for name in ("sdss", "optimal"):
         seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3)
         print(f"  {name:<10} {seconds:.3f} s, {found.n_assigned} positioners, gap {found.gap:g}")
+        seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3, **options)
+        print(f"  {name:<10} {seconds:.3f} s with sky and standards, gap {found.gap:g}")
+    for n in (50_000, 100_000):
+        robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5391 * u.mm)
+        plane = rs.FocalPlane.hexagonal(robot, rings=36, pitch=22.4 * u.mm)
+        seconds, found = median(rs.allocate, disc(776.0, n, 0), plane, method="optimal", repeats=1)
+        print(f"  optimal, {n} targets over 3997 SDSS-V arms {seconds:.1f} s, gap {found.gap:g}")
 
 
 def classes():

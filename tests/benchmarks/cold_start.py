@@ -27,10 +27,10 @@ def seconds(command, clock=time.perf_counter, **environment):
     return clock() - start
 
 
-def plan_seconds(folder, repeats, clock=time.perf_counter):
+def plan_seconds(folder, repeats, clock=time.perf_counter, options=()):
     """Times of the embedded default: the first without a cache, the others with it."""
     settings = {"NUMBA_CACHE_DIR": folder, "NUMBA_BOUNDSCHECK": "0", "RFPSURVEY_CACHE": "1"}
-    return [seconds(PLAN, clock, **settings) for _ in range(repeats + 1)]
+    return [seconds([*PLAN, *options], clock, **settings) for _ in range(repeats + 1)]
 
 
 if __name__ == "__main__":
@@ -41,5 +41,9 @@ if __name__ == "__main__":
             times[name].append(seconds([sys.executable, "-c", statement]))
     with tempfile.TemporaryDirectory() as folder:
         cold, *warm = plan_seconds(folder, 5)
-    for name, values in {**times, "plan, cold": [cold], "plan, warm": warm}.items():
+    times |= {"plan, cold": [cold], "plan, warm": warm}
+    with tempfile.TemporaryDirectory() as folder:
+        cold, *warm = plan_seconds(folder, 5, options=["--allocator", "optimal"])
+    times |= {"optimal, cold": [cold], "optimal, warm": warm}
+    for name, values in times.items():
         print(f"{name:<14}{statistics.median(values):8.3f} s")
