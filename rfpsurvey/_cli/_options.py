@@ -24,13 +24,11 @@ RequireOption = Annotated[
     typer.Option(help="What the tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."),
 ]
 RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
-SkyOption = Annotated[
-    float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.", min=0)
-]
+SkyOption = Annotated[float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.")]
 ObjectiveOption = Annotated[
     str, typer.Option(help="sdss, optimal: priority (class after class), or count (their number first).")
 ]
-TimeLimitOption = Annotated[float, typer.Option(help="sdss, optimal: seconds for the search.", min=0)]
+TimeLimitOption = Annotated[float, typer.Option(help="sdss, optimal: seconds for the search.")]
 InstrumentOption = Annotated[str, typer.Option(help="Preset, or the path of a TOML file.")]
 EquinoxOption = Annotated[
     str | None, typer.Option(help="Measure the position angle from the north of this date, as J2026.0.")

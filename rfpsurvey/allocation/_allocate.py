@@ -1,6 +1,7 @@
 """The one door of target allocation."""
 
 import warnings
+from dataclasses import replace
 from time import perf_counter
 
 import astropy.units as u
@@ -101,7 +102,13 @@ def allocate(
     Raises
     ------
     InputError
-        If a name is unknown or a shape does not fit.
+        If a name is unknown, a shape does not fit, a unit is missing, a number is impossible, or ``start`` belongs to
+        other targets or another focal plane.
+
+    Warns
+    -----
+    RfpsurveyWarning
+        If ``sky_separation`` is given, and no requirement asks for sky.
 
     References
     ----------
@@ -154,7 +161,7 @@ def allocate(
             warnings.warn(text, RfpsurveyWarning, stacklevel=2)
         problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
     if method == "repair":
-        problem = problem.replace(start=_as_choice(start, problem, n, reach.n_reachable))
+        problem = replace(problem, start=_as_choice(start, problem, n, reach.n_reachable))
     choice = solve(problem)
     found = _finish(problem, choice, n)
     end = perf_counter()
@@ -236,10 +243,8 @@ def _as_choice(start, problem: Problem, n_given: int, n_reachable: int) -> Choic
     if not isinstance(start, Allocation):
         raise InputError(f"start must be an Allocation or the name of a method, got {start!r}")
     plane, points = problem.plane, problem.points[:n_given]
-    same = len(start.target_of_positioner) == len(plane) and (start.n_given, start.n_reachable) == (
-        n_given,
-        n_reachable,
-    )
+    expected = len(plane), n_given, n_reachable
+    same = (len(start.target_of_positioner), start.n_given, start.n_reachable) == expected
     same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given], points, equal_nan=True)
     if same:
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane._usable)

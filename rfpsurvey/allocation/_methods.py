@@ -27,7 +27,7 @@ def balanced(problem: Problem) -> Choice:
 
 def nearest(problem: Problem) -> Choice:
     """Closest pairs first, class after class."""
-    indptr, target, r2 = _sorted(problem)
+    indptr, target, r2 = _sorted(problem.only(problem.science), problem.rank)
     m = len(problem.rank)
     target_of = np.empty(len(indptr) - 1, dtype=np.int64)
     kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
@@ -37,7 +37,7 @@ def nearest(problem: Problem) -> Choice:
 def lamost(problem: Problem) -> Choice:
     """Nomination of the nearest target, class after class; then what the requirements ask for."""
     reach = problem.only(problem.science)
-    indptr, target, r2 = _sorted(problem)
+    indptr, target, r2 = _sorted(reach, problem.rank)
     n, m = reach.n_positioners, len(problem.rank)
     target_of, owner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     scratch = (np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
@@ -88,11 +88,11 @@ def _bounded(problem, target_of, blind):
     return levels
 
 
-def _sorted(problem):
-    """Science candidates of each positioner by class, then distance."""
-    indptr, target, r2 = problem.only(problem.science).by_positioner
+def _sorted(reach, rank):
+    """Targets of each positioner by class, then distance."""
+    indptr, target, r2 = reach.by_positioner
     target, r2 = target.copy(), r2.copy()
-    kernels.sort_candidates(indptr, target, r2, problem.rank)
+    kernels.sort_candidates(indptr, target, r2, rank)
     return indptr, target, r2
 
 

@@ -1,13 +1,13 @@
 """One allocation to make: targets, who reaches them, what they are worth, and what the plan must hold."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall, spectrograph_of
+from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
 __all__ = ["Choice", "Level", "Problem"]
@@ -103,7 +103,8 @@ class Problem:
 
     def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Spectrograph into which positioners send the light of targets."""
-        return spectrograph_of(self.plane, own, self.fiber_of(own, target))
+        table = self.plane.spectrograph
+        return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
 
     def only(self, targets: np.ndarray) -> Reach:
         """Return the reachable pairs of some targets."""
@@ -117,8 +118,8 @@ class Problem:
         if self.required is not None:
             levels["required targets"] = float(self.required[used].sum())
         if self.groups:
-            lack = sum(s.wanted - s.found for s in self.shortfalls(target_of, high=False))
-            levels["requirements"] = 0.0 - lack
+            missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
+            levels["requirements"] = 0.0 - sum(max(n, 0) for n in missing)
         if self.objective == "count" and len(self.classes) > 1:
             levels["science"] = float(counts[:-1].sum())
         for priority, count in zip(self.classes, counts[:-1], strict=True):
@@ -127,21 +128,25 @@ class Problem:
             levels["any target"] = float(counts.sum())
         return levels
 
-    def shortfalls(self, target_of: np.ndarray, *, high: bool = True) -> list[Shortfall]:
-        """Return the requirements that a plan does not meet; maxima only if ``high``."""
+    def _counts(self, target_of: np.ndarray) -> list[int]:
+        """Return how many fibers of a plan each group counts."""
         own = np.flatnonzero(target_of >= 0)
-        used = target_of[own]
-        place = self.spectrograph_of(own, used)
+        place = self.spectrograph_of(own, target_of[own])
+        return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
+
+    def shortfalls(self, target_of: np.ndarray) -> list[Shortfall]:
+        """Return the requirements that a plan does not meet."""
         found = []
-        for group in self.groups:
-            one, n = group.requirement, int(group.holds(used, place).sum())
+        for group, n in zip(self.groups, self._counts(target_of), strict=True):
+            one = group.requirement
             if n < one.minimum:
                 possible = self._possible(group)
                 hint = self._hint(group, possible)
                 found.append(Shortfall(one, group.spectrograph, one.minimum, n, possible, hint))
-            elif high and one.maximum is not None and n > one.maximum:
+            elif one.maximum is not None and n > one.maximum:
                 found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
-        if high and self.required is not None and (n := int(self.required[used].sum())) < self.required.sum():
+        used = target_of[target_of >= 0]
+        if self.required is not None and (n := int(self.required[used].sum())) < self.required.sum():
             possible = int((self.required & (np.diff(self.reach.indptr) > 0)).sum())
             found.append(Shortfall(None, None, int(self.required.sum()), n, possible))
         return found
@@ -167,7 +172,3 @@ class Problem:
             stuck = np.flatnonzero(self.watched >= 0)
             n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck])).sum())
         return n
-
-    def replace(self, **changes) -> "Problem":
-        """Return the problem with other columns."""
-        return replace(self, **changes)

@@ -1,7 +1,7 @@
 """Aims in strict order, each proven before the next one is looked at."""
 
-from dataclasses import dataclass
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ LARGE = 500
 FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 
 
-@dataclass
-class Solution:
+class Solution(NamedTuple):
     """One candidate of each positioner of a part, and what each aim reaches."""
 
     chosen: np.ndarray | None

@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences", "spectrograph_of"]
+__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences"]
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
@@ -39,7 +39,7 @@ class Requirement:
     Raises
     ------
     InputError
-        If the numbers are not whole, negative, or the minimum exceeds the maximum.
+        If a number is not whole, negative or above 10^9, the minimum exceeds the maximum, or a name is none.
 
     Examples
     --------
@@ -65,7 +65,7 @@ class Requirement:
         for name in ("minimum", "maximum"):
             value = getattr(self, name)
             if not (value is None and name == "maximum") and not (
-                isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value < MOST
+                isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value <= MOST
             ):
                 raise InputError(f"{name} of {self.what!r} must be a whole number from 0 to 10^9, got {value!r}")
         if self.maximum is not None and self.minimum > self.maximum:
@@ -91,7 +91,7 @@ class Requirement:
         Raises
         ------
         InputError
-            If the text has another form.
+            If the text has another form, or says what no requirement may say.
         """
         found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
@@ -210,8 +210,3 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
             raise InputError(f"a requirement must be a Requirement or text such as 'sky=20/spectrograph', got {one!r}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
     return tuple(dict.fromkeys(found))  # one that is given twice is one
-
-
-def spectrograph_of(plane, own: np.ndarray, fiber: np.ndarray) -> np.ndarray:
-    """Return the spectrograph of the fibers in use (their index among the types) of the positioners in ``own``."""
-    return plane.spectrograph[own] if plane.spectrograph.ndim == 1 else plane.spectrograph[own, fiber]

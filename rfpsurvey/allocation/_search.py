@@ -105,7 +105,7 @@ def _bounds(problem, everything, names, values, bounds):
     if problem.required is not None:  # which came before the classes in the matching
         counts = np.bincount(problem.rank[np.diff(problem.reach.indptr) > 0], minlength=len(counts))
     most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
-    offset = names.index(_first_class(problem, names))
+    offset = len(names) - len(problem.classes) - (not problem.science.all())  # where the classes begin
     out = bounds.copy()
     for k in range(first + 1, len(names)):
         if k < offset:
@@ -115,12 +115,6 @@ def _bounds(problem, everything, names, values, bounds):
         else:
             out[k] = total
     return np.maximum(out, values)
-
-
-def _first_class(problem, names):
-    """Name of the first level that counts a priority class."""
-    first = (n for n in names if n.startswith("priority") or (n == "science" and len(problem.classes) == 1))
-    return next(first, names[-1])
 
 
 def _parts(candidates, rows):

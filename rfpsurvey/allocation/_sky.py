@@ -1,5 +1,6 @@
 """Sky fibers: blank positions in gaps between the targets, and what stuck fibers look at."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from rfpsurvey._kernels import gaps
 from rfpsurvey.allocation._problem import Problem
 from rfpsurvey.focal_plane import Reach, joints_allow
 
-__all__ = ["Sky", "find_sky", "with_sky"]
+__all__ = ["with_sky"]
 
 # Points of each positioner that are looked at, and how many blank ones among them are kept.
 N_TRIALS, N_KEPT = 64, 4
@@ -94,7 +95,7 @@ def with_sky(problem: Problem, separation: float) -> Problem:
         columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
     if plane.fiber_types != ("",):
         columns["wanted"] = np.concatenate([problem.fibers, wanted])
-    return problem.replace(**columns)
+    return replace(problem, **columns)
 
 
 def _bin(plane, x, y, separation):

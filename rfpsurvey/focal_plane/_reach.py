@@ -23,7 +23,7 @@ class Reach:
     """Squared distance of target and center, mm^2."""
     n_positioners: int
 
-    @property
+    @cached_property
     def target(self) -> np.ndarray:
         """Target of each pair."""
         return np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))

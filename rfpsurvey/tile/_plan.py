@@ -95,8 +95,9 @@ def plan_tile(
     Raises
     ------
     InputError
-        If the catalog is empty, does not overlap the field, or has no target that a positioner reaches; if a name is
-        unknown, a unit is missing, or targets move and there is no epoch that they move from.
+        If the catalog is empty, does not overlap the field, or has no target that a positioner reaches; if a name or a
+        required id is unknown, a unit is missing, ``keep_out`` has no radius, or targets move and there is no epoch
+        that they move from.
 
     Examples
     --------
@@ -191,6 +192,7 @@ def plan_tile(
         "sky_separation_mm": None if separation is None else float(separation.to_value(u.mm)),
         "n_keep_out": 0 if keep_out is None else int(keep_out.size),
         "objective": objective,
+        "start": start,
         "time_limit_s": float(time_limit.to_value(u.s)),
         "parked_obstacles": bool(parked_obstacles),
         "rng": seed,
