@@ -49,6 +49,7 @@ def hexagons():
     for name, (rings, pitch, l1, l2, separation, n) in HEXAGONS.items():
         unit = rs.Positioner(l1 * u.mm, l2 * u.mm, separation / 2 * u.mm)
         plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
+        floor(plane, disc(0.95 * (rings + 0.5) * pitch, n, 0))
         for seed in range(5):
             xy = disc(0.95 * (rings + 0.5) * pitch, n, seed)
             options = {"parked_obstacles": False}
@@ -64,6 +65,16 @@ def hexagons():
                 f"   {best.meta['n_candidates']} candidates, {best.meta['n_conflicts']} conflicts, "
                 f"{best.meta['n_open']} positioners left to the solver"
             )
+
+
+def floor(plane, xy):
+    """Print what nobody gets around: who reaches what, and the pairs of candidates of neighbors."""
+    seconds, reach = median(plane.reachable, xy)
+    size = np.diff(reach.indptr).astype(int)
+    pairs = plane.neighbor_pairs()
+    print(
+        f"  reach {1e3 * seconds:.1f} ms, {(size[pairs[:, 0]] * size[pairs[:, 1]]).sum()} pairs of candidates to look at"
+    )
 
 
 def rules():
@@ -99,11 +110,12 @@ def classes():
         xy = disc(np.hypot(*plane.xy.to_value(u.mm).T).max(), n, 0)
         types = None if plane.fiber_types == ("",) else rng.choice(plane.fiber_types, n)
         cells = []
-        for k in (1, 3, 10, 100):
+        for k in (1, 3, 10, 100, n):
             options = {"method": "optimal", "priority": rng.integers(0, k, n), "fiber_type": types}
-            seconds, found = median(rs.allocate, xy, plane, repeats=1, **options)
-            cells.append(f"{k} classes {seconds:.2f} s" + (f" gap {found.gap:.4f}" if found.gap else ""))
-        print(f"  {name:<10} " + "   ".join(cells))
+            start = perf_counter()
+            found = rs.allocate(xy, plane, **options)
+            cells.append(f"{k} classes {perf_counter() - start:.2f} s" + (f" gap {found.gap:.4f}" if found.gap else ""))
+        print(f"  {name:<10} " + "   ".join(cells), flush=True)
 
 
 def fields(folder):
