@@ -370,5 +370,7 @@ def test_a_requirement_given_twice_is_one():
 
 
 def test_an_unknown_fiber_type_is_named():
-    with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@BOSS=2' 'BOSS'"):
+    with pytest.raises(rs.InputError, match="the positioners have no fiber types, got the requirement 'sky@BOSS=2'"):
         said("lamost", ["sky@BOSS=2"])
+    with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
+        rs.allocate(XY * MM, two_fibers(), requirements="sky@C=2")

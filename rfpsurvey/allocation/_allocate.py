@@ -146,6 +146,8 @@ def allocate(
         classes, rank = _squeeze(classes, rank, science)
     requirements = as_requirements(requirements)
     for one in requirements:
+        if one.fiber_type and focal_plane.fiber_types == ("",):
+            raise InputError(f"the positioners have no fiber types, got the requirement {str(one)!r}")
         if one.fiber_type:
             check_choice(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     named = focal_plane.fiber_types != ("",) and fiber_type is not None

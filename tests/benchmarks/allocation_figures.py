@@ -72,9 +72,8 @@ def floor(plane, xy):
     seconds, reach = median(plane.reachable, xy)
     size = np.diff(reach.indptr).astype(int)
     pairs = plane.neighbor_pairs()
-    print(
-        f"  reach {1e3 * seconds:.1f} ms, {(size[pairs[:, 0]] * size[pairs[:, 1]]).sum()} pairs of candidates to look at"
-    )
+    n_pairs = int((size[pairs[:, 0]] * size[pairs[:, 1]]).sum())
+    print(f"  reach {1e3 * seconds:.1f} ms, {n_pairs} pairs of candidates to look at")
 
 
 def rules():
