@@ -2,7 +2,8 @@
 
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
+from rfpsurvey.catalog._index import SkyIndex
 from rfpsurvey.catalog._synthetic import synthetic_catalog
 from rfpsurvey.catalog._time import to_time
 
-__all__ = ["UNITS", "Catalog", "Finder", "synthetic_catalog", "to_time"]
+__all__ = ["UNITS", "Catalog", "Finder", "SkyIndex", "synthetic_catalog", "to_time"]

@@ -17,6 +17,7 @@ from rfpsurvey import _io
 from rfpsurvey._kernels import sky
 from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_vectors
 from rfpsurvey.catalog import _tables
+from rfpsurvey.catalog._index import half_chord_squared
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 
@@ -362,6 +363,5 @@ class Catalog:
     def _within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
         """Row numbers of the targets inside a circle."""
         mask = np.empty(len(self), dtype=bool)
-        half_chord = np.sin(0.5 * min(radius_rad, np.pi))
-        sky.within(self._vectors, to_vectors(center, "center", one=True)[0], half_chord**2 * (1 + 1e-15), mask)
+        sky.within(self._vectors, to_vectors(center, "center", one=True)[0], half_chord_squared(radius_rad), mask)
         return np.flatnonzero(mask)

@@ -1,0 +1,92 @@
+"""Directions near a center, from an index by zones of declination.
+
+The directions are sorted by ``zone + right ascension / 2 pi``; a circle is a run of right ascension, or two across the
+origin, in each zone that it touches, and whole zones where it holds a pole.
+"""
+
+import math
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+# What rounding may move a run by, as a part of the circle of right ascension.
+SLACK = 1e-12
+
+
+@kernel
+def make_keys(vectors, n_zones, key):
+    """Key of each direction."""
+    for i in range(vectors.shape[0]):
+        turn = math.atan2(vectors[i, 1], vectors[i, 0]) / (2.0 * math.pi)
+        turn += turn < 0.0
+        dec = math.atan2(vectors[i, 2], math.hypot(vectors[i, 0], vectors[i, 1]))
+        zone = min(max(int((dec / math.pi + 0.5) * n_zones), 0), n_zones - 1)
+        key[i] = zone + min(turn, 1.0 - SLACK)
+
+
+@kernel
+def list_runs(key, n_zones, center, radius, runs):
+    """List the runs of the index that hold a circle, rows (first, last + 1); return their number, at most two a zone."""
+    dec = math.atan2(center[2], math.hypot(center[0], center[1]))
+    turn = math.atan2(center[1], center[0]) / (2.0 * math.pi)
+    low, high = dec - radius - 1e-9, dec + radius + 1e-9
+    half = 0.5
+    if low > -0.5 * math.pi and high < 0.5 * math.pi:
+        half = math.asin(min(math.sin(radius) / math.cos(dec), 1.0)) * (1.0 + 1e-9) / (2.0 * math.pi) + SLACK
+    first = min(max(int((low / math.pi + 0.5) * n_zones), 0), n_zones - 1)
+    last = min(max(int((high / math.pi + 0.5) * n_zones), 0), n_zones - 1)
+    n = 0
+    for zone in range(first, last + 1):
+        if half >= 0.5:
+            runs[n, 0], runs[n, 1] = np.searchsorted(key, zone), np.searchsorted(key, zone + 1)
+            n += 1
+            continue
+        begin = turn - half - math.floor(turn - half)
+        end = begin + 2.0 * half
+        runs[n, 0] = np.searchsorted(key, zone + begin)
+        runs[n, 1] = np.searchsorted(key, zone + min(end, 1.0), side="right")
+        if end < 1.0:
+            n += 1
+            continue
+        runs[n, 1] = np.searchsorted(key, zone + 1)
+        runs[n + 1, 0] = np.searchsorted(key, zone)
+        # a run that meets itself must not count twice
+        runs[n + 1, 1] = min(np.searchsorted(key, zone + end - 1.0, side="right"), runs[n, 0])
+        n += 2
+    return n
+
+
+@kernel
+def find_near(vectors, key, n_zones, center, radius, limit, left, out):
+    """Positions of the directions with ``left`` above 0 whose squared half chord to the center is at most ``limit``.
+
+    Returns their number, also where ``out`` is too short to hold them all.
+    """
+    runs = np.empty((2 * n_zones, 2), dtype=np.int64)
+    n = 0
+    for k in range(list_runs(key, n_zones, center, radius, runs)):
+        for i in range(runs[k, 0], runs[k, 1]):
+            if left[i] > 0:
+                a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
+                if 0.25 * (a * a + b * b + c * c) <= limit:
+                    if n < out.size:
+                        out[n] = i
+                    n += 1
+    return n
+
+
+@kernel
+def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
+    """Sum of the weights of the directions near each center."""
+    runs = np.empty((2 * n_zones, 2), dtype=np.int64)
+    for m in range(centers.shape[0]):
+        total = 0.0
+        for k in range(list_runs(key, n_zones, centers[m], radius, runs)):
+            for i in range(runs[k, 0], runs[k, 1]):
+                a = vectors[i, 0] - centers[m, 0]
+                b = vectors[i, 1] - centers[m, 1]
+                c = vectors[i, 2] - centers[m, 2]
+                if 0.25 * (a * a + b * b + c * c) <= limit:
+                    total += weight[i]
+        out[m] = total

@@ -1,0 +1,82 @@
+"""Directions sorted on the sky, so that a field is found without looking at the rest."""
+
+from functools import cached_property
+
+import numpy as np
+
+from rfpsurvey._kernels import zones
+
+__all__ = ["SkyIndex", "half_chord_squared"]
+
+# Zones are at most so many, and on average as high as a square of so many directions.
+MOST_ZONES = 1800
+PER_SQUARE = 25.0
+
+
+class SkyIndex:
+    """Unit vectors sorted by zones of declination.
+
+    What belongs to a direction is addressed by its *position* in the sorted list; ``order`` has the row of each.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (n, 3)
+        Unit vectors.
+    """
+
+    def __init__(self, vectors: np.ndarray):
+        n = len(vectors)
+        self.n_zones = int(np.clip(np.sqrt(max(n, 1) / PER_SQUARE), 1, MOST_ZONES))
+        key = np.empty(n)
+        zones.make_keys(vectors, self.n_zones, key)
+        # int32 where it will do: the list of a large catalog is no small part of its memory
+        self.order = np.argsort(key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
+        self.key = key[self.order]
+        self.vectors = vectors[self.order]
+
+    def __len__(self):
+        return len(self.order)
+
+    @cached_property
+    def _everything(self):
+        return np.ones(len(self), dtype=np.uint8)
+
+    def near(self, center: np.ndarray, radius_rad: float, left: np.ndarray | None = None) -> np.ndarray:
+        """Return the positions of the directions inside a circle, in the order of their rows.
+
+        Parameters
+        ----------
+        center : ndarray, shape (3,)
+            Unit vector.
+        radius_rad : float
+            Angular radius.
+        left : ndarray, shape (n,), optional
+            By position: directions with 0 are left out.
+
+        Returns
+        -------
+        ndarray of int
+            Positions.
+        """
+        limit = half_chord_squared(radius_rad)
+        left = self._everything if left is None else left
+        size = 4096
+        while True:
+            out = np.empty(size, dtype=np.int64)
+            n = zones.find_near(self.vectors, self.key, self.n_zones, center, radius_rad, limit, left, out)
+            if n <= size:
+                return out[:n][np.argsort(self.order[out[:n]])]
+            size = n
+
+    def sum_near(self, centers: np.ndarray, radius_rad: float, weight: np.ndarray) -> np.ndarray:
+        """Return the sum of the weights (by position) inside circles about centers, shape (m,)."""
+        out = np.empty(len(centers))
+        limit = half_chord_squared(radius_rad)
+        centers = np.ascontiguousarray(centers)
+        zones.sum_near(self.vectors, self.key, self.n_zones, centers, radius_rad, limit, weight, out)
+        return out
+
+
+def half_chord_squared(radius_rad: float) -> float:
+    """Return the squared half chord of an angle, with room for rounding."""
+    return np.sin(0.5 * min(radius_rad, np.pi)) ** 2 * (1 + 1e-15)
