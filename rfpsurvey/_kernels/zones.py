@@ -27,7 +27,7 @@ def make_keys(vectors, n_zones, key):
 
 @kernel
 def list_runs(key, n_zones, center, radius, runs):
-    """List the runs of the index that hold a circle, rows (first, last + 1); return their number, at most two a zone."""
+    """List the runs of the index that hold a circle, rows (first, last + 1), and return their number."""
     dec = math.atan2(center[2], math.hypot(center[0], center[1]))
     turn = math.atan2(center[1], center[0]) / (2.0 * math.pi)
     low, high = dec - radius - 1e-9, dec + radius + 1e-9
