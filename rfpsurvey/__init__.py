@@ -29,6 +29,7 @@ from rfpsurvey.probability import (
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.reproduction import reproduce
 from rfpsurvey.tile import Tile, plan_tile, score_tile
+from rfpsurvey.tiling import Tiling
 
 try:
     from rfpsurvey._version import version as __version__
@@ -51,6 +52,7 @@ __all__ = [
     "RfpsurveyWarning",
     "TangentPlane",
     "Tile",
+    "Tiling",
     "__version__",
     "allocate",
     "available_instruments",

@@ -1,0 +1,66 @@
+"""HEALPix pixels as unit vectors, nested; the package behind it is imported when it is needed."""
+
+import numpy as np
+
+from rfpsurvey.errors import InputError
+
+__all__ = ["centers", "check_nside", "nside_for", "pixel_radius", "pixels_of", "pixels_within", "to_nested"]
+
+MOST_NSIDE = 2**20
+
+
+def check_nside(nside: object) -> int:
+    """Return the resolution, a power of two."""
+    good = isinstance(nside, int | np.integer) and not isinstance(nside, bool) and 1 <= nside <= MOST_NSIDE
+    if not good or int(nside) & (int(nside) - 1):
+        raise InputError(f"nside must be a power of two from 1 to {MOST_NSIDE}, got {nside!r}")
+    return int(nside)
+
+
+def centers(nside: int, pixels: np.ndarray) -> np.ndarray:
+    """Return unit vectors of pixel centers, shape (n, 3)."""
+    from astropy_healpix import healpy
+
+    xyz = healpy.pix2vec(nside, np.asarray(pixels, dtype=np.int64), nest=True)
+    return np.ascontiguousarray(np.column_stack([np.atleast_1d(c) for c in xyz]), dtype=np.float64).reshape(-1, 3)
+
+
+def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
+    """Return the pixel of each direction."""
+    from astropy_healpix import healpy
+
+    if len(vectors) == 0:
+        return np.empty(0, dtype=np.int64)
+    return np.atleast_1d(healpy.vec2pix(nside, *vectors.T, nest=True)).astype(np.int64)
+
+
+def pixels_within(nside: int, center: np.ndarray, radius_rad: float) -> np.ndarray:
+    """Return the pixels whose centers are within a circle, and maybe some more at its edge, sorted."""
+    import astropy.units as u
+    from astropy_healpix import healpix_cone_search
+
+    reach = radius_rad + 1e-9
+    if reach >= np.pi / 2:
+        pixels = np.arange(12 * nside**2)
+        return pixels[centers(nside, pixels) @ center >= np.cos(min(reach, np.pi))]
+    lon = np.arctan2(center[1], center[0]) * u.rad
+    lat = np.arctan2(center[2], np.hypot(center[0], center[1])) * u.rad
+    return np.sort(healpix_cone_search(lon, lat, reach * u.rad, nside, order="nested"))
+
+
+def to_nested(nside: int, pixels: np.ndarray) -> np.ndarray:
+    """Return nested numbers of pixels in ring order."""
+    from astropy_healpix import healpy
+
+    return np.atleast_1d(healpy.ring2nest(nside, pixels)).astype(np.int64)
+
+
+def pixel_radius(nside: int) -> float:
+    """Return a bound of the distance (radians) from the center of a pixel to its corners."""
+    # measured: nside times the largest distance grows from 0.84 toward 1.07
+    return 1.07 / nside
+
+
+def nside_for(radius_rad: float) -> int:
+    """Return the coarsest resolution whose pixels are no larger than the radius."""
+    return int(min(2 ** max(np.ceil(np.log2(1.0 / radius_rad)), 0), MOST_NSIDE))

@@ -1,0 +1,3 @@
+"""Regions of the sky."""
+
+__all__: list[str] = []

@@ -1,0 +1,308 @@
+"""Where the tiles of a survey are: centers, position angles, passes."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+
+from rfpsurvey import _healpix, _io
+from rfpsurvey._units import to_labels, to_plain, to_scalar, to_unit, to_vectors
+from rfpsurvey.catalog import Finder, SkyIndex
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["Tiling", "as_tiling"]
+
+COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
+# Usual names, compared without case, in order of preference.
+NAMES = {
+    "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan id name identifier",
+    "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
+    "dec": "dec deccen dec_cen decen tile_dec tiledec field_dec center_dec deccenter dec_center dec_deg decdeg dej2000 "
+    "decj2000 de_icrs dec_icrs",
+    "position_angle": "position_angle positionangle pa field_pa posang pos_angle fieldrot",
+    "pass": "pass passnum pass_number layer visit",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Tiling:
+    """Where tiles go, a row each, in the order in which they are to be observed.
+
+    Parameters
+    ----------
+    table : QTable
+        Columns ``tile`` (integer or text, unique), ``ra`` and ``dec`` (ICRS), ``position_angle`` (of +y, from north
+        toward east) and ``pass`` (integer); further columns are kept. ``meta["summary"]`` says how the
+        tiling was made.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or impossible, if an id occurs twice, or if two tiles have the same center, position
+        angle and pass (and ``program``, where there is such a column).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> tiling = rs.Tiling.from_table(QTable({"racen": [95, 97] * u.deg, "deccen": [23, 23] * u.deg}))
+    >>> tiling.table["pass"].tolist(), len(tiling)
+    ([1, 1], 2)
+    """
+
+    table: QTable
+
+    def __post_init__(self):
+        if not isinstance(self.table, QTable):
+            raise InputError(f"table must be a QTable, got {type(self.table).__name__}")
+        lacking = [name for name in COLUMNS if name not in self.table.colnames]
+        if lacking:
+            raise InputError(f"the table is not that of a tiling: it lacks {', '.join(lacking)}")
+        tile = to_labels(self.table["tile"], "tile")
+        angles = {name: to_unit(self.table[name], u.deg, name) for name in ("ra", "dec", "position_angle")}
+        for name, low, high in (("ra", -180, 360), ("dec", -90, 90), ("position_angle", -3600, 3600)):
+            bad = np.flatnonzero(~((angles[name] >= low) & (angles[name] <= high)))
+            if len(bad):
+                raise InputError(
+                    f"{name} must lie between {low} and {high} deg for every tile, got {angles[name][bad[0]]:g} for "
+                    f"tile {tile[bad[0]]}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else "")
+                )
+        number = _integers(self.table["pass"], tile)
+        names, times = np.unique(tile, return_counts=True)
+        if (times > 1).any():
+            again = np.argmax(times > 1)
+            raise InputError(f"every tile must have an id of its own, but {names[again]} occurs {times[again]} times")
+        table = self.table.copy()
+        _refuse_twins(tile, angles, number, table)
+        for name, values in {"tile": tile, "pass": number}.items():
+            table.replace_column(name, values)
+        for name, values in angles.items():
+            table.replace_column(name, (values % 360 if name == "ra" else values) * u.deg)
+        object.__setattr__(self, "table", table[(*COLUMNS, *(c for c in table.colnames if c not in COLUMNS))])
+
+    def __len__(self):
+        return len(self.table)
+
+    def __repr__(self):
+        n = len(np.unique(self.table["pass"]))
+        return f"<Tiling of {len(self)} tiles in {n} pass{'' if n == 1 else 'es'}>"
+
+    @property
+    def coord(self) -> SkyCoord:
+        """Centers of the tiles, ICRS."""
+        return SkyCoord(self.table["ra"], self.table["dec"], frame="icrs")
+
+    @property
+    def summary(self) -> dict:
+        """How the tiling was made, and how good it is; empty for a list from elsewhere."""
+        return self.table.meta.get("summary", {})
+
+    @cached_property
+    def _vectors(self) -> np.ndarray:
+        """Unit vectors of the centers, shape (n, 3)."""
+        return to_vectors(self.coord)
+
+    @classmethod
+    def from_table(cls, table: Table, columns: dict | None = None, units: dict | None = None) -> "Tiling":
+        """Make a tiling from a table, its columns found by their usual names.
+
+        Parameters
+        ----------
+        table : Table or QTable
+            With centers (``ra`` and ``dec``, ``racen`` and ``deccen``, ``tile_ra`` and ``tile_dec``, ...). Found too:
+            the id (``tile``, ``tileid``, ``field``, ...; else the row number), ``pass`` (else 1) and the position
+            angle (``position_angle``, ``pa``, ``field_pa``, ``posang``; else 0). Other columns are kept.
+        columns : dict, optional
+            Role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name where the usual names do
+            not serve.
+        units : dict, optional
+            Role to unit for columns that carry none, for example ``{"ra": "deg", "dec": "deg"}``.
+
+        Returns
+        -------
+        Tiling
+            The tiles in the order of the table.
+
+        Raises
+        ------
+        InputError
+            If coordinates are missing, have no unit, or are out of range, or if an id or a tile occurs twice.
+        """
+        return cls._from_table(table, columns, units, assume_units=False)
+
+    @classmethod
+    def _from_table(cls, table, columns, units, *, assume_units):
+        if not isinstance(table, Table):
+            raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+        names = _find(table, columns)
+        units = {} if units is None else units
+        if not isinstance(units, dict):
+            raise InputError(f"units must be a dict from role to unit, got {units!r}")
+        for role in units:
+            check_choice(role, ("ra", "dec", "position_angle"), "column role with a unit")
+        missing = [role for role in ("ra", "dec") if role not in names]
+        if missing:
+            raise Finder(table).missing(" and ".join(missing))
+        n, found = len(table), {}
+        for role in ("ra", "dec", "position_angle"):
+            if role in names:
+                # the finder knows units by the roles of a catalog: an angle is an angle
+                as_angle = {"ra": names[role]}
+                unit = {"ra": units[role]} if role in units else {}
+                found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")
+        result = QTable(
+            {
+                "tile": to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n),
+                "ra": found["ra"],
+                "dec": found["dec"],
+                "position_angle": found.get("position_angle", np.zeros(n) * u.deg),
+                "pass": table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64),
+            },
+            meta=dict(table.meta),
+        )
+        for name in table.colnames:
+            if name not in names.values() and name not in COLUMNS:
+                result[name] = table[name]
+        return cls(result)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike, columns: dict | None = None, units: dict | None = None) -> "Tiling":
+        """Read a tiling, one of ours or any list of tiles.
+
+        Parameters
+        ----------
+        path : str or path-like
+            FITS, ECSV, CSV, VOTable or Parquet, with or without ``.gz``; CSV carries no units, and is taken in
+            degrees.
+        columns, units : dict, optional
+            As in `from_table`.
+
+        Returns
+        -------
+        Tiling
+            The tiles.
+
+        Raises
+        ------
+        InputError
+            If the file is not there, or is not a list of tiles.
+        """
+        path = _io.to_path(path)
+        table = _io.read_table(path)
+        table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
+        try:
+            return cls._from_table(table, columns, units, assume_units=_io.suffix_of(path) == ".csv")
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+        """Write the tiling as FITS or ECSV; the file appears whole or not at all.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Ends in ``.fits`` or ``.ecsv``, with or without ``.gz``.
+        overwrite : bool, optional
+            Replace a file that exists.
+
+        Raises
+        ------
+        InputError
+            If the folder is missing or the file exists.
+        """
+        _io.write_table(self.table, path, overwrite=overwrite, cards={"NTILES": len(self)})
+
+    def coverage(self, radius: u.Quantity, *, nside: int = 64) -> np.ndarray:
+        """Return how many tiles cover each place of the sky.
+
+        Parameters
+        ----------
+        radius : Quantity
+            Angular radius of a tile.
+        nside : int, optional
+            Resolution of the HEALPix map, a power of two.
+
+        Returns
+        -------
+        ndarray of int, shape (12 * nside**2,)
+            Tiles over the center of each pixel, nested order, ICRS.
+
+        Raises
+        ------
+        InputError
+            If the radius or ``nside`` is impossible.
+        """
+        radius_rad = to_scalar(radius, u.rad, "radius", low=0, high=np.pi)
+        nside = _healpix.check_nside(nside)
+        index = SkyIndex(self._vectors)
+        centers = _healpix.centers(nside, np.arange(12 * nside**2))
+        return np.rint(index.sum_near(centers, radius_rad, np.ones(len(index)))).astype(np.int64)
+
+
+def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
+    """Return a tiling from itself, a table or centers."""
+    if isinstance(tiles, Tiling):
+        return tiles
+    if isinstance(tiles, Table):
+        return Tiling.from_table(tiles)
+    if not isinstance(tiles, SkyCoord):
+        raise InputError(f"tiles must be a Tiling, a Table or a SkyCoord, got {type(tiles).__name__}")
+    ra, dec = to_lonlat(to_vectors(tiles, "tiles"))
+    return Tiling.from_table(QTable({"ra": ra * u.deg, "dec": dec * u.deg}))
+
+
+def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return right ascension and declination in degrees of unit vectors."""
+    x, y, z = vectors.T
+    return np.rad2deg(np.arctan2(y, x)) % 360, np.rad2deg(np.arctan2(z, np.hypot(x, y)))
+
+
+def _find(table, columns):
+    """Return role to column name."""
+    columns = {} if columns is None else columns
+    if not isinstance(columns, dict):
+        raise InputError(f"columns must be a dict from role to column, got {columns!r}")
+    for role, name in columns.items():
+        check_choice(role, COLUMNS, "column role of a tiling")
+        if name not in table.colnames:
+            raise InputError(f"there is no column {name!r} (wanted as {role}); {Finder(table).listing()}")
+    lower = {c.lower(): c for c in reversed(table.colnames)}
+    usual = {role: next((lower[n] for n in words.split() if n in lower), None) for role, words in NAMES.items()}
+    return {role: name for role, name in {**usual, **columns}.items() if name is not None}
+
+
+def _integers(column, tile):
+    """Return passes as int64."""
+    values = to_plain(column)
+    try:
+        numbers = values.astype(float)
+    except ValueError:
+        raise InputError(f"pass must be a whole number for every tile, got text such as {values.flat[0]!r}") from None
+    bad = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
+    if len(bad):
+        raise InputError(f"pass must be a whole number for every tile, got {numbers[bad[0]]:g} for tile {tile[bad[0]]}")
+    return numbers.astype(np.int64)
+
+
+def _refuse_twins(tile, angles, number, table):
+    """Raise an error where two tiles of a pass (and of a program, if there are some) are the same to 1e-8 deg."""
+    name = next((c for c in table.colnames if c.lower() == "program"), None)
+    program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
+    key = np.column_stack([
+        np.rint(angles["ra"] * 1e8) % round(360e8), np.rint(angles["dec"] * 1e8),
+        np.rint(angles["position_angle"] * 1e8) % round(360e8), number, np.broadcast_to(program, len(tile)),
+    ])  # fmt: skip
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    first = first[inverse.reshape(-1)]
+    twin = np.flatnonzero(first != np.arange(len(tile)))
+    if len(twin):
+        k = twin[0]
+        raise InputError(
+            f"tiles {tile[first[k]]} and {tile[k]} are the same: pass {number[k]}, center {angles['ra'][k]:.6f} "
+            f"{angles['dec'][k]:+.6f} deg" + (f" (and {len(twin) - 1} more)" if len(twin) > 1 else "")
+        )
