@@ -14,9 +14,11 @@ from astropy.utils.masked import Masked
 
 from rfpsurvey.errors import InputError
 
+MOST_VISITS = 255
+
 __all__ = [
     "to_direction", "to_flags", "to_generator", "to_labels", "to_mm", "to_plain", "to_points_mm", "to_radian",
-    "to_scalar", "to_spawner", "to_unit", "to_vectors",
+    "to_scalar", "to_spawner", "to_unit", "to_vectors", "to_visits",
 ]  # fmt: skip
 
 
@@ -141,6 +143,20 @@ def to_labels(value: object, name: str) -> np.ndarray:
     if values.dtype.kind == "f":
         raise InputError(f"{name} must be integers or text for every row, got numbers such as {values.flat[0]}")
     return np.char.strip(np.char.replace(values.astype(str), "\n", " "))
+
+
+def to_visits(visits: object, n: int) -> np.ndarray:
+    """Return how often each of n targets is wanted, one small integer a target."""
+    try:
+        values = to_plain(visits).astype(float)
+    except (TypeError, ValueError):
+        raise InputError(f"visits must be whole numbers, got {visits!r}") from None
+    if values.shape not in ((), (n,)):
+        raise InputError(f"visits must be one number or have the shape ({n},), got {values.shape}")
+    strange = values[~((values >= 0) & (values <= MOST_VISITS) & (values == np.floor(values)))]
+    if strange.size:
+        raise InputError(f"visits must be whole numbers from 0 to {MOST_VISITS}, got {strange.flat[0]:g}")
+    return np.broadcast_to(values.astype(np.uint8), (n,)).copy()
 
 
 def to_generator(rng: object) -> np.random.Generator:

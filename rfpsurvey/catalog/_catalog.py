@@ -15,16 +15,17 @@ from erfa import ErfaWarning
 
 from rfpsurvey import _io
 from rfpsurvey._kernels import sky
-from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_vectors
+from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_vectors, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._index import half_chord_squared
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 
-__all__ = ["Catalog"]
+__all__ = ["Catalog", "as_catalog"]
 
 KINDS = ("science", "standard", "sky")
-_PER_TARGET = ("id", "priority", "kind", "category", "fiber_type")
+_PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
+_TYPES = {"priority": float, "visits": float}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,8 @@ class Catalog:
         Free text, such as ``sky_boss``.
     fiber_type : array_like of str, shape (n,), optional
         Which fibers may observe the target; ``""`` means any.
+    visits : array_like of int, shape (n,), optional
+        How often a survey shall observe each target, 0 to 255. None: once.
     epoch : Time, optional
         Epoch of the positions, scalar or shape (n,); taken from ``coord.obstime`` where that is set.
     meta : dict, optional
@@ -58,7 +61,7 @@ class Catalog:
     Raises
     ------
     InputError
-        If a column has another length than ``coord``, or if ``kind`` holds other words.
+        If a column has another length than ``coord``, if ``kind`` holds other words, or ``visits`` other numbers.
 
     Examples
     --------
@@ -76,6 +79,7 @@ class Catalog:
     kind: np.ndarray | None = None
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
+    visits: np.ndarray | None = None
     epoch: Time | None = None
     meta: dict = field(default_factory=dict)
     n_dropped: int = 0
@@ -93,7 +97,7 @@ class Catalog:
             value = getattr(self, name)
             if value is not None:
                 try:
-                    columns[name] = to_plain(value).astype(float if name == "priority" else str)
+                    columns[name] = to_plain(value).astype(_TYPES.get(name, str))
                 except ValueError as error:
                     raise InputError(f"{name} must be numbers: {error}") from None
         for name, value in columns.items():
@@ -107,6 +111,8 @@ class Catalog:
                 f"priority must be a number for every target, "
                 f"but {int(np.isnan(columns['priority']).sum())} of {n} have none"
             )
+        if "visits" in columns:
+            columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
             raise InputError(f"epoch must be one time or shape ({n},), got {epoch.shape}")
         keep = np.isfinite(to_plain(coord.data.lon)) & np.isfinite(to_plain(coord.data.lat))
@@ -176,7 +182,7 @@ class Catalog:
             With a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
             ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b``
             (with ``frame="galactic"``). Found too: ``pmra`` (with cos dec) and ``pmdec``, ``ref_epoch``,
-            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``.
+            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``, ``visits``.
         columns : dict, optional
             Role to column name where the usual names do not serve, for example ``{"id": "star"}``.
             ``{"priority": "-rank"}`` flips the sign, for lists in which smaller is more important.
@@ -365,3 +371,10 @@ class Catalog:
         mask = np.empty(len(self), dtype=bool)
         sky.within(self._vectors, to_vectors(center, "center", one=True)[0], half_chord_squared(radius_rad), mask)
         return np.flatnonzero(mask)
+
+
+def as_catalog(catalog: Catalog | SkyCoord | Table) -> Catalog:
+    """Return a catalog from itself, from coordinates or from a table."""
+    if isinstance(catalog, Catalog):
+        return catalog
+    return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)

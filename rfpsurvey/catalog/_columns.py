@@ -35,6 +35,7 @@ ROLES = {
     "kind": ("kind target_kind", ""),
     "category": ("category target_category", ""),
     "fiber_type": ("fiber_type fibertype instrument", ""),
+    "visits": ("visits n_visits nvisits numobs numobs_init n_exposures", ""),
     "positioner": (
         "positioner positioner_id hole_id holeid hole robot_id robotid fiber_id fiberid location id",
         "",

@@ -36,6 +36,7 @@ def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> 
         "kind": kind,
         "category": category,
         "fiber_type": find.labels("fiber_type"),
+        "visits": find.numbers("visits"),
         "epoch": _epoch(find, coord),
         "meta": _plain_meta(table.meta),
     }

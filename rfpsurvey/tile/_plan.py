@@ -11,12 +11,12 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import Requirement, allocate, as_requirements, sentences
-from rfpsurvey.catalog import Catalog
-from rfpsurvey.collision import find_collisions
+from rfpsurvey.allocation import Requirement, as_requirements, sentences
+from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
+from rfpsurvey.tile._stages import run_stages
 from rfpsurvey.tile._tile import Tile, build_tile
 from rfpsurvey.tile._wishes import describe, find_ids, is_required, keep_clear, to_length
 
@@ -114,7 +114,7 @@ def plan_tile(
     begin = perf_counter()
     instrument = as_instrument(instrument)
     wishes = as_requirements(instrument.requirements if requirements == "instrument" else requirements)
-    catalog = _as_catalog(catalog)
+    catalog = as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = north_of_date(center, equinox)
@@ -154,21 +154,15 @@ def plan_tile(
     wanted, absent = find_ids(everything.id, catalog.id[given], required)
     rng, seed = _generator(rng)
     separation = to_length(sky_separation, instrument, "sky_separation")
-    allocation = allocate(
-        xy * u.mm, instrument.focal_plane, method=allocator, **columns, fiber_type=needs, requirements=wishes,
+    allocation, posed, report, times = run_stages(
+        instrument.focal_plane, xy, method=allocator, **columns, fiber_type=needs, requirements=wishes,
         required=wanted, sky_separation=separation, objective=objective, time_limit=time_limit, start=start,
         parked_obstacles=parked_obstacles, rng=rng,
     )  # fmt: skip
-    seconds.update(allocation.seconds)
+    seconds.update(times)
     if allocation.n_reachable == 0:
         what = "target" if wishes else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
-    begin = perf_counter()
-    posed = allocation.place_arms(instrument.focal_plane)
-    seconds["arms"] = perf_counter() - begin
-    begin = perf_counter()
-    report = find_collisions(instrument.focal_plane, posed)
-    seconds["collisions"] = perf_counter() - begin
     summary = {
         "n_targets": n_targets + catalog.n_dropped,
         "n_dropped": catalog.n_dropped,
@@ -202,12 +196,6 @@ def plan_tile(
         instrument, ids, sky_deg, row_of, allocation.fiber_type, posed, report, summary, parameters, catalog.meta,
         kind=kind,
     )  # fmt: skip
-
-
-def _as_catalog(catalog) -> Catalog:
-    if isinstance(catalog, Catalog):
-        return catalog
-    return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)
 
 
 def _known(value):
