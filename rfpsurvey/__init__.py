@@ -27,6 +27,7 @@ from rfpsurvey.probability import (
     surrogate_probability,
 )  # fmt: skip
 from rfpsurvey.projection import RadialMap, TangentPlane
+from rfpsurvey.region import Region
 from rfpsurvey.reproduction import reproduce
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 from rfpsurvey.tiling import Tiling
@@ -48,6 +49,7 @@ __all__ = [
     "PolynomialFit",
     "Positioner",
     "RadialMap",
+    "Region",
     "Requirement",
     "RfpsurveyWarning",
     "TangentPlane",

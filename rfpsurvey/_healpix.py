@@ -37,7 +37,7 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 def pixels_within(nside: int, center: np.ndarray, radius_rad: float) -> np.ndarray:
     """Return the pixels whose centers are within a circle, and maybe some more at its edge, sorted."""
     import astropy.units as u
-    from astropy_healpix import healpix_cone_search
+    from astropy_healpix.core import healpix_cone_search
 
     reach = radius_rad + 1e-9
     if reach >= np.pi / 2:

@@ -1,3 +1,0 @@
-"""Regions of the sky."""
-
-__all__: list[str] = []

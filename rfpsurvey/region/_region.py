@@ -1,0 +1,341 @@
+"""A region of the sky: circle, box, polygon or a set of HEALPix pixels."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey import _healpix
+from rfpsurvey._units import to_scalar, to_vectors
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.region import _shapes
+
+__all__ = ["Region"]
+
+FULL = 2 * np.pi
+FORMS = {
+    "cap": "cap RA DEC RADIUS",
+    "box": "box RA1 RA2 DEC1 DEC2",
+    "polygon": "polygon RA DEC RA DEC RA DEC ...",
+    "sky": "sky",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of the sky; made by `cap`, `box`, `polygon`, `healpix`, `whole_sky` or `parse`.
+
+    Parameters
+    ----------
+    kind : {"cap", "box", "polygon", "healpix"}
+        What it is.
+    values : ndarray
+        Cap: unit vector of the center and the radius. Box: first right ascension, width, lower and upper declination.
+        Polygon: unit vectors of the vertices, shape (n, 3). HEALPix: nested pixels. Radians, ICRS.
+    nside : int, optional
+        Resolution of the pixels.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> spring = rs.Region.box(ra=(350 * u.deg, 10 * u.deg), dec=(0 * u.deg, 30 * u.deg))
+    >>> spring.area.round(3)
+    <Quantity 572.958 deg2>
+    >>> spring.contains(SkyCoord([0, 20] * u.deg, [5, 5] * u.deg))
+    array([ True, False])
+    """
+
+    kind: str
+    values: np.ndarray
+    nside: int = 0
+
+    @classmethod
+    def cap(cls, center: SkyCoord, radius: u.Quantity) -> "Region":
+        """Make a circle.
+
+        Parameters
+        ----------
+        center : SkyCoord
+            Its center.
+        radius : Quantity
+            Its angular radius, at most 180 deg.
+
+        Returns
+        -------
+        Region
+            The circle.
+
+        Raises
+        ------
+        InputError
+            If the center is not one direction or the radius is impossible.
+        """
+        radius_rad = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
+        vector = to_vectors(center, "center", one=True)[0]
+        return cls("cap", np.append(vector, min(np.deg2rad(radius_rad), np.pi)))
+
+    @classmethod
+    def box(cls, ra: tuple[u.Quantity, u.Quantity], dec: tuple[u.Quantity, u.Quantity]) -> "Region":
+        """Make a part of the sky between two meridians and two parallels.
+
+        Parameters
+        ----------
+        ra : tuple of Quantity
+            First and last right ascension, going east; the first may be the larger, and the box then holds RA = 0.
+            A difference of 360 deg is the full circle.
+        dec : tuple of Quantity
+            Lower and upper declination.
+
+        Returns
+        -------
+        Region
+            The box, ICRS.
+
+        Raises
+        ------
+        InputError
+            If there are not two of each, or if they are out of range or the same.
+        """
+        first, last = _two(ra, "ra", -360, 720)
+        low, high = _two(dec, "dec", -90, 90)
+        if not low < high:
+            raise InputError(f"dec must be (lower, upper), got ({low:g}, {high:g}) deg")
+        width = last - first
+        width = 360.0 if abs(width) == 360 else width % 360
+        if width == 0 or abs(last - first) > 360:
+            raise InputError(f"ra must be (first, last), at most 360 deg apart, got ({first:g}, {last:g}) deg")
+        return cls("box", np.deg2rad([first % 360, width, low, high]))
+
+    @classmethod
+    def polygon(cls, vertices: SkyCoord) -> "Region":
+        """Make a polygon with great-circle edges, convex or not; inside is the smaller of its two sides.
+
+        Parameters
+        ----------
+        vertices : SkyCoord, shape (n,)
+            At least three vertices in order, either way round.
+
+        Returns
+        -------
+        Region
+            The polygon.
+
+        Raises
+        ------
+        InputError
+            If there are fewer than three vertices, if two that follow each other are the same or opposite, or if edges
+            cross.
+        """
+        vectors = to_vectors(vertices, "vertices")
+        if len(vectors) > 1 and np.array_equal(vectors[0], vectors[-1]):
+            vectors = vectors[:-1]
+        if len(vectors) < 3:
+            raise InputError(f"a polygon must have at least 3 vertices, got {len(vectors)}")
+        if not np.isfinite(vectors).all():
+            raise InputError("the vertices of a polygon must be finite")
+        length = _shapes.angle(vectors, np.roll(vectors, -1, axis=0))
+        bad = np.flatnonzero((length < 1e-10) | (length > np.pi - 1e-10))
+        if len(bad):
+            what = "the same" if length[bad[0]] < 1 else "opposite"
+            raise InputError(f"vertices {bad[0] + 1} and {(bad[0] + 1) % len(vectors) + 1} of the polygon are {what}")
+        crossing = _shapes.edges_cross(vectors)
+        if crossing is not None:
+            raise InputError(f"edges {crossing[0] + 1} and {crossing[1] + 1} of the polygon cross or touch each other")
+        if not _shapes.polygon_area(vectors) > 0:
+            raise InputError("the vertices of the polygon lie on one great circle: it has no inside")
+        return cls("polygon", vectors)
+
+    @classmethod
+    def healpix(cls, pixels: np.ndarray, nside: int, order: str = "nested") -> "Region":
+        """Make a region of HEALPix pixels.
+
+        Parameters
+        ----------
+        pixels : array_like of int
+            Pixels, ICRS.
+        nside : int
+            Resolution, a power of two.
+        order : {"nested", "ring"}, optional
+            How they are numbered.
+
+        Returns
+        -------
+        Region
+            The union of the pixels.
+
+        Raises
+        ------
+        InputError
+            If there are none, or if they do not exist.
+        """
+        nside = _healpix.check_nside(nside)
+        check_choice(order, ("nested", "ring"), "order of pixels")
+        numbers = np.unique(np.asarray(pixels))
+        if numbers.size == 0 or numbers.dtype.kind not in "iu":
+            raise InputError("pixels must be at least one whole number")
+        if numbers[0] < 0 or numbers[-1] >= 12 * nside**2:
+            raise InputError(
+                f"pixels of nside {nside} go from 0 to {12 * nside**2 - 1}, got {numbers[0]} to {numbers[-1]}"
+            )
+        numbers = numbers.astype(np.int64)
+        return cls("healpix", np.sort(_healpix.to_nested(nside, numbers)) if order == "ring" else numbers, nside)
+
+    @classmethod
+    def whole_sky(cls) -> "Region":
+        """Make a region of everything.
+
+        Returns
+        -------
+        Region
+            The sphere.
+        """
+        return cls("cap", np.array([0.0, 0.0, 1.0, np.pi]))
+
+    @classmethod
+    def parse(cls, text: str) -> "Region":
+        """Make a region from text, all numbers in degrees, ICRS.
+
+        Parameters
+        ----------
+        text : str
+            ``cap RA DEC RADIUS``, ``box RA1 RA2 DEC1 DEC2``, ``polygon RA DEC RA DEC RA DEC ...`` or ``sky``.
+
+        Returns
+        -------
+        Region
+            The region.
+
+        Raises
+        ------
+        InputError
+            If the text has another form.
+
+        Examples
+        --------
+        >>> import rfpsurvey as rs
+        >>> rs.Region.parse("cap 95 23 8")
+        <Region cap of 200.7 deg2>
+        """
+        kind, *words = str(text).replace(",", " ").split() or [""]
+        check_choice(kind, FORMS, "kind of region")
+        try:
+            numbers = [float(word) for word in words] * u.deg
+        except ValueError:
+            numbers = None
+        wanted = {"cap": len(words) == 3, "box": len(words) == 4, "sky": not words}
+        if numbers is None or not wanted.get(kind, len(words) % 2 == 0):
+            raise InputError(f"a region must have the form '{FORMS[kind]}' (deg), got {text!r}")
+        if kind == "sky":
+            return cls.whole_sky()
+        if kind == "box":
+            return cls.box(ra=(numbers[0], numbers[1]), dec=(numbers[2], numbers[3]))
+        lat = numbers[1::2] if kind == "polygon" else numbers[1:2]
+        if not (np.abs(lat.value) <= 90).all():
+            raise InputError(f"declinations must lie between -90 and 90 deg, got {text!r}")
+        if kind == "cap":
+            return cls.cap(SkyCoord(numbers[0], numbers[1]), numbers[2])
+        return cls.polygon(SkyCoord(numbers[::2], lat))
+
+    @property
+    def area(self) -> u.Quantity:
+        """Solid angle."""
+        if self.kind == "cap":
+            size = 4 * np.pi * np.sin(self.values[3] / 2) ** 2
+        elif self.kind == "healpix":
+            size = len(self.values) * np.pi / (3 * self.nside**2)
+        else:
+            size = {"box": _shapes.box_area, "polygon": _shapes.polygon_area}[self.kind](self.values)
+        return (size * u.sr).to(u.deg**2)
+
+    def contains(self, coord: SkyCoord) -> np.ndarray:
+        """Tell which directions are inside.
+
+        Parameters
+        ----------
+        coord : SkyCoord, shape (n,)
+            Directions; a scalar counts as one.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            True inside; the border of caps and boxes belongs to them.
+        """
+        return self._contains(to_vectors(coord))
+
+    def __repr__(self):
+        return f"<Region {self.kind} of {self.area.value:.4g} deg2>"
+
+    def _contains(self, vectors: np.ndarray) -> np.ndarray:
+        """Tell which unit vectors are inside."""
+        if self.kind == "healpix":
+            return np.isin(_healpix.pixels_of(self.nside, vectors), self.values)
+        if self.kind == "cap":
+            return _shapes.angle(vectors, self.values[:3]) <= self.values[3] * (1 + 1e-15) + 1e-15
+        return {"box": _shapes.box_contains, "polygon": _shapes.polygon_contains}[self.kind](self.values, vectors)
+
+    def _distance(self, vectors: np.ndarray) -> np.ndarray:
+        """Return angles (radians) to the region, 0 inside; for pixels, at most so much and at least a pixel less."""
+        if self.kind == "cap":
+            return np.maximum(_shapes.angle(vectors, self.values[:3]) - self.values[3], 0.0)
+        if self.kind == "healpix":
+            from scipy.spatial import cKDTree
+
+            chord = cKDTree(_healpix.centers(self.nside, self.values)).query(vectors)[0]
+            return np.maximum(2 * np.arcsin(np.minimum(chord / 2, 1)) - _healpix.pixel_radius(self.nside), 0.0)
+        return {"box": _shapes.box_distance, "polygon": _shapes.polygon_distance}[self.kind](self.values, vectors)
+
+    def _circle(self) -> tuple[np.ndarray, float]:
+        """Return center and radius (radians) of a circle around the region."""
+        if self.kind == "cap":
+            return self.values[:3], float(self.values[3])
+        if self.kind == "healpix":
+            border, margin = _healpix.centers(self.nside, self.values), _healpix.pixel_radius(self.nside)
+            center = border.sum(axis=0)
+        else:
+            border, margin = self._border(), 0.0
+            center = border.sum(axis=0)
+            if self.kind == "box" and self.values[1] == FULL:
+                center = np.array([0.0, 0.0, np.sign(self.values[2:].sum()) or 1.0])
+            elif self.kind == "box":
+                center = _shapes.from_lonlat(self.values[0] + self.values[1] / 2, self.values[2:].mean())
+        length = np.linalg.norm(center)
+        center = center / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+        if self.kind != "healpix" and self._contains(-center[None])[0]:
+            return center, np.pi
+        radius = _shapes.angle(border, center).max()
+        if self.kind != "healpix":
+            # points of the border are 100 to an edge: between two of them it bulges by less than this
+            margin = radius * 1e-3
+        return center, float(min(radius + margin, np.pi))
+
+    def _border(self) -> np.ndarray:
+        """Return points of the border of a box or polygon."""
+        if self.kind == "polygon":
+            after = np.roll(self.values, -1, axis=0)
+            return np.vstack([_shapes.arc(a, b, 101)[:-1] for a, b in zip(self.values, after, strict=True)])
+        begin, width, low, high = self.values
+        t = np.linspace(0, 1, 101)
+        lon, lat = begin + t * width, low + t * (high - low)
+        sides = [(lon, low), (lon, high), (begin, lat), (begin + width, lat)]
+        return np.vstack([_shapes.from_lonlat(*side) for side in sides])
+
+    def _sample(self, nside: int) -> np.ndarray:
+        """Return the centers of the HEALPix pixels whose centers are inside, shape (n, 3)."""
+        if self.kind == "healpix" and nside >= self.nside:
+            finer = (nside // self.nside) ** 2
+            return _healpix.centers(nside, (self.values[:, None] * finer + np.arange(finer)).ravel())
+        points = _healpix.centers(nside, _healpix.pixels_within(nside, *self._circle()))
+        return points[self._contains(points)]
+
+
+def _two(values, name, low, high):
+    """Return two angles in degrees."""
+    try:
+        first, last = values
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be two angles, got {values!r}") from None
+    both = [float(to_scalar(value, u.deg, name, low=low - 1e-9, high=high + 1e-9)) for value in (first, last)]
+    return [min(max(value, low), high) for value in both]

@@ -1,0 +1,162 @@
+"""Geometry of regions: unit vectors and radians in, numbers out.
+
+Distances are from a direction to the nearest point of the region, 0 inside.
+"""
+
+import numpy as np
+
+__all__ = [
+    "angle", "arc", "box_area", "box_contains", "box_distance", "edges_cross", "from_lonlat", "polygon_area",
+    "polygon_contains", "polygon_distance", "to_dec", "to_ra", "turned_area",
+]  # fmt: skip
+
+# Rows times edges that are looked at together.
+CHUNK = 2_000_000
+
+
+def from_lonlat(lon, lat) -> np.ndarray:
+    """Return unit vectors, shape (..., 3)."""
+    return np.stack(np.broadcast_arrays(np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=-1)
+
+
+def to_ra(vectors):
+    """Return right ascension, 0 to 2 pi."""
+    return np.arctan2(vectors[..., 1], vectors[..., 0]) % (2 * np.pi)
+
+
+def to_dec(vectors):
+    """Return declination."""
+    return np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1]))
+
+
+def angle(a, b):
+    """Return angles between unit vectors, good also where they are small or near pi."""
+    return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+
+
+def arc(a, b, n):
+    """Return n points of the great circle from a to b, both included."""
+    t = np.linspace(0, 1, n)[:, None] * angle(a, b)
+    side = b - (a @ b) * a
+    length = np.linalg.norm(side)
+    return a + 0 * t if length == 0 else np.cos(t) * a + np.sin(t) * side / length
+
+
+def box_area(box):
+    """Return the solid angle of (first ra, width, lower dec, upper dec)."""
+    return box[1] * (np.sin(box[3]) - np.sin(box[2]))
+
+
+def box_contains(box, vectors):
+    """Tell which directions are inside; the border belongs to the box, and a pole to every box that ends there."""
+    begin, width, low, high = box
+    dec, turn = to_dec(vectors), (to_ra(vectors) - begin) % (2 * np.pi)
+    # a hair of rounding at either end
+    inside = (turn <= width + 1e-13) | (turn >= 2 * np.pi - 1e-13)
+    pole = np.abs(dec) >= np.pi / 2 - 1e-15
+    return (dec >= low - 1e-15) & (dec <= high + 1e-15) & (inside | pole)
+
+
+def box_distance(box, vectors):
+    """Return distances: along the meridian where the right ascension fits, else to the nearer side."""
+    begin, width, low, high = box
+    dec, turn = to_dec(vectors), (to_ra(vectors) - begin) % (2 * np.pi)
+    along = np.maximum(np.maximum(low - dec, dec - high), 0.0)
+    if width >= 2 * np.pi:
+        return along
+    sides = from_lonlat(begin + np.array([0.0, 0.0, width, width]), np.array([low, high, low, high]))
+    across = np.minimum(_to_arc(vectors, sides[0], sides[1]), _to_arc(vectors, sides[2], sides[3]))
+    return np.where(turn <= width, along, across)
+
+
+def _to_arc(vectors, a, b):
+    """Distance to the shorter great circle from a to b."""
+    normal = np.cross(a, b)
+    length = np.linalg.norm(normal)
+    ends = np.minimum(angle(vectors, a), angle(vectors, b))
+    if length < 1e-15:
+        return ends
+    normal = normal / length
+    height = vectors @ normal
+    within = (np.cross(normal, a) @ vectors.T >= 0) & (np.cross(b, normal) @ vectors.T >= 0)
+    return np.where(within, np.abs(np.arcsin(np.clip(height, -1, 1))), ends)
+
+
+def edges_cross(vertices):
+    """Return the first two edges that touch each other without being neighbors, or None."""
+    a, b = vertices, np.roll(vertices, -1, axis=0)
+    normal, n = np.cross(a, b), len(vertices)
+    for i in range(n):
+        j = np.arange(i + 2, n if i else n - 1)
+        other = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
+        own = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
+        # great circles meet twice: the edges must be on the same side of the sphere
+        meet = np.cross(normal[i], normal[j])
+        side = np.sign(np.sum(meet * (a[i] + b[i]), axis=1)) == np.sign(np.sum(meet * (a[j] + b[j]), axis=1))
+        hit = j[other & own & side]
+        if len(hit):
+            return i, int(hit[0])
+        rest = np.delete(np.arange(n), [i, (i + 1) % n])
+        touch = rest[_to_arc(a[rest], a[i], b[i]) < 1e-12]
+        if len(touch):
+            return i, int(touch[0])
+    return None
+
+
+def turned_area(vertices):
+    """Return the solid angle to the left of a closed path without crossings, from 0 to 4 pi."""
+    before, after = np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0)
+    come, go = np.cross(before, vertices), np.cross(vertices, after)
+    turn = np.arctan2(np.sum(np.cross(come, go) * vertices, axis=1), np.sum(come * go, axis=1))
+    rough = 2 * np.pi - turn.sum()  # Gauss and Bonnet; the sum of triangles is better, but known up to 4 pi only
+    a, b, c = vertices[0], vertices[1:-1], vertices[2:]
+    volume = np.sum(np.cross(b, c) * a, axis=1)
+    fan = 2 * np.sum(np.arctan2(volume, 1 + b @ a + c @ a + np.sum(b * c, axis=1)))
+    return fan + 4 * np.pi * np.rint((rough - fan) / (4 * np.pi))
+
+
+def polygon_area(vertices):
+    """Return the solid angle of the smaller side."""
+    left = turned_area(vertices)
+    return min(left, 4 * np.pi - left)
+
+
+def polygon_contains(vertices, vectors):
+    """Tell which directions are on the smaller side, by the parity of crossings on the way from an edge."""
+    a, b = vertices, np.roll(vertices, -1, axis=0)
+    start = int(np.argmax(angle(a, b)))
+    middle = a[start] + b[start]
+    middle /= np.linalg.norm(middle)
+    normal = np.cross(a[start], b[start])
+    normal /= np.linalg.norm(normal)
+    inside_left = turned_area(vertices) <= 2 * np.pi
+    others = np.delete(np.arange(len(a)), start)
+    out = np.empty(len(vectors), dtype=bool)
+    step = max(CHUNK // len(a), 1)
+    for k in range(0, len(vectors), step):
+        p = vectors[k : k + step]
+        height = p @ normal
+        # what is on the great circle of that edge would go along it: by 2 micro-arcseconds it does not
+        p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
+        left = p @ normal > 0
+        plane = np.cross(middle, p)
+        high_a, high_b = plane @ a[others].T, plane @ b[others].T
+        straddle = (high_a >= 0) != (high_b >= 0)
+        row, edge = np.nonzero(straddle)
+        cross = (
+            np.abs(high_b[row, edge])[:, None] * a[others[edge]] + np.abs(high_a[row, edge])[:, None] * b[others[edge]]
+        )
+        after = np.sum(np.cross(middle, cross) * plane[row], axis=1) > 0
+        ahead = np.sum(np.cross(cross, p[row]) * plane[row], axis=1) > 0
+        odd = np.bincount(row[after & ahead], minlength=len(p)) % 2 == 1
+        out[k : k + step] = (left == inside_left) != odd
+    return out
+
+
+def polygon_distance(vertices, vectors):
+    """Return distances to the smaller side."""
+    out = np.full(len(vectors), np.pi)
+    for a, b in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
+        np.minimum(out, _to_arc(vectors, a, b), out=out)
+    out[polygon_contains(vertices, vectors)] = 0.0
+    return out
