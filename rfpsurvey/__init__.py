@@ -29,6 +29,7 @@ from rfpsurvey.probability import (
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.reproduction import reproduce
+from rfpsurvey.survey import Survey, plan_survey
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 from rfpsurvey.tiling import Tiling
 
@@ -52,6 +53,7 @@ __all__ = [
     "Region",
     "Requirement",
     "RfpsurveyWarning",
+    "Survey",
     "TangentPlane",
     "Tile",
     "Tiling",
@@ -67,6 +69,7 @@ __all__ = [
     "count_collisions",
     "find_collisions",
     "fit_polynomial",
+    "plan_survey",
     "plan_tile",
     "plot_focal_plane",
     "plot_probability_accuracy",

@@ -5,6 +5,7 @@ FITS headers hold no nested values, so that there the table's ``meta`` travels a
 """
 
 import gzip
+import io
 import json
 import os
 from contextlib import contextmanager, suppress
@@ -15,7 +16,10 @@ from astropy.table import QTable, Table
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["check_output", "output_path", "read_table", "suffix_of", "to_path", "write_table"]
+__all__ = [
+    "check_output", "fits_bytes", "output_path", "read_fits_bytes", "read_table", "suffix_of", "table_bytes", "to_path",
+    "write_bytes", "write_table",
+]  # fmt: skip
 
 FORMATS = {
     ".fits": "fits",
@@ -89,8 +93,7 @@ def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = Fal
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
         if suffix_of(path) == ".fits":
-            table = table.copy()
-            table.meta = {**(cards or {}), META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
+            table = _with_meta(table, cards or {})
             try:
                 table.write(temporary, format="fits")
             except UnicodeEncodeError as error:
@@ -132,3 +135,59 @@ def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite:
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()
+
+
+def table_bytes(table: QTable, name: str) -> bytes:
+    """Return what `write_table` would write; the same table gives the same bytes."""
+    if name.endswith(".ecsv"):
+        file = io.StringIO(newline="\n")
+        table.write(file, format="ascii.ecsv")
+        return file.getvalue().encode()
+    file = io.BytesIO()
+    _with_meta(table, {}).write(file, format="fits")
+    return file.getvalue()
+
+
+def _with_meta(table, cards):
+    """Return a table whose meta fits into a FITS header."""
+    table = table.copy(copy_data=False)
+    table.meta = {**cards, META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
+    return table
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file that appears whole or not at all."""
+    temporary = path.with_name(f".{os.getpid()}-{path.name}")
+    try:
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
+    """Return a FITS file with one table; the same rows and cards give the same bytes."""
+    from astropy.io import fits
+
+    try:
+        table = fits.BinTableHDU(rows)
+    except UnicodeEncodeError as error:
+        raise InputError(f"FITS holds ASCII text only ({error}); give the targets other ids") from None
+    table.header.update(cards)
+    file = io.BytesIO()
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(file)
+    return file.getvalue()
+
+
+def read_fits_bytes(content: bytes) -> tuple[np.ndarray, dict]:
+    """Return rows and cards of `fits_bytes`."""
+    from astropy.io import fits
+
+    with fits.open(io.BytesIO(content), memmap=False, character_as_bytes=False) as file:
+        table = file[1]
+        columns = [np.asarray(table.data[name]) for name in table.columns.names]
+        columns = [c.astype(c.dtype.newbyteorder("=")) for c in columns]
+        return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)

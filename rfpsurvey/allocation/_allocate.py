@@ -17,7 +17,7 @@ from rfpsurvey.collision import check_plane
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
-__all__ = ["allocate"]
+__all__ = ["OBJECTIVES", "allocate"]
 
 OBJECTIVES = ("priority", "count")
 
@@ -163,12 +163,12 @@ def allocate(
             warnings.warn(text, RfpsurveyWarning, stacklevel=2)
         problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
     if method == "repair":
-        problem = replace(problem, start=_as_choice(start, problem, n, reach.n_reachable))
+        problem = replace(problem, start=_as_choice(start, problem, n, reach.covered))
     choice = solve(problem)
     found = _finish(problem, choice, n)
     end = perf_counter()
     return Allocation(
-        method, **found, n_reachable=reach.n_reachable, parked_obstacles=bool(parked_obstacles),
+        method, **found, in_reach=reach.covered, parked_obstacles=bool(parked_obstacles),
         seconds={"reach": middle - begin, "allocation": end - middle},
     )  # fmt: skip
 
@@ -238,15 +238,15 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
     return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
 
 
-def _as_choice(start, problem: Problem, n_given: int, n_reachable: int) -> Choice:
+def _as_choice(start, problem: Problem, n_given: int, in_reach: np.ndarray) -> Choice:
     """Return the plan that `repair` begins with."""
     if isinstance(start, str):
         return METHODS[check_choice(start, set(METHODS) - {"repair"}, "allocator to start with")](problem)
     if not isinstance(start, Allocation):
         raise InputError(f"start must be an Allocation or the name of a method, got {start!r}")
     plane, points = problem.plane, problem.points[:n_given]
-    expected = len(plane), n_given, n_reachable
-    same = (len(start.target_of_positioner), start.n_given, start.n_reachable) == expected
+    same = (len(start.target_of_positioner), start.n_given) == (len(plane), n_given)
+    same = same and np.array_equal(start.in_reach, in_reach)
     same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given], points, equal_nan=True)
     if same:
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane._usable)

@@ -31,8 +31,8 @@ class Allocation:
         Where each fiber is; NaN without a target.
     fiber_type : ndarray of str, shape (n_positioners,)
         Fiber in use.
-    n_reachable : int
-        Targets that at least one positioner reaches.
+    in_reach : ndarray of bool, shape (n_given,)
+        Which targets at least one positioner reaches.
     parked_obstacles : bool
         Do idle equal-arm positioners count as obstacles?
     seconds : dict of str to float
@@ -60,7 +60,7 @@ class Allocation:
     handedness: np.ndarray
     tips: u.Quantity
     fiber_type: np.ndarray
-    n_reachable: int
+    in_reach: np.ndarray
     parked_obstacles: bool
     seconds: dict
     xy: u.Quantity
@@ -70,6 +70,11 @@ class Allocation:
     levels: tuple[Level, ...]
     unmet: tuple[Shortfall, ...]
     meta: dict
+
+    @property
+    def n_reachable(self) -> int:
+        """Number of targets that at least one positioner reaches."""
+        return int(np.count_nonzero(self.in_reach))
 
     @property
     def n_assigned(self) -> int:

@@ -29,9 +29,9 @@ class Reach:
         return np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))
 
     @property
-    def n_reachable(self) -> int:
-        """Number of targets that any positioner reaches."""
-        return int(np.count_nonzero(np.diff(self.indptr)))
+    def covered(self) -> np.ndarray:
+        """Which targets any positioner reaches."""
+        return np.diff(self.indptr) > 0
 
     def where(self, keep: np.ndarray) -> "Reach":
         """Return the pairs marked in ``keep``."""

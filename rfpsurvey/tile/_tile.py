@@ -18,7 +18,7 @@ from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
 
-__all__ = ["Tile", "build_tile"]
+__all__ = ["Tile", "build_tile", "versions"]
 
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 
@@ -220,7 +220,7 @@ def build_tile(
     meta = {
         "summary": summary,
         "provenance": {
-            "software": _versions(),
+            "software": versions(),
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "model": MODEL,
             "instrument": instrument._provenance(),
@@ -261,7 +261,8 @@ def _spectrograph(plane, fiber_type):
 
 
 @cache
-def _versions() -> dict:
+def versions() -> dict:
+    """Return the versions of what makes the numbers."""
     found = {"python": sys.version.split()[0]}
     for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
         try:

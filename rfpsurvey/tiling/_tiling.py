@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey import _healpix, _io
-from rfpsurvey._units import to_labels, to_plain, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex
 from rfpsurvey.errors import InputError, check_choice
 
@@ -252,8 +252,8 @@ def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
         return Tiling.from_table(tiles)
     if not isinstance(tiles, SkyCoord):
         raise InputError(f"tiles must be a Tiling, a Table or a SkyCoord, got {type(tiles).__name__}")
-    ra, dec = to_lonlat(to_vectors(tiles, "tiles"))
-    return Tiling.from_table(QTable({"ra": ra * u.deg, "dec": dec * u.deg}))
+    icrs = to_direction(tiles, "tiles").reshape(-1).icrs
+    return Tiling.from_table(QTable({"ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}))
 
 
 def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,38 @@
+"""How far a run has come, on one line."""
+
+import sys
+from time import monotonic
+
+__all__ = ["Ticker"]
+
+EVERY = 0.5  # seconds
+
+
+class Ticker:
+    """Tells a function how much is done, or writes it to standard error with the rate and the remaining time."""
+
+    def __init__(self, progress: object, total: int):
+        self._tell = progress if callable(progress) else None
+        self._shown = bool(progress) and self._tell is None
+        self._total, self._begin, self._last, self._new = total, monotonic(), 0.0, 0
+
+    def step(self, done: int, *, new: bool) -> None:
+        """Say that ``done`` tiles are there; those that are read from an earlier run do not count for the rate."""
+        self._new += new
+        if self._tell is not None:
+            self._tell(done, self._total)
+        now = monotonic()
+        if self._shown and (now - self._last >= EVERY or done == self._total):
+            self._last = now
+            self._write(done, now)
+
+    def _write(self, done, now):
+        rate = self._new / max(now - self._begin, 1e-9)
+        left = (self._total - done) / rate if rate else 0.0
+        text = f"{done} of {self._total} tiles, {rate:.1f} tiles/s, {_clock(left)} left"
+        print(f"\r{text:<70}", end="\n" if done == self._total else "", file=sys.stderr, flush=True)
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"

@@ -1,0 +1,123 @@
+"""What a survey is asked to do, checked, and how to tell it from another."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import to_visits
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.survey._ledger import Ledger
+from rfpsurvey.survey._order import make_rounds
+from rfpsurvey.survey._source import digest
+from rfpsurvey.survey._work import Job, Model
+from rfpsurvey.tile import versions
+from rfpsurvey.tiling import Tiling
+
+__all__ = ["Request", "make_request"]
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """Targets, tiles, instrument and options of a survey."""
+
+    source: object
+    tiling: Tiling
+    """The tiles of the passes that are planned."""
+    number: np.ndarray
+    """Place of the pass of each tile among them."""
+    passes: list[int]
+    instrument: Instrument
+    options: dict
+    visits: np.ndarray
+    """How often each target is wanted, by slot."""
+    order: str
+    seed: int
+    lost_in_collision: bool
+
+    @cached_property
+    def radius_rad(self) -> float:
+        """Radius of a field, as `plan_tile` takes it."""
+        return self.instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
+
+    @cached_property
+    def rounds(self) -> list[np.ndarray]:
+        """Tiles (rows) that may be planned at the same time."""
+        return make_rounds(self.tiling._vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
+
+    @cached_property
+    def model(self) -> Model:
+        """What every job shares."""
+        return Model(self.instrument, self.options, lost_in_collision=self.lost_in_collision)
+
+    def open_ledger(self) -> Ledger:
+        """Return a ledger without a visit."""
+        columns = (self.source.by_slot(name) for name in ("priority", "kind"))
+        others = bool(self.options["requirements"])
+        return Ledger(self.visits, *columns, n_passes=len(self.passes), use_others=others)
+
+    def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
+        """Return the work on a tile (by row) with what is left of the targets."""
+        row = self.tiling.table[tile]
+        field = self.source.field(self.tiling._vectors[tile], self.radius_rad, left)
+        where = (float(row[name].to_value(u.deg)) for name in ("ra", "dec", "position_angle"))
+        seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
+        return Job(self.model, row["tile"].item(), *where, field, seed, as_file)
+
+    @cached_property
+    def parameters(self) -> dict:
+        """What a result records."""
+        options = {k: _plain(v) for k, v in self.options.items()}
+        return {
+            **options, "passes": self.passes, "order": self.order, "rng": self.seed,
+            "lost_in_collision": self.lost_in_collision,
+        }  # fmt: skip
+
+    @cached_property
+    def provenance(self) -> dict:
+        """Versions, instrument, catalog and parameters."""
+        return {
+            "software": versions(), "instrument": self.instrument._provenance(), "catalog": dict(self.source.meta),
+            "tiling": dict(self.tiling.summary), "parameters": self.parameters,
+        }  # fmt: skip
+
+    def identity(self) -> dict:
+        """Return what tells one survey from another."""
+        columns = ("ra", "dec", "position_angle", "pass")
+        tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
+        names = np.asarray(self.tiling.table["tile"]).astype(str)
+        return {
+            "catalog": self.source.digest(), "visits": digest(self.visits), "tiles": digest(*tiles, names),
+            "instrument": self.instrument._provenance()["digest"], **self.parameters, "software": versions(),
+        }  # fmt: skip
+
+
+def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, *, visits, passes, **others) -> Request:
+    """Return the request, if it can be met."""
+    if len(source) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    number = np.asarray(tiling.table["pass"])
+    passes = np.unique(number).tolist() if passes is None else [int(p) for p in np.atleast_1d(passes)]
+    strange = [p for p in passes if p not in number]
+    if strange or len(set(passes)) < len(passes):
+        known = ", ".join(str(p) for p in np.unique(number)[:12])
+        raise InputError(f"passes must be different passes of the tiling ({known}), got {passes}")
+    rows = np.flatnonzero(np.isin(number, passes))
+    if len(rows) == 0:
+        raise InputError("the tiling must have at least one tile, got none")
+    place = np.array([passes.index(p) for p in number[rows].tolist()])
+    tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
+    wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
+    if visits is not None and np.ndim(visits):
+        wanted = source.to_slots(wanted)
+    wanted = np.ones(len(source), dtype=np.uint8) if wanted is None else wanted
+    return Request(source, tiling, place, passes, instrument, options, wanted, **others)
+
+
+def _plain(value):
+    """Return an option as text or a number."""
+    if isinstance(value, u.Quantity):
+        return value.to_string()
+    return [str(one) for one in value] if isinstance(value, list | tuple) else value

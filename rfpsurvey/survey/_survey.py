@@ -1,0 +1,149 @@
+"""What a survey is."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from astropy.table import QTable, vstack
+
+from rfpsurvey import _io
+from rfpsurvey.errors import InputError
+from rfpsurvey.survey._folder import part_name, read_index
+from rfpsurvey.survey._ledger import OUTCOMES
+
+__all__ = ["Survey"]
+
+TILES, COMPLETENESS, TARGETS = "tiles.fits", "completeness.ecsv", "outcomes.fits"
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A survey that was planned, tile after tile.
+
+    Parameters
+    ----------
+    tiles : QTable
+        A row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``, ``pass``,
+        ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets still wanted), ``n_reachable``,
+        ``n_assigned``, ``n_observed`` (visits that count), ``n_colliding``, ``n_counted`` (positioners with a
+        target or in the way), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements),
+        ``collision_rate``, ``fiber_use``. Its ``meta`` holds ``summary`` and ``provenance``.
+    completeness : QTable
+        A row for each pass and class of priority (``all``: all of them), after that pass: ``n_targets``, ``n_wanted``
+        and ``n_observed`` (visits), ``n_complete`` (targets observed as often as wanted), ``completeness``
+        (of visits).
+    outcomes : QTable
+        A row for each target: ``target_id``, ``wanted`` and ``observed`` (times), ``outcome``, an index of
+        ``Survey.OUTCOMES``.
+    folder : Path, optional
+        Where the parts are.
+    """
+
+    tiles: QTable
+    completeness: QTable
+    outcomes: QTable
+    folder: Path | None = None
+    _parts: tuple | None = None
+
+    OUTCOMES = OUTCOMES
+    """What may become of a target."""
+
+    @property
+    def summary(self) -> dict:
+        """Counts of tiles, targets, visits, fibers, collisions and outcomes."""
+        return self.tiles.meta["summary"]
+
+    @property
+    def provenance(self) -> dict:
+        """Versions, instrument, catalog and parameters behind the survey."""
+        return self.tiles.meta["provenance"]
+
+    @property
+    def targets(self) -> QTable:
+        """All visits, a row for each target, tile and positioner; of a large survey, take `visits` tile by tile.
+
+        Columns ``tile``, ``target_id``, ``target_row`` (in the catalog), ``positioner``, ``in_collision``, ``observed``
+        (it counts), and, where they are known, ``kind``, ``ra_deg``, ``dec_deg``.
+        """
+        return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
+
+    def visits(self, tile: int | str) -> QTable:
+        """Return the visits of one tile.
+
+        Parameters
+        ----------
+        tile : int or str
+            Its id.
+
+        Returns
+        -------
+        QTable
+            As `targets` has them.
+
+        Raises
+        ------
+        InputError
+            If there is no such tile, or if its part is missing or damaged.
+        """
+        rows = np.flatnonzero(np.asarray(self.tiles["tile"]).astype(str) == str(tile))
+        if len(rows) == 0:
+            raise InputError(f"the survey has no tile {tile}; its tiles are such as {self.tiles['tile'][0]}")
+        return self._visits(int(rows[0]))
+
+    def __iter__(self) -> Iterator[QTable]:
+        return (self._visits(k) for k in range(len(self.tiles)))
+
+    def __len__(self):
+        return len(self.tiles)
+
+    def _visits(self, k: int) -> QTable:
+        rows = self._parts[k] if self._parts is not None else read_part(self.folder, k)
+        table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
+        for name in rows.dtype.names:
+            table[name] = rows[name]
+        return table
+
+    def __repr__(self):
+        s = self.summary
+        return (
+            f"<Survey of {s['n_tiles']} tiles: {s['n_visits_observed']} of {s['n_visits_wanted']} visits, "
+            f"completeness {s['completeness']:.4f}>"
+        )
+
+    @classmethod
+    def read(cls, folder: str | os.PathLike) -> "Survey":
+        """Read a survey that `plan_survey` wrote.
+
+        Parameters
+        ----------
+        folder : str or path-like
+            The folder.
+
+        Returns
+        -------
+        Survey
+            The same survey; its visits stay on disk until they are asked for.
+
+        Raises
+        ------
+        InputError
+            If the folder does not hold a survey, or one that is not finished.
+        """
+        folder = _io.to_path(folder)
+        if not (folder / "survey.json").is_file():
+            raise InputError(f"{folder} does not hold a survey: there is no survey.json")
+        if not all((folder / name).is_file() for name in (TILES, COMPLETENESS, TARGETS)):
+            n = sum(name.startswith("tiles/") for name in read_index(folder))
+            raise InputError(f"{folder} holds a survey that is not finished ({n} tiles are there): continue it first")
+        return cls(*(_io.read_table(folder / name) for name in (TILES, COMPLETENESS, TARGETS)), folder)
+
+
+def read_part(folder: Path, k: int):
+    """Return the visits of a tile (by row)."""
+    path = folder / part_name(k)
+    try:
+        return _io.read_fits_bytes(path.read_bytes())[0]
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{path} is missing or damaged ({error}): continue the survey, which mends it") from None

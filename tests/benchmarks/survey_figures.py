@@ -1,0 +1,94 @@
+"""A whole survey: the tiles of DESI's main survey, and synthetic targets.
+
+    RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py [--targets 20e6] [--tiles 21615] [--workers 2]
+
+Prints seconds, seconds per tile and the peak of the memory; catalogs are made before the clock starts.
+"""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import shutil
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from rfpsurvey.catalog import SkyIndex
+
+FOOTPRINT = 1.6 * u.deg
+POLE = SkyCoord(0 * u.deg, 90 * u.deg)
+
+
+def desi_tiles(most=None):
+    """Real tiles, all or the first of each pass."""
+    tiling = rs.Tiling.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "desi_tiles_main.ecsv.gz")
+    return tiling if most is None else rs.Tiling(tiling.table[: int(most)])
+
+
+def make_targets(tiling, n_targets, rng=1):
+    """Targets in the footprint, half of them Poisson, half clustered, wanted one to four times."""
+    rng = np.random.default_rng(rng)
+    index = SkyIndex(tiling._vectors)
+    radius = FOOTPRINT.to_value(u.rad)
+    probe = rs.synthetic_catalog("uniform", POLE, 180 * u.deg, n_targets=200_000, rng=rng)
+    part = np.mean(index.sum_near(probe._vectors, radius, np.ones(len(index))) > 0)
+    n = int(0.5 * n_targets / part / 8)
+    ra, dec = [], []
+    for kind in ("poisson", "clustered"):
+        options = {"cluster_size": 20, "cluster_scale": 0.05 * u.deg} if kind == "clustered" else {}
+        for _ in range(8):
+            sky = rs.synthetic_catalog(kind, POLE, 180 * u.deg, n_targets=n, rng=rng, **options)
+            inside = index.sum_near(sky._vectors, radius, np.ones(len(index))) > 0
+            ra.append(sky.coord.ra.deg[inside])
+            dec.append(sky.coord.dec.deg[inside])
+    ra, dec = np.concatenate(ra), np.concatenate(dec)
+    return rs.Catalog(SkyCoord(ra * u.deg, dec * u.deg), visits=rng.integers(1, 5, len(ra)))
+
+
+def peak_gb():
+    """Largest memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--targets", type=float, default=20e6)
+    parser.add_argument("--tiles", type=int)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--processes", action="store_true")
+    parser.add_argument("--allocator", default="nearest")
+    parser.add_argument("--folder", type=Path)
+    options = parser.parse_args()
+    tiling = desi_tiles(options.tiles)
+    targets = make_targets(tiling, options.targets)
+    print(f"{len(tiling)} tiles, {len(targets)} targets, {platform.machine()}, {os.cpu_count()} cores")
+    print(f"memory with the catalog: {peak_gb():.2f} GB")
+    folder = options.folder or Path(tempfile.mkdtemp()) / "survey"
+    rs.plan_survey(targets[:1000], tiling.coord[:1], "desi", allocator=options.allocator)  # compiles
+    pool = ProcessPoolExecutor if options.processes else ThreadPoolExecutor
+    begin = perf_counter()
+    with pool(options.workers) as executor:
+        survey = rs.plan_survey(
+            targets, tiling, "desi", allocator=options.allocator, folder=folder, executor=executor, progress=True
+        )
+    seconds = perf_counter() - begin
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    print(f"{seconds:.1f} s, {1e3 * seconds / len(tiling):.2f} ms a tile, {options.workers} {pool.__name__} workers")
+    print(f"peak memory {peak_gb():.2f} GB, {size / 1e9:.2f} GB written")
+    survey.completeness.pprint_all()
+    print(json.dumps(survey.summary, indent=1))
+    if options.folder is None:
+        shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
