@@ -9,6 +9,7 @@ import io
 import json
 import os
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -169,17 +170,35 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
-    """Return a FITS file with one table; the same rows and cards give the same bytes."""
+    """Return a FITS file with one table; the same rows and cards give the same bytes.
+
+    For thousands of small tables of one kind: astropy makes the header of the first, and the others change cards.
+    """
+    primary, header, disk = _fits_template(rows.dtype)
+    header = header.copy()
+    header["NAXIS2"] = len(rows)
+    header.update(cards)
+    body = np.empty(len(rows), disk)
+    for name in rows.dtype.names:
+        column = rows[name]
+        try:
+            body[name] = np.where(column, ord("T"), ord("F")) if column.dtype.kind == "b" else column
+        except UnicodeEncodeError as error:
+            raise InputError(f"FITS holds ASCII text only ({error}); give the targets other ids") from None
+    return b"".join([primary, header.tostring().encode("ascii"), body.tobytes(), bytes(-body.nbytes % 2880)])
+
+
+@lru_cache(maxsize=32)
+def _fits_template(dtype: np.dtype):
+    """Return the bytes of the primary HDU, the header of a table of a kind, and the records on disk."""
     from astropy.io import fits
 
-    try:
-        table = fits.BinTableHDU(rows)
-    except UnicodeEncodeError as error:
-        raise InputError(f"FITS holds ASCII text only ({error}); give the targets other ids") from None
-    table.header.update(cards)
     file = io.BytesIO()
-    fits.HDUList([fits.PrimaryHDU(), table]).writeto(file)
-    return file.getvalue()
+    fits.PrimaryHDU().writeto(file)
+    header = fits.BinTableHDU(np.zeros(1, dtype)).header
+    types = {"b": lambda t: np.dtype("u1"), "U": lambda t: np.dtype(f"S{max(t.itemsize // 4, 1)}")}
+    disk = [(name, types.get(dtype[name].kind, lambda t: t.newbyteorder(">"))(dtype[name])) for name in dtype.names]
+    return file.getvalue(), header, np.dtype(disk)
 
 
 def read_fits_bytes(content: bytes) -> tuple[np.ndarray, dict]:

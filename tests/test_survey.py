@@ -1,0 +1,239 @@
+"""Whole surveys: what a tile gets, what becomes of targets, and that nothing depends on who does the work."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from rfpsurvey.survey._order import ORDERS, make_rounds
+
+CENTER = SkyCoord(0.1 * u.deg, 60 * u.deg)
+
+
+def grid(step, n=3):
+    """Tiles about the center, in two passes, the second shifted."""
+    offsets = [(i * step, j * step) for i in range(-n // 2 + 1, n // 2 + 1) for j in range(-n // 2 + 1, n // 2 + 1)]
+    centers = [CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in offsets]
+    centers += [CENTER.spherical_offsets_by((x + step / 2) * u.deg, y * u.deg) for x, y in offsets]
+    table = QTable({"ra": [c.ra.deg for c in centers] * u.deg, "dec": [c.dec.deg for c in centers] * u.deg})
+    table["pass"] = np.repeat([1, 2], len(offsets))
+    return rs.Tiling.from_table(table)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    catalog = rs.synthetic_catalog("clustered", CENTER, 2 * u.deg, density=400 / u.deg**2, cluster_size=5,
+                                   cluster_scale=0.05 * u.deg, rng=3)  # fmt: skip
+    rng = np.random.default_rng(5)
+    return rs.Catalog(catalog.coord, priority=rng.integers(1, 4, len(catalog)), visits=rng.integers(0, 4, len(catalog)))
+
+
+def same(a, b):
+    """Are two surveys equal, table by table?"""
+    for one, other in zip((a.tiles, a.completeness, a.outcomes, a.targets),
+                          (b.tiles, b.completeness, b.outcomes, b.targets), strict=True):  # fmt: skip
+        assert one.colnames == other.colnames
+        for name in one.colnames:
+            assert np.array_equal(np.asarray(one[name]), np.asarray(other[name])), name
+    return a.summary == b.summary
+
+
+def one_by_one(sky, tiling, instrument, order, **options):
+    """Plan the tiles with plan_tile, in a plain loop."""
+    left = sky.visits.astype(int).copy()
+    visits = {}
+    for k in order:
+        rows = np.flatnonzero(left > 0)
+        try:
+            tile = rs.plan_tile(sky[rows], instrument, tiling.coord[k], **options)
+        except rs.InputError:
+            continue
+        table = tile.table[tile.table["status"] == "assigned"]
+        ids = np.asarray(table["target_id"])
+        visits[k] = set(zip(ids.tolist(), np.asarray(table["id"]).tolist(), table["in_collision"].tolist(), strict=True))
+        left[ids[~table["in_collision"]]] -= 1
+    return left, visits
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
+def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocator):
+    tiling = grid(1.2)
+    survey = rs.plan_survey(sky, tiling, small, allocator=allocator)
+    order = np.lexsort((np.arange(len(tiling)), survey.tiles["round"]))
+    left, visits = one_by_one(sky, tiling, small, order, allocator=allocator)
+    for k, tile in enumerate(survey.tiles["tile"]):
+        table = survey.visits(tile)
+        found = zip(*(table[name].tolist() for name in ("target_id", "positioner", "in_collision")), strict=True)
+        assert set(found) == visits.get(k, set())
+    assert np.array_equal(survey.outcomes["wanted"] - survey.outcomes["observed"].astype(int), left)
+    assert survey.summary["n_visits_observed"] == sky.visits.sum() - left.sum()
+    assert survey.summary["n_colliding"] == (0 if allocator == "repair" else survey.targets["in_collision"].sum())
+
+
+def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
+    visits = rs.plan_survey(sky, grid(1.2), small, lost_in_collision=False).targets
+    pairs = np.column_stack([visits["tile"], visits["target_row"]])
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    times = np.bincount(visits["target_row"], minlength=len(sky))
+    assert (times <= sky.visits).all()
+    assert visits["observed"].all()
+
+
+def test_visits_given_by_hand(sky, small):
+    tiling = grid(1.2)
+    by_column = rs.plan_survey(sky, tiling, small)
+    plain = rs.Catalog(sky.coord, priority=sky.priority)
+    assert same(rs.plan_survey(plain, tiling, small, visits=sky.visits), by_column)
+    assert rs.plan_survey(plain, tiling, small).summary["n_visits_wanted"] == len(sky)
+    assert rs.plan_survey(sky, tiling, small, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
+
+
+def test_what_became_of_each_target(small):
+    """One positioner, and for each outcome a target that must have it."""
+    one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
+    instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
+    projection = instrument.projection(CENTER)
+    xy = np.array([[0, 1.0], [0, 2.0], [9.0, 0.0], [11.0, 0.0], [0.0, 30.0], [-2.0, 0.0], [24.0, 5.0]])
+    coord = SkyCoord([*projection.to_sky(xy * u.mm), CENTER.directional_offset_by(0 * u.deg, 9 * u.deg)])
+    names = ["first", "second", "left", "right", "beyond", "unwanted", "often", "far"]
+
+    def outcome(chosen, visits, **options):
+        rows = [names.index(name) for name in chosen]
+        catalog = rs.Catalog(coord[rows], id=chosen, visits=visits)
+        survey = rs.plan_survey(catalog, CENTER.reshape(1), instrument, allocator="nearest", **options)
+        table = survey.outcomes
+        return {str(i): rs.Survey.OUTCOMES[k] for i, k in zip(table["target_id"], table["outcome"], strict=True)}
+
+    assert outcome(["first", "second", "beyond", "unwanted", "often", "far"], [1, 1, 1, 0, 2, 1]) == {
+        "first": "observed", "second": "competed out", "beyond": "reachable by no positioner",
+        "unwanted": "not wanted", "often": "partly observed", "far": "on no tile",
+    }  # fmt: skip
+    both = ["left", "right"]
+    assert set(outcome(both, [1, 1]).values()) == {"collided out"}
+    assert set(outcome(both, [1, 1], lost_in_collision=False).values()) == {"observed"}
+
+
+def test_completeness_counts_what_the_visits_say(sky, small):
+    survey = rs.plan_survey(sky, grid(1.2), small)
+    number = dict(zip(survey.tiles["tile"].tolist(), survey.tiles["pass"].tolist(), strict=True))
+    visits = survey.targets[survey.targets["observed"]]
+    of_pass = np.array([number[t] for t in visits["tile"].tolist()])
+    for row in survey.completeness:
+        chosen = sky.visits > 0
+        if row["priority"] != "all":
+            chosen &= sky.priority == float(row["priority"])
+        seen = visits["target_row"][of_pass <= row["pass"]]
+        times = np.bincount(seen, minlength=len(sky))
+        assert row["n_targets"] == chosen.sum()
+        assert row["n_wanted"] == sky.visits[chosen].sum()
+        assert row["n_observed"] == times[chosen].sum()
+        assert row["n_complete"] == (times >= sky.visits)[chosen].sum()
+        assert row["completeness"] == pytest.approx(times[chosen].sum() / sky.visits[chosen].sum())
+    assert set(survey.completeness["priority"]) == {"all", "1", "2", "3"}
+
+
+def test_many_priorities_are_counted_in_ranges(sky, small, rng):
+    priority = rng.random(len(sky))
+    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), grid(1.2), small)
+    last = survey.completeness[-10:]
+    assert last["n_targets"].sum() == len(sky)
+    assert np.all(np.abs(last["n_targets"] / len(sky) - 0.1) < 0.01)
+    low = [float(name.split(" to ")[0]) for name in last["priority"]]
+    assert np.all(np.diff(low) < 0)
+
+
+def test_standards_and_sky_are_never_used_up(small):
+    coord = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=2).coord
+    kind = np.where(np.arange(60) < 20, "sky", np.where(np.arange(60) < 30, "standard", "science"))
+    catalog = rs.Catalog(coord, kind=kind)
+    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
+    survey = rs.plan_survey(catalog, tiles, small, requirements=["sky=5", "standard=2"])
+    for tile in (0, 1):
+        kinds = survey.visits(tile)["kind"].tolist()
+        assert kinds.count("sky") == 5
+        assert kinds.count("standard") == 2
+    assert survey.summary["n_unmet"] == 0
+    assert survey.summary["n_targets"] == 30
+    codes = survey.outcomes["outcome"][:30]
+    assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not wanted"}
+    assert rs.plan_survey(catalog, tiles, small).summary["n_assigned"] <= 30
+
+
+def test_blank_sky_has_its_position(small):
+    catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=20, rng=2)
+    survey = rs.plan_survey(catalog, CENTER.reshape(1), small, requirements="sky=3", sky_separation=30 * u.arcsec)
+    visits = survey.targets
+    sky = visits[visits["kind"] == "sky"]
+    assert len(sky) == 3
+    assert set(sky["target_row"]) == {-1}
+    where = SkyCoord(sky["ra_deg"] * u.deg, sky["dec_deg"] * u.deg)
+    assert catalog.coord[:, None].separation(where).min() > 30 * u.arcsec
+    others = visits[visits["kind"] == "science"]
+    where = SkyCoord(others["ra_deg"] * u.deg, others["dec_deg"] * u.deg)
+    assert catalog.coord[others["target_row"]].separation(where).max() < 1e-6 * u.arcsec
+
+
+def test_rounds_keep_neighbors_apart(rng):
+    vectors = rng.normal(size=(300, 3))
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    passes = rng.integers(0, 3, 300)
+    reach = 0.3
+    close = np.arccos(np.clip(vectors @ vectors.T, -1, 1)) < reach
+    for name in ORDERS:
+        rounds = make_rounds(vectors, reach, passes, name)
+        assert np.array_equal(np.sort(np.concatenate(rounds)), np.arange(300))
+        round_of = np.empty(300, dtype=int)
+        for k, tiles in enumerate(rounds):
+            round_of[tiles] = k
+        i, j = np.nonzero(np.triu(close, 1))
+        assert (round_of[i] != round_of[j]).all()
+        if name == "given":
+            assert (round_of[i] < round_of[j]).all()
+        else:
+            assert (np.sign(round_of[i] - round_of[j]) == np.sign(passes[i] - passes[j]))[passes[i] != passes[j]].all()
+
+
+def test_order_and_passes(sky, small):
+    tiling = grid(1.2)
+    second_first = rs.plan_survey(sky, tiling, small, passes=[2, 1])
+    assert second_first.tiles["round"][9:].max() < second_first.tiles["round"][:9].min()
+    only = rs.plan_survey(sky, tiling, small, passes=[2])
+    assert len(only) == 9
+    assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
+    given = rs.plan_survey(sky, tiling, small, order="given")
+    left, _ = one_by_one(sky, tiling, small, range(len(tiling)))
+    assert np.array_equal(given.outcomes["wanted"] - given.outcomes["observed"].astype(int), left)
+
+
+def test_drawing_allocators_draw_the_same_for_the_same_seed(sky, small):
+    tiling = grid(1.2)
+    surveys = [rs.plan_survey(sky, tiling, small, allocator="balanced", rng=seed) for seed in (1, 1, 2)]
+    assert same(*surveys[:2])
+    assert not np.array_equal(surveys[0].targets["target_id"], surveys[2].targets["target_id"])
+    drawn = rs.plan_survey(sky, tiling, small, allocator="balanced", rng=np.random.default_rng(1))
+    assert drawn.summary["n_tiles"] == len(tiling)
+
+
+def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
+    """The same survey, turned: a pole, and the origin of right ascension, are places like any other."""
+    results = []
+    for center in (SkyCoord(180 * u.deg, 0 * u.deg), SkyCoord(0 * u.deg, 0 * u.deg), SkyCoord(77 * u.deg, 90 * u.deg)):
+        rng = np.random.default_rng(8)
+        frame = center.skyoffset_frame()
+        lon, lat = rng.uniform(-1, 1, (2, 2000)) * u.deg
+        catalog = rs.Catalog(SkyCoord(lon, lat, frame=frame).icrs)
+        tiles = SkyCoord([-0.5, 0, 0.5] * u.deg, [0, 0.2, -0.2] * u.deg, frame=frame).icrs
+        # north at each tile is that of the sky, so that arms differ: the number of targets in the field does not
+        survey = rs.plan_survey(catalog, tiles, small, allocator="nearest")
+        results.append((survey.tiles["n_in_field"][0], survey.summary["n_rounds"]))
+    assert results[0] == results[1] == results[2]
+
+
+def test_targets_move_to_the_epoch(small):
+    fast = SkyCoord(CENTER.ra, CENTER.dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=36e6 * u.mas / u.yr).reshape(1)
+    catalog = rs.Catalog(fast, epoch=2000.0)
+    assert rs.plan_survey(catalog, CENTER.reshape(1), small).summary["n_assigned"] == 1
+    assert rs.plan_survey(catalog, CENTER.reshape(1), small, epoch=2002.0).summary["n_assigned"] == 0
