@@ -11,7 +11,7 @@ from rfpsurvey.benchmark import (
     benchmark_densities,
     benchmark_probability,
 )  # fmt: skip
-from rfpsurvey.catalog import Catalog, synthetic_catalog
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.compare import compare_allocators
 from rfpsurvey.errors import InputError, RfpsurveyWarning
@@ -31,7 +31,7 @@ from rfpsurvey.region import Region
 from rfpsurvey.reproduction import reproduce
 from rfpsurvey.survey import Survey, plan_survey
 from rfpsurvey.tile import Tile, plan_tile, score_tile
-from rfpsurvey.tiling import Tiling
+from rfpsurvey.tiling import Tiling, place_tiles
 
 try:
     from rfpsurvey._version import version as __version__
@@ -47,6 +47,7 @@ __all__ = [
     "FocalPlane",
     "InputError",
     "Instrument",
+    "PartitionedCatalog",
     "PolynomialFit",
     "Positioner",
     "RadialMap",
@@ -69,6 +70,8 @@ __all__ = [
     "count_collisions",
     "find_collisions",
     "fit_polynomial",
+    "partition_catalog",
+    "place_tiles",
     "plan_survey",
     "plan_tile",
     "plot_focal_plane",

@@ -1,5 +1,7 @@
 """Where the tiles of a survey go."""
 
+from rfpsurvey.tiling._methods import METHODS
+from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._tiling import Tiling, as_tiling
 
-__all__ = ["Tiling", "as_tiling"]
+__all__ = ["METHODS", "Tiling", "as_tiling", "place_tiles"]

@@ -1,0 +1,130 @@
+"""Cover the targets of a catalog, or a region, pass after pass."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rfpsurvey import _healpix
+from rfpsurvey.catalog import SkyIndex
+from rfpsurvey.errors import InputError
+from rfpsurvey.region import Region
+from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._visit import visit_all
+
+__all__ = ["cover_region", "cover_targets", "snap"]
+
+# Samples of a region: so fine as parts of the tile's radius, as long as there are not more than so many.
+FINE = 1 / 20
+MOST_SAMPLES = 1_500_000
+
+
+def cover_targets(problem: Problem, make: Callable) -> Ledger:
+    """Cover the targets: so many passes as asked for, or until the ledger is done or a pass serves nobody."""
+    ledger = Ledger(problem)
+    center, reach = problem.circle()
+    number = 0
+    while not ledger.done and (number < problem.passes or not problem.open_ended):
+        centers = make(center, reach, problem.radius, number)
+        if problem.allowed is not None:
+            centers = snap(centers, problem.allowed, problem.index.vectors[ledger.left > 0], problem.radius)
+        number += 1
+        if visit_all(ledger, centers, number) == 0:
+            break
+    return ledger
+
+
+def cover_region(
+    region: Region, radius: float, make: Callable, passes: int, allowed: np.ndarray | None, exclude: Region | None
+) -> tuple[list, dict]:
+    """Cover a region; returns the centers of each pass and how good the covering is."""
+    center, reach = region._circle()
+    samples, margin = _conservative(region, exclude, center, reach, radius)
+    inside = region._contains(samples)
+    if exclude is not None:
+        inside &= ~exclude._contains(samples)
+    if len(samples) == 0:
+        raise InputError("exclude must leave something of the region, but nothing is left")
+    index, found = SkyIndex(samples), []
+    for number in range(passes):
+        centers = make(center, reach, radius, number)
+        centers = centers[region._distance(centers) <= radius * (1 + 1e-12)]
+        if allowed is not None:
+            centers = snap(centers, allowed, samples[inside] if inside.any() else samples, radius)
+        else:
+            centers = _needed(index, centers, radius, margin)
+        found.append(centers)
+    look = samples[inside] if inside.any() else samples
+    tiles = np.vstack(found)
+    depth = SkyIndex(tiles).sum_near(look, radius, np.ones(len(tiles)))
+    quality = {
+        "covering_fraction": float(np.mean(depth > 0)),
+        "mean_depth": float(depth.mean()),
+        "n_samples": len(look),
+    }
+    return found, quality
+
+
+def _conservative(region, exclude, center, reach, radius):
+    """Return HEALPix centers that are near every point of the region, and how near."""
+    nside = _healpix.nside_for(FINE * radius)
+    area = region.area.to_value("sr")
+    while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
+        nside //= 2
+    margin = _healpix.pixel_radius(nside)
+    pixels = _healpix.pixels_within(nside, center, min(reach + margin, np.pi))
+    samples = _healpix.centers(nside, pixels)
+    keep = region._distance(samples) <= margin
+    if exclude is not None:
+        keep[keep] = ~_all_inside(exclude, samples[keep], margin)
+    return samples[keep], margin
+
+
+def _all_inside(region, samples, margin):
+    """Tell which samples lie inside with all that is as far as ``margin``, as far as eight points can tell."""
+    helper = np.eye(3)[np.argmin(np.abs(samples), axis=1)]
+    x = np.cross(helper, samples)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    y = np.cross(samples, x)
+    inside = region._contains(samples)
+    for turn in np.arange(8) * np.pi / 4:
+        inside &= region._contains(np.cos(margin) * samples + np.sin(margin) * (np.cos(turn) * x + np.sin(turn) * y))
+    return inside
+
+
+def _needed(index, centers, radius, margin):
+    """Drop centers of circles that touch nothing, or nothing that others do not cover for sure."""
+    if radius <= 2 * margin:
+        return centers
+    touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
+    sure = [index.near(center, radius - margin) for center in centers]
+    depth = np.zeros(len(index), dtype=np.int64)
+    for rows in sure:
+        depth[rows] += 1
+    keep = np.ones(len(centers), dtype=bool)
+    for k in np.argsort([len(rows) for rows in touched], kind="stable"):
+        depth[sure[k]] -= 1
+        if (depth[touched[k]] > 0).all():
+            keep[k] = False
+        else:
+            depth[sure[k]] += 1
+    return centers[keep]
+
+
+def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
+    """Move centers to the nearest ones that may be, and add others as long as they cover more of the points."""
+    from scipy.spatial import cKDTree
+
+    chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)
+    index, places = SkyIndex(points), SkyIndex(allowed)
+    open_ = np.ones(len(points))
+    for k in chosen:
+        open_[index.near(allowed[k], radius)] = 0.0
+    gain = index.sum_near(places.vectors, radius, open_)
+    chosen = list(chosen)
+    while gain.max(initial=0.0) > 0.5:
+        k = int(np.argmax(gain))
+        chosen.append(int(places.order[k]))
+        open_[index.near(places.vectors[k], radius)] = 0.0
+        near = places.near(places.vectors[k], min(2 * radius, np.pi))
+        gain[near] = index.sum_near(places.vectors[near], radius, open_)
+    return allowed[np.array(chosen, dtype=np.int64)]

@@ -1,0 +1,205 @@
+"""LAMOST's ways to place tiles one after the other: where targets are dense, until none is left."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rfpsurvey import _healpix
+from rfpsurvey.catalog import SkyIndex
+from rfpsurvey.tiling._problem import Ledger, Problem
+
+__all__ = ["density_gradient", "max_density", "mean_shift", "ring"]
+
+# As parts of the field's radius.
+GRID = 0.1
+SIGMA = 0.5
+SEED = 0.5
+STILL = 1e-3
+MOST_STEPS = 200
+
+
+def max_density(problem: Problem) -> Ledger:
+    """Place each tile where the most visits are wanted.
+
+    Candidates are a HEALPix grid finer than a tenth of the radius, their sums brought up to date about the last tile;
+    the best one is then shifted as long as its sum grows.
+    """
+    ledger = Ledger(problem)
+    places = _grid(problem) if problem.allowed is None else problem.allowed
+    candidates = _Candidates(ledger, places, problem.radius)
+
+    def seek():
+        center = candidates.best()
+        return center if center is None or problem.allowed is not None else _climb_sum(ledger, center)
+
+    return _run(ledger, candidates, seek)
+
+
+def density_gradient(problem: Problem) -> Ledger:
+    """Place each tile by climbing the density of targets, smoothed by a Gaussian, from where they are densest."""
+    return _follow(problem, _climb_density)
+
+
+def mean_shift(problem: Problem) -> Ledger:
+    """Place each tile by moving it to the mean of its targets again and again, from where they are densest."""
+    return _follow(problem, _shift_to_mean)
+
+
+def _follow(problem: Problem, move: Callable) -> Ledger:
+    """Run a method that starts from the place with the most targets near it."""
+    ledger = Ledger(problem)
+    seeds = _Candidates(ledger, _grid(problem), SEED * problem.radius)
+    allowed = None if problem.allowed is None else _Candidates(ledger, problem.allowed, problem.radius)
+
+    def seek():
+        seed = seeds.best()
+        if seed is None:
+            return None
+        center = move(ledger, seed)
+        if allowed is not None:
+            return allowed.about(center)
+        # a hill of density may rise between targets that are all out of its reach
+        return center if len(problem.index.near(center, problem.radius, ledger.weight)) else seed
+
+    return _run(ledger, seeds if allowed is None else (seeds, allowed), seek)
+
+
+def _run(ledger: Ledger, candidates, seek: Callable) -> Ledger:
+    """Place tiles until the ledger is done or nobody can be served any more."""
+    lists = candidates if isinstance(candidates, tuple) else (candidates,)
+    while not ledger.done:
+        center = seek()
+        if center is None:
+            break
+        tries = [center]
+        if ledger.problem.allowed is None:  # a target may be where no positioner gets, but not for a tile beside it
+            tries += list(ring(center, 0.1 * ledger.problem.radius))
+        if not any(len(ledger.observe(one)) for one in tries):
+            ledger.give_up(center)
+        for one in lists:
+            one.update(center, 1.2 * ledger.problem.radius)
+    return ledger
+
+
+class _Candidates:
+    """Places for a tile, and the visits wanted within some reach of each."""
+
+    def __init__(self, ledger: Ledger, vectors: np.ndarray, reach: float):
+        self.ledger, self.reach = ledger, reach
+        self.index = SkyIndex(vectors)
+        self.sum = ledger.problem.index.sum_near(self.index.vectors, reach, ledger.weight)
+
+    def best(self) -> np.ndarray | None:
+        """Return the place with the largest sum, None where all are 0."""
+        most = self.sum.max(initial=0.0)
+        if most <= 0.5:
+            return None
+        # of equals the first by its row, whatever their order on the sky
+        top = np.flatnonzero(self.sum >= most - 1e-9)
+        return self.index.vectors[top[np.argmin(self.index.order[top])]]
+
+    def about(self, center: np.ndarray) -> np.ndarray | None:
+        """Return the best place within half a radius of a direction, or the best of all where there is none."""
+        near = self.index.near(center, 0.5 * self.ledger.problem.radius)
+        if len(near) == 0 or self.sum[near].max() <= 0.5:
+            return self.best()
+        return self.index.vectors[near[np.argmax(self.sum[near])]]
+
+    def update(self, center: np.ndarray, changed: float) -> None:
+        """Bring the sums up to date where targets within ``changed`` of a center were observed."""
+        near = self.index.near(center, min(changed + self.reach, np.pi))
+        weight = self.ledger.weight
+        self.sum[near] = self.ledger.problem.index.sum_near(self.index.vectors[near], self.reach, weight)
+
+
+def _grid(problem: Problem) -> np.ndarray:
+    """Return HEALPix centers, finer than a tenth of the radius, within a radius of targets."""
+    fine = _healpix.nside_for(GRID * problem.radius / 1.0233)  # the side of a pixel is 1.0233 / nside
+    coarse = max(_healpix.nside_for(problem.radius) // 2, 1)
+    near = _near_targets(problem, _healpix.centers(coarse, np.arange(12 * coarse**2)), _healpix.pixel_radius(coarse))
+    children = (fine // coarse) ** 2
+    centers = _healpix.centers(fine, (near[:, None] * children + np.arange(children)).ravel())
+    return centers[_near_targets(problem, centers, 0.0)]
+
+
+def _near_targets(problem, centers, margin):
+    reach = min(problem.radius + margin, np.pi)
+    return np.flatnonzero(problem.index.sum_near(centers, reach, (problem.wanted > 0).astype(np.float64)) > 0)
+
+
+def ring(center: np.ndarray, step: float) -> np.ndarray:
+    """Return eight directions around a center."""
+    helper = np.eye(3)[np.argmin(np.abs(center))]
+    x = np.cross(helper, center)
+    x /= np.linalg.norm(x)
+    turn = np.arange(8)[:, None] * np.pi / 4
+    return np.cos(step) * center + np.sin(step) * (np.cos(turn) * x + np.sin(turn) * np.cross(center, x))
+
+
+def _climb_sum(ledger: Ledger, center: np.ndarray) -> np.ndarray:
+    """Shift a center as long as the sum within it grows, by ever smaller steps."""
+    index, radius, weight = ledger.problem.index, ledger.problem.radius, ledger.weight
+    step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
+    while step > 5 * STILL * radius:
+        around = ring(center, step)
+        total = index.sum_near(around, radius, weight)
+        k = int(np.argmax(total))
+        if total[k] > best:
+            center, best = around[k], total[k]
+        else:
+            step /= 2
+    return center / np.linalg.norm(center)
+
+
+def _climb_density(ledger: Ledger, center: np.ndarray) -> np.ndarray:
+    """Climb the gradient of the density, smoothed by a Gaussian of half the radius, until the step is small."""
+    problem = ledger.problem
+    sigma = SIGMA * problem.radius
+    weight = ledger.weight
+
+    def look(place):
+        near = problem.index.near(place, min(3 * sigma, np.pi), weight)
+        away = problem.index.vectors[near] - place
+        part = weight[near] * np.exp(-0.5 * np.sum(away**2, axis=1) / sigma**2)
+        slope = part @ away
+        return part.sum(), slope - (slope @ place) * place
+
+    value, slope = look(center)
+    step = 0.5 * sigma
+    for _ in range(MOST_STEPS):
+        length = np.linalg.norm(slope)
+        if step <= STILL * problem.radius or length <= 1e-12 * max(value, 1e-300):
+            break
+        place = np.cos(step) * center + np.sin(step) * slope / length
+        place /= np.linalg.norm(place)
+        new, new_slope = look(place)
+        if new > value:
+            center, value, slope = place, new, new_slope
+            step = min(1.5 * step, sigma)
+        else:
+            step /= 2
+    return center
+
+
+def _shift_to_mean(ledger: Ledger, center: np.ndarray) -> np.ndarray:
+    """Move a center to the mean of its targets until it rests, and return the best place that it saw."""
+    problem, weight = ledger.problem, ledger.weight
+    best, most = center, -1.0
+    for _ in range(MOST_STEPS):
+        near = problem.index.near(center, problem.radius, weight)
+        total = weight[near].sum()
+        if total > most:
+            best, most = center, total
+        mean = weight[near] @ problem.index.vectors[near]
+        length = np.linalg.norm(mean)
+        if length < 1e-9 * max(total, 1e-300) or total == 0:
+            break
+        mean = mean / length
+        moved = np.linalg.norm(mean - center)
+        center = mean
+        if moved <= STILL * problem.radius:
+            # where it rests counts, too
+            last = weight[problem.index.near(center, problem.radius, weight)].sum()
+            best = center if last >= most else best
+            break
+    return best

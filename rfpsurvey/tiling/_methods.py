@@ -1,0 +1,22 @@
+"""The ways to place tiles."""
+
+from functools import partial
+
+from rfpsurvey.tiling._cover import cover_targets
+from rfpsurvey.tiling._covering import hexagonal, spiral
+from rfpsurvey.tiling._greedy import density_gradient, max_density, mean_shift
+from rfpsurvey.tiling._network import sdss
+
+__all__ = ["COVERINGS", "METHODS"]
+
+# Coverings of a region, which need no targets.
+COVERINGS = {"hexagonal": hexagonal, "spiral": spiral}
+
+# Each takes a Problem and returns a Ledger.
+METHODS = {
+    **{name: partial(cover_targets, make=make) for name, make in COVERINGS.items()},
+    "max_density": max_density,
+    "density_gradient": density_gradient,
+    "mean_shift": mean_shift,
+    "sdss": sdss,
+}

@@ -1,0 +1,213 @@
+"""Tiles by network flow (Blanton et al. 2003, AJ 125, 2276, Section 4).
+
+Targets in small cells flow to tiles; a cell outside a tile flows there at a cost that grows with its distance from the
+edge, and each tile then moves to where what it was given costs least.
+"""
+
+import numpy as np
+
+from rfpsurvey import _healpix
+from rfpsurvey.catalog import SkyIndex
+from rfpsurvey.tiling._covering import lattice
+from rfpsurvey.tiling._greedy import ring
+from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._visit import visit_all
+
+__all__ = ["sdss"]
+
+# As parts of the radius: how far outside a target may be, and the size of the cells.
+OUTSIDE = 0.2
+CELL = 0.15
+# Costs of a visit: within the field next to nothing, beyond the edge from 1 to 3, and where it is not made.
+INSIDE_COST, EDGE_COST, STEEP, UNASSIGNED = 0.01, 1.0, 2.0, 10.0
+MOST_ROUNDS = 20
+GAIN = 2e-3
+
+
+def sdss(problem: Problem) -> Ledger:
+    """Place a number of tiles by network flow; with a completeness, the fewest that reach it."""
+    if problem.n_tiles is not None and problem.completeness is None:
+        return _attempt(problem, problem.n_tiles)
+    if problem.completeness is None:
+        return _attempt(problem, _covering_number(problem))
+    return _fewest(problem)
+
+
+def _fewest(problem: Problem) -> Ledger:
+    """Bisect the number of tiles."""
+    goal = problem.completeness
+    most = problem.n_tiles or 10**6
+    n = min(max(int(np.ceil(goal * problem.wanted.sum() / problem.fibers)), 1), most)
+    low, found, best, stuck = 0, None, None, 0
+    while found is None:
+        ledger = _attempt(problem, n)
+        if best is None or ledger.completeness > best.completeness + 1e-9:
+            best, stuck = ledger, 0
+        else:
+            stuck += 1
+        if ledger.completeness >= goal - 1e-12:
+            found = ledger
+        elif n >= most or stuck >= 6:
+            return best
+        else:
+            low, n = n, min(max(int(1.25 * n), n + 1), most)
+    # a run may end before its tiles are used up
+    high = len(found.rows)
+    while high - low > max(1, high // 100):
+        middle = (low + high) // 2
+        ledger = _attempt(problem, middle)
+        if ledger.completeness >= goal - 1e-12:
+            found, high = ledger, min(middle, len(ledger.rows))
+        else:
+            low = middle
+    return found
+
+
+def _attempt(problem: Problem, n: int) -> Ledger:
+    """Place n tiles and observe them."""
+    cells = _Cells(problem)
+    centers = _relax(problem, cells, _uniform(problem, n))
+    ledger = Ledger(problem)
+    visit_all(ledger, _allowed(problem, centers), None)
+    return ledger
+
+
+def _covering_number(problem: Problem) -> int:
+    center, reach = problem.circle()
+    return len(
+        _with_targets(problem, lattice(center, reach + 2 * problem.radius, np.sqrt(3) * problem.radius, np.zeros(2)))
+    )
+
+
+def _uniform(problem: Problem, n: int) -> np.ndarray:
+    """Return n centers, evenly over the targets: a hexagonal lattice of the pitch that gives so many with targets."""
+    center, reach = problem.circle()
+
+    def make(pitch):
+        return _with_targets(problem, lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2)))
+
+    low, high = 0.0, 3 * (reach + problem.radius)
+    pitch = np.sqrt(3) * problem.radius
+    for _ in range(25):
+        centers = make(pitch)
+        if len(centers) == n:
+            return centers
+        if len(centers) > n:
+            low, enough = pitch, centers
+        else:
+            high = pitch
+        if low and high - low < 1e-3 * low:
+            break
+        # the number goes as 1 / pitch^2
+        guess = pitch * np.sqrt(max(len(centers), 0.5) / n)
+        pitch = guess if low < guess < high and guess != pitch else (low + high) / 2
+    if not low:
+        enough = np.vstack([centers, problem.index.vectors[problem.wanted > 0][:1]])
+    count = problem.index.sum_near(enough, problem.radius, problem.wanted.astype(np.float64))
+    keep = np.sort(np.argsort(-count, kind="stable")[:n])
+    enough = enough[keep]
+    # too few places with targets: the best ones again
+    return enough[np.arange(n) % len(enough)]
+
+
+def _with_targets(problem, centers):
+    return centers[problem.index.sum_near(centers, problem.radius, problem.wanted.astype(np.float64)) > 0]
+
+
+class _Cells:
+    """Targets that are close together, as one."""
+
+    def __init__(self, problem: Problem):
+        rows = np.flatnonzero(problem.wanted > 0)
+        nside = _healpix.nside_for(CELL * problem.radius)
+        _, of, count = np.unique(
+            _healpix.pixels_of(nside, problem.index.vectors[rows]), return_inverse=True, return_counts=True
+        )
+        of = of.reshape(-1)
+        weight = problem.wanted[rows].astype(float)
+        self.vectors = np.column_stack([np.bincount(of, weight * problem.index.vectors[rows, k]) for k in range(3)])
+        self.vectors /= np.linalg.norm(self.vectors, axis=1)[:, None]
+        self.supply = np.bincount(of, weight)
+        self.count = count
+        self.index = SkyIndex(self.vectors)
+
+
+def _cost(distance: np.ndarray, radius: float) -> np.ndarray:
+    """Cost of a visit at a distance from the center of its tile."""
+    away = distance / radius
+    beyond = EDGE_COST + STEEP * (away - 1) / OUTSIDE
+    return np.where(away <= 1, INSIDE_COST * away**2, np.where(away <= 1 + OUTSIDE, beyond, UNASSIGNED))
+
+
+def _relax(problem: Problem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
+    """Alternate flow and moves until the cost stops falling."""
+    radius, last = problem.radius, np.inf
+    for _ in range(MOST_ROUNDS):
+        cell, tile, amount, total = _flow(problem, cells, centers)
+        if not total < last * (1 - GAIN):
+            break
+        last = total
+        centers = centers.copy()
+        order = np.argsort(tile, kind="stable")
+        bounds = np.searchsorted(tile[order], np.arange(len(centers) + 1))
+        for k in range(len(centers)):
+            own = order[bounds[k] : bounds[k + 1]]
+            if len(own):
+                centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
+    return centers
+
+
+def _flow(problem: Problem, cells: _Cells, centers: np.ndarray):
+    """Send cells to tiles at least cost; returns cell, tile and amount of each flow, and the total cost."""
+    from scipy.optimize import linprog
+    from scipy.sparse import csr_array
+
+    reach = min((1 + OUTSIDE) * problem.radius, np.pi)
+    lists = [cells.index.order[cells.index.near(center, reach)] for center in centers]
+    cell = np.concatenate(lists).astype(np.int64) if lists else np.empty(0, dtype=np.int64)
+    tile = np.repeat(np.arange(len(centers)), [len(one) for one in lists])
+    chord = np.linalg.norm(cells.vectors[cell] - centers[tile], axis=1)
+    cost = _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), problem.radius)
+    if len(cell) == 0:
+        return cell, tile, np.empty(0), UNASSIGNED * cells.supply.sum()
+    # what is not assigned costs as much wherever it is: count the gain of what is
+    ones, n = np.ones(len(cell)), np.arange(len(cell))
+    limits = csr_array(
+        (np.concatenate([ones, ones]), (np.concatenate([cell, len(cells.supply) + tile]), np.concatenate([n, n]))),
+        shape=(len(cells.supply) + len(centers), len(cell)),
+    )
+    capacity = np.concatenate([cells.supply, np.full(len(centers), float(problem.fibers))])
+    found = linprog(
+        cost - UNASSIGNED, A_ub=limits, b_ub=capacity, bounds=np.column_stack([0 * ones, cells.count[cell]]),
+        method="highs",
+    )  # fmt: skip
+    amount = found.x
+    used = amount > 1e-6
+    return cell[used], tile[used], amount[used], found.fun + UNASSIGNED * cells.supply.sum()
+
+
+def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, radius: float) -> np.ndarray:
+    """Return a center at which what was assigned costs less, or the one it has: a search by ever smaller steps."""
+
+    def price(places):
+        chord = np.linalg.norm(vectors[None] - places[:, None], axis=2)
+        return _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), radius) @ amount
+
+    best, step = price(center[None])[0], 0.1 * radius
+    while step > 0.01 * radius:
+        around = ring(center, step)
+        prices = price(around)
+        k = int(np.argmin(prices))
+        if prices[k] < best - 1e-9:
+            center, best = around[k], prices[k]
+        else:
+            step /= 2
+    return center / np.linalg.norm(center)
+
+
+def _allowed(problem: Problem, centers: np.ndarray) -> np.ndarray:
+    """Snap centers to those that may be."""
+    if problem.allowed is None:
+        return centers
+    distance = np.linalg.norm(centers[:, None] - problem.allowed[None], axis=2)
+    return problem.allowed[np.argmin(distance, axis=1)]

@@ -1,0 +1,257 @@
+"""The one door of tile placement."""
+
+import logging
+import warnings
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+
+from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
+from rfpsurvey.catalog import Catalog, SkyIndex, as_catalog
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.region import Region
+from rfpsurvey.tiling._cover import cover_region
+from rfpsurvey.tiling._methods import COVERINGS, METHODS
+from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, neighbors_within
+from rfpsurvey.tiling._tiling import Tiling, to_lonlat
+
+__all__ = ["place_tiles"]
+
+log = logging.getLogger("rfpsurvey")
+
+
+def place_tiles(
+    field: Catalog | SkyCoord | Table | Region,
+    instrument: Instrument | str | None = None,
+    *,
+    method: str = "hexagonal",
+    passes: int = 1,
+    n_tiles: int | None = None,
+    completeness: float | None = None,
+    fibers: int | None = None,
+    min_separation: u.Quantity | None = None,
+    allocator: str | None = None,
+    radius: u.Quantity | None = None,
+    position_angle: u.Quantity = 0 * u.deg,
+    centers: SkyCoord | None = None,
+    exclude: Region | None = None,
+    visits: np.ndarray | None = None,
+    rng: int | np.random.Generator | None = 0,
+) -> Tiling:
+    """Decide where the tiles of a survey go.
+
+    A tile is a circle of the instrument's field radius that observes up to ``fibers`` of the targets in it, each at
+    most once; of a catalog that has kinds, the science targets count.
+
+    Parameters
+    ----------
+    field : Catalog, SkyCoord, Table or Region
+        The targets, or a region to cover (``hexagonal`` and ``spiral``).
+    instrument : Instrument or str, optional
+        Gives the radius of the field and the number of fibers; not needed where both are given.
+    method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss"}, optional
+        ``hexagonal``: a lattice without gaps about the middle of the field, for up to a hemisphere. ``spiral``: a
+        Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: one tile after the other where the most
+        visits are wanted. ``density_gradient``: the same, from the densest target up the smoothed density.
+        ``mean_shift``: the same, the center moving to the mean of its targets. ``sdss``: a number of tiles by
+        network flow, by default that of a hexagonal lattice.
+    passes : int, optional
+        How often coverings cover everything, each pass with its tiles elsewhere. For targets it is as often as needed
+        where ``completeness`` or ``n_tiles`` is given.
+    n_tiles : int, optional
+        At most so many tiles; for ``sdss`` without ``completeness``, so many.
+    completeness : float, optional
+        Part of the wanted visits, above 0 and at most 1, at which no more tiles are placed.
+    fibers : int, optional
+        Targets that a tile observes at most; by default the positioners that are not disabled or stuck.
+    min_separation : Quantity, optional
+        No two targets of a tile are closer than this angle.
+    allocator : str, optional
+        Let the positioners of the instrument decide what a tile observes, by this method of `allocate`.
+    radius : Quantity, optional
+        Angular radius of a tile, instead of the instrument's.
+    position_angle : Quantity, optional
+        Of all tiles.
+    centers : SkyCoord, shape (n,), optional
+        The only centers that may be, such as bright stars. Coverings then need not be complete.
+    exclude : Region, optional
+        Targets or area inside do not count.
+    visits : array_like of int, optional
+        How often each target is wanted, shape (n,) or one number; by default as the catalog says, or once.
+    rng : int, Generator or None, optional
+        For allocators that draw.
+
+    Returns
+    -------
+    Tiling
+        For targets in the order of placing, with the columns ``n_targets`` (unserved in the field), ``n_new`` (served)
+        and ``completeness`` (after the tile).
+
+    Raises
+    ------
+    InputError
+        If there are no targets, a name is unknown, a unit is missing, a number is impossible, the method needs
+        targets and got a region, or the lattice would have to cover more than a hemisphere.
+
+    Warns
+    -----
+    RfpsurveyWarning
+        If the completeness is not reached, or if the region is not covered by the centers that may be.
+
+    References
+    ----------
+    Blanton et al. 2003, AJ 125, 2276 (``sdss``).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> middle = SkyCoord("6h20m +23d")
+    >>> tiling = rs.place_tiles(rs.Region.cap(middle, 8 * u.deg), radius=2.5 * u.deg)
+    >>> len(tiling), tiling.summary["covering_fraction"]
+    (19, 1.0)
+    """
+    check_choice(method, METHODS, "method to place tiles")
+    model = None if instrument is None else as_instrument(instrument)
+    if allocator is not None and model is None:
+        raise InputError("an allocator needs the positioners of an instrument, got none")
+    if radius is None and model is None:
+        raise InputError("give an instrument, or the radius of a tile")
+    radius = model.field_radius if radius is None else radius
+    radius_rad = to_scalar(radius, u.rad, "radius", low=0, high=np.pi / 2)
+    to_scalar(position_angle, u.deg, "position_angle", low=-3600, high=3600)
+    passes = _whole(passes, "passes")
+    if exclude is not None and not isinstance(exclude, Region):
+        raise InputError(f"exclude must be a Region, got {type(exclude).__name__}")
+    allowed = None if centers is None else to_vectors(centers, "centers")
+    if allowed is not None:
+        allowed = allowed[np.isfinite(allowed).all(axis=1)]
+        if len(allowed) == 0:
+            raise InputError("centers must be at least one finite direction, got none")
+    summary = {"method": method, "n_tiles": 0, "passes": 0, "radius_deg": float(np.rad2deg(radius_rad))}
+    if isinstance(field, Region):
+        given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
+                 "fibers": fibers, "min_separation": min_separation}  # fmt: skip
+        return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
+    catalog = as_catalog(field)
+    wanted = _wanted(catalog, visits, exclude)
+    n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
+    if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
+        raise InputError(f"completeness must be a number above 0 and at most 1, got {completeness!r}")
+    if fibers is None and model is None:
+        raise InputError("give an instrument, or the number of fibers of a tile")
+    usable = None if model is None else int(np.count_nonzero(model.focal_plane._usable))
+    fibers = usable if fibers is None else _whole(fibers, "fibers")
+    index = SkyIndex(catalog._vectors)
+    neighbors = None
+    if min_separation is not None:
+        if allocator is not None:
+            raise InputError("give min_separation or an allocator, which knows its own positioners, not both")
+        neighbors = neighbors_within(
+            index.vectors, to_scalar(min_separation, u.rad, "min_separation", low=0, high=np.pi)
+        )
+    rng = to_generator(rng)
+    if allocator is None:
+        priority = None if catalog.priority is None else catalog.priority[index.order]
+        serve = Fibers(fibers, priority, neighbors)
+    else:
+        serve = FocalPlaneFibers(model, allocator, catalog, index, fibers, position_angle, rng)
+    problem = Problem(radius_rad, index, wanted[index.order], fibers, serve, allowed, passes, n_tiles, completeness)
+    ledger = METHODS[method](problem)
+    summary.update(fibers=fibers, **_account(ledger, neighbors))
+    if completeness is not None and ledger.completeness < completeness - 1e-12:
+        limit = "" if n_tiles is None or len(ledger.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
+        warnings.warn(
+            f"{len(ledger.rows)} tiles reach a completeness of {ledger.completeness:.4f}, not {completeness:g}{limit}",
+            RfpsurveyWarning, stacklevel=2,
+        )  # fmt: skip
+    if not ledger.rows:
+        warnings.warn("no tile serves any target", RfpsurveyWarning, stacklevel=2)
+    centers_, number, n_targets, n_new, so_far = zip(*ledger.rows, strict=True) if ledger.rows else [()] * 5
+    columns = {"n_targets": np.array(n_targets, dtype=np.int64), "n_new": np.array(n_new, dtype=np.int64),
+               "completeness": np.array(so_far, dtype=float)}  # fmt: skip
+    return _build(np.reshape(centers_, (-1, 3)), number, position_angle, summary, columns)
+
+
+def _place_on_region(region, method, radius_rad, passes, allowed, exclude, position_angle, summary, given):
+    """Cover a region."""
+    if method not in COVERINGS:
+        raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
+    for name in ("n_tiles", "completeness", "visits", "allocator", "min_separation"):
+        if given[name] is not None:
+            raise InputError(f"{name} is about targets, and a region has none")
+    found, quality = cover_region(region, radius_rad, COVERINGS[method], passes, allowed, exclude)
+    summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
+    if quality["covering_fraction"] < 1:
+        warnings.warn(
+            f"the centers that may be cover {quality['covering_fraction']:.4f} of the region",
+            RfpsurveyWarning, stacklevel=3,
+        )  # fmt: skip
+    number = np.repeat(np.arange(passes) + 1, [len(one) for one in found])
+    return _build(np.vstack(found), number, position_angle, summary, {})
+
+
+def _wanted(catalog, visits, exclude):
+    """Return the visits wanted of each target of the catalog."""
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    visits = catalog.visits if visits is None else visits
+    wanted = to_visits(1 if visits is None else visits, len(catalog)).astype(np.int64)
+    if catalog.kind is not None:
+        wanted[catalog.kind != "science"] = 0
+    if exclude is not None:
+        wanted[exclude._contains(catalog._vectors)] = 0
+    if not wanted.any():
+        raise InputError("the catalog must have at least one science target outside of exclude that wants a visit")
+    return wanted
+
+
+def _account(ledger: Ledger, neighbors) -> dict:
+    """Return what was reached."""
+    problem = ledger.problem
+    wanted, made = problem.wanted, problem.wanted - ledger.left
+    n = len(ledger.rows)
+    account = {
+        "n_targets": int(np.count_nonzero(wanted)),
+        "n_wanted": int(wanted.sum()),
+        "n_observed": int(made.sum()),
+        "completeness": float(ledger.completeness),
+        "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
+    }
+    if neighbors is not None:
+        some = np.flatnonzero(wanted > 0)
+        indptr, other = neighbors
+        # only neighbors that want a visit are in the way
+        near = (
+            np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
+        )
+        alone = some[~near[some]]
+        account["n_isolated"] = len(alone)
+        account["completeness_isolated"] = float(made[alone].sum() / max(wanted[alone].sum(), 1))
+    return account
+
+
+def _build(vectors, number, position_angle, summary, columns):
+    """Return the tiling."""
+    n = len(vectors)
+    ra, dec = to_lonlat(vectors)
+    table = QTable({
+        "tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg,
+        "position_angle": np.full(n, position_angle.to_value(u.deg)) * u.deg, "pass": np.array(number, dtype=np.int64),
+        **columns,
+    })  # fmt: skip
+    summary.update(n_tiles=n, passes=int(table["pass"].max(initial=0)) if n else 0)
+    table.meta.update(method=summary["method"], summary=summary)
+    log.info("placed %d tiles: %s", n, summary)
+    return Tiling(table)
+
+
+def _whole(value, name):
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+    return int(value)

@@ -1,0 +1,112 @@
+"""What a tiling has to do, and the account of what its tiles have done so far."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rfpsurvey.catalog import SkyIndex
+
+__all__ = ["Ledger", "Problem"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The question, in radians; what belongs to targets is by position in the index."""
+
+    radius: float
+    index: SkyIndex
+    wanted: np.ndarray
+    """Visits of each target."""
+    fibers: int
+    serve: Callable
+    """Positions that a tile serves: serve(center, positions, ledger)."""
+    allowed: np.ndarray | None = None
+    """The only centers that may be."""
+    passes: int = 1
+    n_tiles: int | None = None
+    completeness: float | None = None
+
+    @property
+    def open_ended(self) -> bool:
+        """Whether tiles are added until nothing is left."""
+        return self.n_tiles is None and self.completeness is None
+
+    def circle(self) -> tuple[np.ndarray, float]:
+        """Return center and radius of a circle around the targets."""
+        vectors = self.index.vectors[self.wanted > 0]
+        center = vectors.sum(axis=0)
+        length = np.linalg.norm(center)
+        # targets all over the sky have no middle
+        center = center / length if length > 1e-6 * len(vectors) else np.array([0.0, 0.0, 1.0])
+        chord = np.linalg.norm(vectors - center, axis=1).max()
+        return center, float(2 * np.arcsin(min(chord / 2, 1.0)))
+
+
+@dataclass
+class Ledger:
+    """What is left to do, and the tiles so far."""
+
+    problem: Problem
+    left: np.ndarray = field(init=False)
+    """Visits of each target that are still wanted."""
+    hopeless: np.ndarray = field(init=False)
+    """Targets that no tile is sought for any more, since a tile on them served nobody."""
+    chances: np.ndarray | None = None
+    """How many tiles to come cover each target, where that is known."""
+    rows: list = field(default_factory=list)
+    """For each tile: center, pass, unserved targets in the field, targets served, completeness after it."""
+
+    def __post_init__(self):
+        self.left = self.problem.wanted.astype(np.float64)
+        self.hopeless = np.zeros(len(self.left), dtype=bool)
+        self._n_wanted = max(float(self.left.sum()), 1.0)
+        self._n_left = float(self.left.sum())
+        self._at = {}
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Visits for which a place is sought."""
+        return np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
+
+    @property
+    def completeness(self) -> float:
+        """Visits made of those wanted."""
+        return 1.0 - self._n_left / self._n_wanted
+
+    @property
+    def done(self) -> bool:
+        """Whether no more tile is needed or allowed."""
+        problem = self.problem
+        enough = problem.completeness is not None and self.completeness >= problem.completeness - 1e-12
+        return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)
+
+    def observe(self, center: np.ndarray, number: int | None = None) -> np.ndarray:
+        """Place a tile and return the positions that it serves; where it serves nobody, it is not placed.
+
+        Without a number of the pass, it is 1 more than the number of tiles at the same place.
+        """
+        problem = self.problem
+        near = problem.index.near(center, problem.radius, self.left)
+        served = problem.serve(center, near, self) if len(near) else near
+        if len(served) == 0:
+            return served
+        self.left[served] -= 1
+        self._n_left -= len(served)
+        if number is None:
+            key = tuple(np.rint(center * 1e9).astype(np.int64).tolist())
+            number = self._at[key] = self._at.get(key, 0) + 1
+        self.rows.append((center, number, len(near), len(served), self.completeness))
+        return served
+
+    def give_up(self, center: np.ndarray) -> np.ndarray:
+        """Seek no more tiles for the targets about a center that served nobody; returns their positions."""
+        problem = self.problem
+        near = problem.index.near(center, problem.radius, self.weight)
+        if len(near) == 0:
+            near = np.flatnonzero(self.weight > 0)
+        closest = np.argmin(np.linalg.norm(problem.index.vectors[near] - center, axis=1))
+        reach = np.linalg.norm(problem.index.vectors[near] - problem.index.vectors[near[closest]], axis=1)
+        near = near[reach <= 0.1 * problem.radius]
+        self.hopeless[near] = True
+        return near

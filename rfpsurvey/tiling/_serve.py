@@ -1,0 +1,134 @@
+"""What one tile observes: as many targets as it has fibers, or what a real focal plane reaches."""
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey.allocation import allocate
+from rfpsurvey.catalog import Catalog, SkyIndex
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.tiling._tiling import to_lonlat
+
+__all__ = ["Fibers", "FocalPlaneFibers", "neighbors_within"]
+
+
+class Fibers:
+    """Fibers that go anywhere in the field, no two closer than some separation.
+
+    First come the targets of higher priority, then those that fewer of the tiles to come cover, then those with
+    fewer others too close, then those earlier in the catalog.
+
+    Parameters
+    ----------
+    fibers : int
+        At most so many targets.
+    priority : ndarray or None
+        By position.
+    neighbors : tuple of ndarray or None
+        As `neighbors_within` returns them.
+    """
+
+    def __init__(self, fibers: int, priority: np.ndarray | None, neighbors: tuple | None):
+        self.fibers, self.priority, self.neighbors = fibers, priority, neighbors
+
+    def __call__(self, center, near, ledger):
+        """Return the positions that are served, of those in the field that still want a visit."""
+        if self.neighbors is None and len(near) <= self.fibers:
+            return near
+        keys = [np.arange(len(near))]
+        if self.neighbors is not None:
+            indptr, other = self.neighbors
+            degree = self._degrees(near, ledger)
+            keys.append(degree)
+        if ledger.chances is not None:
+            keys.append(ledger.chances[near])
+        if self.priority is not None:
+            keys.append(-self.priority[near])
+        order = np.lexsort(keys)
+        if self.neighbors is None:
+            return near[np.sort(order[: self.fibers])]
+        taken = np.zeros(len(near), dtype=bool)
+        taken[degree == 0] = True
+        blocked, where = set(), near.tolist()
+        for k in order[degree[order] > 0].tolist():
+            here = where[k]
+            if here not in blocked:
+                taken[k] = True
+                blocked.update(other[indptr[here] : indptr[here + 1]].tolist())
+        order = order[taken[order]]
+        return near[np.sort(order[: self.fibers])]
+
+    def _degrees(self, near, ledger):
+        """Return how many targets of the field, still to be observed, are too close to each."""
+        indptr, other = self.neighbors
+        degree = indptr[near + 1] - indptr[near]
+        some = np.flatnonzero(degree)
+        inside = set(near[some].tolist())
+        degree = degree.copy()
+        for k in some.tolist():
+            degree[k] = sum(o in inside for o in other[indptr[near[k]] : indptr[near[k] + 1]].tolist())
+        return degree
+
+
+class FocalPlaneFibers:
+    """The positioners of an instrument, by one of the allocators.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        What observes.
+    allocator : str
+        Method of `allocate`.
+    catalog : Catalog
+        The targets, by row.
+    index : SkyIndex
+        Of the catalog.
+    fibers : int
+        At most so many targets.
+    position_angle : Quantity
+        Of +y.
+    rng : Generator
+        For allocators that draw.
+    """
+
+    def __init__(
+        self, instrument: Instrument, allocator: str, catalog: Catalog, index: SkyIndex, fibers: int,
+        position_angle: u.Quantity, rng: np.random.Generator,
+    ):  # fmt: skip
+        self.instrument, self.allocator, self.index, self.fibers = instrument, allocator, index, fibers
+        self.position_angle, self.rng = position_angle, rng
+        order = index.order
+        self.priority = None if catalog.priority is None else catalog.priority[order]
+        needs = instrument._needs(catalog.fiber_type, len(catalog))
+        self.needs = None if needs is None else needs[order]
+
+    def __call__(self, center, near, ledger):
+        """Return the positions that are served, of those in the field that still want a visit."""
+        ra, dec = to_lonlat(center[None])
+        plane = self.instrument.projection(SkyCoord(ra[0] * u.deg, dec[0] * u.deg), self.position_angle)
+        needs = None if self.needs is None else self.needs[near]
+        priority = None if self.priority is None else self.priority[near]
+        xy = plane._project(self.index.vectors[near], needs)
+        allocation = allocate(
+            xy * u.mm, self.instrument.focal_plane, method=self.allocator, priority=priority, fiber_type=needs,
+            rng=self.rng,
+        )  # fmt: skip
+        served = np.flatnonzero(allocation.positioner_of_target[: len(near)] >= 0)
+        if len(served) > self.fibers:
+            order = served if priority is None else served[np.argsort(-priority[served], kind="stable")]
+            served = np.sort(order[: self.fibers])
+        return near[served]
+
+
+def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each direction the others closer than an angle, as (indptr, indices)."""
+    from scipy.spatial import cKDTree
+
+    chord = 2 * np.sin(min(separation_rad, np.pi) / 2)
+    pairs = cKDTree(vectors).query_pairs(chord, output_type="ndarray")
+    distance = np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=1)
+    pairs = pairs[distance < chord]  # the tree takes those at the distance, too
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    indptr = np.searchsorted(both[:, 0], np.arange(len(vectors) + 1))
+    return indptr, both[:, 1]
