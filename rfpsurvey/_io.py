@@ -8,6 +8,7 @@ import gzip
 import io
 import json
 import os
+import shutil
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -18,8 +19,8 @@ from astropy.table import QTable, Table
 from rfpsurvey.errors import InputError
 
 __all__ = [
-    "check_output", "fits_bytes", "output_path", "read_fits_bytes", "read_table", "suffix_of", "table_bytes", "to_path",
-    "write_bytes", "write_table",
+    "check_output", "fits_bytes", "output_path", "read_fits_bytes", "read_table", "suffix_of", "table_bytes",
+    "temporary_folder", "to_path", "write_bytes", "write_table",
 ]  # fmt: skip
 
 FORMATS = {
@@ -136,6 +137,25 @@ def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite:
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()
+
+
+@contextmanager
+def temporary_folder(path: str | os.PathLike):
+    """Give a temporary folder beside ``path``, renamed to it when all went well."""
+    path = to_path(path)
+    if path.exists():
+        raise InputError(f"{path} exists; give a folder that does not")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist")
+    temporary = path.with_name(f".{os.getpid()}-{path.name}")
+    try:
+        temporary.mkdir()
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def table_bytes(table: QTable, name: str) -> bytes:

@@ -142,6 +142,8 @@ def to_labels(value: object, name: str) -> np.ndarray:
         return values.astype(np.int64)
     if values.dtype.kind == "f":
         raise InputError(f"{name} must be integers or text for every row, got numbers such as {values.flat[0]}")
+    if values.size == 0:  # numpy cannot replace in nothing
+        return values.astype(str)
     return np.char.strip(np.char.replace(values.astype(str), "\n", " "))
 
 

@@ -52,7 +52,8 @@ def one_by_one(sky, tiling, instrument, order, **options):
             continue
         table = tile.table[tile.table["status"] == "assigned"]
         ids = np.asarray(table["target_id"])
-        visits[k] = set(zip(ids.tolist(), np.asarray(table["id"]).tolist(), table["in_collision"].tolist(), strict=True))
+        rows = zip(ids.tolist(), np.asarray(table["id"]).tolist(), table["in_collision"].tolist(), strict=True)
+        visits[k] = set(rows)
         left[ids[~table["in_collision"]]] -= 1
     return left, visits
 

@@ -3,7 +3,11 @@
 from rfpsurvey.catalog._catalog import Catalog, as_catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
 from rfpsurvey.catalog._index import SkyIndex
+from rfpsurvey.catalog._partitions import PartitionedCatalog, partition_catalog
 from rfpsurvey.catalog._synthetic import synthetic_catalog
 from rfpsurvey.catalog._time import to_time
 
-__all__ = ["UNITS", "Catalog", "Finder", "SkyIndex", "as_catalog", "synthetic_catalog", "to_time"]
+__all__ = [
+    "UNITS", "Catalog", "Finder", "PartitionedCatalog", "SkyIndex", "as_catalog", "partition_catalog",
+    "synthetic_catalog", "to_time",
+]  # fmt: skip

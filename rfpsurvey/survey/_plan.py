@@ -12,13 +12,13 @@ from astropy.time import Time
 
 from rfpsurvey._units import to_generator, to_scalar
 from rfpsurvey.allocation import METHODS, OBJECTIVES, Requirement, as_requirements
-from rfpsurvey.catalog import Catalog, as_catalog
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import make_request
 from rfpsurvey.survey._run import run
-from rfpsurvey.survey._source import InMemory
+from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tile import to_length
 from rfpsurvey.tiling import Tiling, as_tiling
@@ -29,7 +29,7 @@ log = logging.getLogger("rfpsurvey")
 
 
 def plan_survey(
-    catalog: Catalog | SkyCoord | Table,
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     tiles: Tiling | Table | SkyCoord,
     instrument: Instrument | str,
     *,
@@ -58,7 +58,7 @@ def plan_survey(
 
     Parameters
     ----------
-    catalog : Catalog, SkyCoord or Table
+    catalog : Catalog, PartitionedCatalog, SkyCoord or Table
         The targets; those of the kind ``standard`` and ``sky`` serve requirements, and are never used up.
     tiles : Tiling, Table or SkyCoord
         Where to point, see `place_tiles` and `Tiling.from_table`.
@@ -124,13 +124,16 @@ def plan_survey(
     if resume and folder is None:
         raise InputError("resume needs the folder of the survey to continue")
     instrument = as_instrument(instrument)
-    catalog = as_catalog(catalog)
-    catalog = catalog if epoch is None else catalog.at_epoch(epoch)
+    if isinstance(catalog, PartitionedCatalog):
+        source = Partitioned(catalog, epoch)
+    else:
+        catalog = as_catalog(catalog)
+        source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     options = _options(
         instrument, allocator, requirements, sky_separation, objective, time_limit, start, parked_obstacles
     )
     request = make_request(
-        InMemory(catalog), as_tiling(tiles), instrument, options, visits=visits, passes=passes, seed=_seed(rng),
+        source, as_tiling(tiles), instrument, options, visits=visits, passes=passes, seed=_seed(rng),
         order=check_choice(order, ORDERS, "order"), lost_in_collision=bool(lost_in_collision),
     )  # fmt: skip
     survey = run(request, folder, executor, progress, resume=resume)

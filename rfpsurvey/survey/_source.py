@@ -1,13 +1,21 @@
 """Where a survey takes the targets of a field from. What a survey knows of a target is kept by its *slot*."""
 
 import hashlib
+from collections import OrderedDict
+from functools import cached_property
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
 
-from rfpsurvey.catalog import Catalog, SkyIndex
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, to_time
 
-__all__ = ["Field", "InMemory", "digest"]
+__all__ = ["Field", "InMemory", "Partitioned", "digest"]
+
+# Rows of a partitioned catalog that are kept: about 100 bytes each.
+KEPT_ROWS = 10_000_000
+# The fastest star, Barnard's, moves 10.4 arcsec a year: targets may have left their partition.
+FASTEST_RAD = np.deg2rad(10.4 / 3600)
 
 
 class Field(NamedTuple):
@@ -35,9 +43,9 @@ class InMemory:
     def __len__(self):
         return len(self._index)
 
-    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray) -> Field:
-        """Return the targets inside a circle with something ``left`` (by slot)."""
-        slot = self._index.near(center, radius_rad, left)
+    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, by_row: bool = False) -> Field:
+        """Return the targets inside a circle with something ``left`` (by slot, or by row)."""
+        slot = self._index.near(center, radius_rad, self.to_slots(left) if by_row else left)
         row = self._index.order[slot]
         columns = (getattr(self._catalog, name) for name in Field._fields[3:])
         columns = [None if column is None else column[row] for column in columns]
@@ -66,6 +74,70 @@ class InMemory:
         """Return what tells one catalog from another."""
         columns = (getattr(self._catalog, name) for name in Field._fields[3:])
         return digest(self._index.vectors, self._index.order, *columns)
+
+
+class Partitioned:
+    """A catalog in partitions, of which those that were read last are kept; slots are rows."""
+
+    def __init__(self, catalog: PartitionedCatalog, epoch=None):
+        self._catalog, self._epoch = catalog, epoch
+        self._kept: OrderedDict[int, InMemory] = OrderedDict()
+        self._first = catalog._rows
+        self.meta = catalog.meta
+
+    def __len__(self):
+        return len(self._catalog)
+
+    @cached_property
+    def _margin_rad(self) -> float:
+        """How far targets may have moved."""
+        first = self._catalog._part(0)
+        if self._epoch is None or first.epoch is None:
+            return 0.0
+        years = np.abs((to_time(self._epoch, "epoch").tdb - first.epoch.tdb).to_value(u.yr))
+        return FASTEST_RAD * float(np.max(years))
+
+    def _part(self, k: int) -> InMemory:
+        """Return a partition, read or kept."""
+        if k in self._kept:
+            self._kept.move_to_end(k)
+        else:
+            part = self._catalog._part(k)
+            self._kept[k] = InMemory(part if self._epoch is None else part.at_epoch(self._epoch))
+            while len(self._kept) > 1 and sum(map(len, self._kept.values())) > KEPT_ROWS:
+                self._kept.popitem(last=False)
+        return self._kept[k]
+
+    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray) -> Field:
+        """Return the targets inside a circle with something ``left`` (by slot)."""
+        found = []
+        for k in self._catalog._near(center, radius_rad + self._margin_rad).tolist():
+            first, last = self._first[k : k + 2]
+            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True)
+            if len(field.row) or not found:
+                found.append(field._replace(slot=field.row + first, row=field.row + first))
+        if not found:
+            return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
+        return Field(*(None if parts[0] is None else np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+    def by_slot(self, name: str) -> np.ndarray | None:
+        """Return a column of the catalog, a value for each slot."""
+        return self._catalog._column(name)
+
+    def to_slots(self, values: np.ndarray) -> np.ndarray:
+        """Return values by row in the order of slots, which is the same."""
+        return values
+
+    by_row = to_slots
+
+    def ids(self) -> np.ndarray:
+        """Return the ids of all targets, in the order of rows."""
+        return self._catalog._column("id")
+
+    def digest(self) -> str:
+        """Return what tells one catalog from another: files and their sizes, not what they hold."""
+        files = [f"{order}/{pixel}/{path.stat().st_size}" for order, pixel, path in self._catalog._files]
+        return digest(np.array(files), self._first)
 
 
 def digest(*columns: np.ndarray | None) -> str:

@@ -1,0 +1,283 @@
+"""Catalogs in many Parquet files, one for each HEALPix pixel, that are read where they are needed (HATS)."""
+
+import os
+import re
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey import _healpix
+from rfpsurvey._io import temporary_folder, to_path
+from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.errors import InputError
+
+__all__ = ["PartitionedCatalog", "partition_catalog"]
+
+PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
+PROPERTIES = ("hats.properties", "properties")
+ROLES = (
+    "id",
+    "ra",
+    "dec",
+    "lon",
+    "lat",
+    "pmra",
+    "pmdec",
+    "epoch",
+    "priority",
+    "kind",
+    "category",
+    "fiber_type",
+    "visits",
+)
+INDEX_ORDER = 29
+ROWS_PER_PART = 20_000
+MOST_ORDER = 13
+
+
+@dataclass(frozen=True, eq=False)
+class PartitionedCatalog:
+    """A catalog in a folder, laid out as HATS: Parquet files by HEALPix order and pixel (nested, ICRS).
+
+    Of the files only the columns that a `Catalog` has are read, and only where a survey looks. Needs pyarrow
+    (``rfpsurvey[parquet]``).
+
+    Parameters
+    ----------
+    folder : str or path-like
+        With files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
+    columns, units : dict, optional
+        As in `Catalog.from_table`; positions are in degrees where nothing else is said.
+    frame : str, optional
+        As in `Catalog.from_table`.
+
+    Raises
+    ------
+    InputError
+        If pyarrow is missing, the folder has no such files, pixels overlap, a file cannot be read, or a column is missing.
+    """
+
+    folder: Path
+    columns: dict = field(default_factory=dict)
+    units: dict = field(default_factory=dict)
+    frame: str = "icrs"
+
+    def __post_init__(self):
+        object.__setattr__(self, "folder", to_path(self.folder))
+        if not self.folder.is_dir():
+            raise InputError(f"{self.folder}: there is no such folder")
+        if not self._files:
+            raise InputError(f"{self.folder} holds no partitions, files such as Norder=5/Dir=0/Npix=77.parquet")
+        given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
+        object.__setattr__(self, "columns", {**given, **(self.columns or {})})
+        object.__setattr__(self, "units", dict(self.units or {}))
+        self._refuse_overlaps()
+        self._names  # noqa: B018  (raises where columns are missing)
+
+    @cached_property
+    def _files(self) -> list[tuple[int, int, Path]]:
+        """Order, pixel and file of each partition, as they follow each other on the sky."""
+        found = []
+        for path in sorted(self.folder.rglob("*")):
+            match = PART.search(path.relative_to(self.folder).as_posix())
+            if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
+                found.append((int(match[1]), int(match[2]), path))
+        return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
+
+    def _refuse_overlaps(self):
+        """Raise an error where a pixel lies inside another: its targets would be there twice."""
+        orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self._files], strict=True))
+        if (orders > INDEX_ORDER).any() or (pixels >= 12 << 2 * orders).any():
+            raise InputError(f"{self.folder}: a partition has an impossible order or pixel")
+        begin = pixels << 2 * (INDEX_ORDER - orders)
+        end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
+        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files of one pixel
+        bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
+        if len(bad):
+            one, other = (self._files[k] for k in (bad[0], bad[0] + 1))
+            raise InputError(
+                f"{self.folder}: partitions must not overlap, but Norder={one[0]}/Npix={one[1]} and "
+                f"Norder={other[0]}/Npix={other[1]} do"
+            )
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """First row of each partition, and the number of all rows."""
+        parquet = _parquet()
+        counts = [_try(path, lambda path=path: parquet.read_metadata(path).num_rows) for *_, path in self._files]
+        return np.concatenate([[0], np.cumsum(counts)])
+
+    @cached_property
+    def _names(self) -> list[str]:
+        """Columns to read."""
+        path = self._files[0][2]
+        schema = _try(path, lambda: _parquet().read_schema(path))
+        find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.columns), {})
+        names = [find.name_of(role) for role in ROLES]
+        needed = ("ra", "dec") if self.frame.lower() in ("icrs", "fk5", "fk4", "fk4noeterms") else ("lon", "lat")
+        missing = [role for role in needed if names[ROLES.index(role)] is None]
+        if missing:
+            raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
+        return list(dict.fromkeys(name for name in names if name is not None))
+
+    @cached_property
+    def _circles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Circles about the partitions: unit vectors and radii (radians)."""
+        vectors = np.array([_healpix.centers(2**order, [pixel])[0] for order, pixel, _ in self._files])
+        return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self._files])
+
+    def __len__(self):
+        return int(self._rows[-1])
+
+    def __repr__(self):
+        return f"<PartitionedCatalog of {len(self)} targets in {len(self._files)} partitions>"
+
+    @property
+    def meta(self) -> dict:
+        """Where the catalog comes from."""
+        return {"folder": self.folder.name, "n_partitions": len(self._files)}
+
+    def read(self) -> Catalog:
+        """Return the whole catalog, its rows in the order of the partitions; it must fit into memory.
+
+        Returns
+        -------
+        Catalog
+            All targets.
+        """
+        tables = [self._table(k, self._names) for k in range(len(self._files))]
+        merged = Table({name: np.concatenate([table[name] for table in tables]) for name in self._names})
+        return self._catalog(merged, self.folder)
+
+    def _near(self, center: np.ndarray, radius_rad: float) -> np.ndarray:
+        """Return the partitions that a circle may touch."""
+        vectors, radii = self._circles
+        half_chord = 0.5 * np.linalg.norm(vectors - center, axis=1)
+        return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad)
+
+    def _part(self, k: int) -> Catalog:
+        """Return the targets of a partition; without an id of their own, they are numbered by the rows of all."""
+        path = self._files[k][2]
+        catalog = self._catalog(self._table(k, self._names), path)
+        n = int(self._rows[k + 1] - self._rows[k])
+        if len(catalog) < n:
+            raise InputError(f"{path}: {n - len(catalog)} of {n} rows have no finite coordinates; leave them out")
+        return catalog
+
+    def _column(self, name: str) -> np.ndarray | None:
+        """Return one column of all targets."""
+        if name != "id" and getattr(self._part(0), name) is None:
+            return None
+        return np.concatenate([getattr(self._part(k), name) for k in range(len(self._files))])
+
+    def _table(self, k: int, names: list[str]) -> Table:
+        path = self._files[k][2]
+        content = _try(path, lambda: _parquet().read_table(path, columns=names, partitioning=None))
+        table = Table({name: content[name].to_numpy() for name in names})
+        if self._has_no_id:
+            table["id"] = np.arange(self._rows[k], self._rows[k + 1])
+        return table
+
+    @cached_property
+    def _has_no_id(self) -> bool:
+        find = Finder(Table(names=self._names, dtype=["f8"] * len(self._names)), dict(self.columns), {})
+        return find.name_of("id") is None
+
+    def _catalog(self, table, path) -> Catalog:
+        try:
+            return Catalog._from_table(table, self.columns, self.units, self.frame, assume_units=True)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+
+def partition_catalog(catalog: Catalog, folder: str | os.PathLike, *, order: int | None = None) -> PartitionedCatalog:
+    """Write a catalog as Parquet files by HEALPix pixel, in the layout of HATS.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The targets, at their epoch.
+    folder : str or path-like
+        A folder that does not exist yet; it appears whole or not at all.
+    order : int, optional
+        HEALPix order of the partitions, 0 to 13; by default such that one holds about 20,000 targets.
+
+    Returns
+    -------
+    PartitionedCatalog
+        The same targets, sorted along the HEALPix curve.
+
+    Raises
+    ------
+    InputError
+        If the catalog is empty, the folder exists, the order is impossible, or pyarrow is missing.
+    """
+    import pyarrow as pa
+
+    parquet = _parquet()
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target, got none")
+    vectors = catalog._vectors
+    if order is None:
+        order = next((k for k in range(MOST_ORDER) if _mean_rows(vectors, k) <= ROWS_PER_PART), MOST_ORDER)
+    if not (isinstance(order, int | np.integer) and 0 <= order <= MOST_ORDER):
+        raise InputError(f"order must be a whole number from 0 to {MOST_ORDER}, got {order!r}")
+    fine = _healpix.pixels_of(2**INDEX_ORDER, vectors)
+    along = np.argsort(fine, kind="stable")
+    table = catalog[along].to_table()
+    columns = {f"_healpix_{INDEX_ORDER}": fine[along]}
+    columns.update((name, np.asarray(getattr(table[name], "value", table[name]))) for name in table.colnames)
+    content = pa.table(columns)
+    pixel = fine[along] >> 2 * (INDEX_ORDER - order)
+    pixels, first = np.unique(pixel, return_index=True)
+    with temporary_folder(folder) as temporary:
+        for number, begin, end in zip(pixels.tolist(), first, [*first[1:], len(pixel)], strict=True):
+            place = temporary / "dataset" / f"Norder={order}" / f"Dir={number // 10000 * 10000}"
+            place.mkdir(parents=True, exist_ok=True)
+            parquet.write_table(content.slice(begin, end - begin), place / f"Npix={number}.parquet")
+        parquet.write_metadata(content.schema, temporary / "dataset" / "_common_metadata")
+        lines = [f"{order},{number}" for number in pixels.tolist()]
+        (temporary / "partition_info.csv").write_text("\n".join(["Norder,Npix", *lines]) + "\n")
+        (temporary / "hats.properties").write_text(
+            f"obs_collection={to_path(folder).name}\ndataproduct_type=object\nhats_nrows={len(catalog)}\n"
+            f"hats_col_ra=ra\nhats_col_dec=dec\nhats_order={order}\nhats_npix_suffix=.parquet\n"
+        )
+    return PartitionedCatalog(folder)
+
+
+def _mean_rows(vectors, order) -> float:
+    return len(vectors) / len(np.unique(_healpix.pixels_of(2**order, vectors)))
+
+
+def _properties(folder: Path) -> dict[str, str]:
+    """Return the columns of positions that a HATS catalog names."""
+    found = {}
+    for name in PROPERTIES:
+        path = folder / name
+        if path.is_file():
+            for line in path.read_text().splitlines():
+                key, sign, value = line.partition("=")
+                if sign and key.strip() in ("hats_col_ra", "hats_col_dec"):
+                    found[key.strip().removeprefix("hats_col_")] = value.strip()
+    return found
+
+
+def _parquet():
+    try:
+        import pyarrow.parquet
+    except ImportError as error:
+        raise InputError(f"partitioned catalogs need pyarrow (pip install 'rfpsurvey[parquet]'): {error}") from error
+    return pyarrow.parquet
+
+
+def _try(path, read):
+    """Read, or say which file cannot be read."""
+    try:
+        return read()
+    except Exception as error:  # pyarrow raises what it likes
+        reason = str(error).strip().split("\n")[0]
+        raise InputError(f"{path} cannot be read: {reason}") from error

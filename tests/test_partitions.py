@@ -1,0 +1,159 @@
+"""Catalogs in many files: read where they are needed, and the same as in one piece."""
+
+import os
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from rfpsurvey.survey import _source
+
+pytest.importorskip("pyarrow")
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+CENTER = SkyCoord(359.9 * u.deg, -85 * u.deg)
+OFFSETS = [(0, 0), (1, 2), (-4, 1), (0.1, 0.2), (9, -3)]
+TILES = SkyCoord([CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in OFFSETS])
+
+
+@pytest.fixture(scope="module")
+def sky():
+    catalog = rs.synthetic_catalog("poisson", CENTER, 8 * u.deg, n_targets=5000, rng=4)
+    n = len(catalog)
+    rng = np.random.default_rng(4)
+    return rs.Catalog(
+        catalog.coord, id=[f"star {k}" for k in range(n)], priority=rng.integers(0, 3, n), visits=rng.integers(1, 3, n),
+        kind=rng.choice(["science", "standard"], n),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(sky, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("partitions") / "sky"
+    rs.partition_catalog(sky, folder, order=4)
+    return folder
+
+
+def same(a, b):
+    for name in ("tiles", "completeness", "outcomes", "targets"):
+        one, other = getattr(a, name), getattr(b, name)
+        assert one.colnames == other.colnames
+        assert all(np.array_equal(np.asarray(one[c]), np.asarray(other[c])) for c in one.colnames), name
+
+
+def test_nothing_is_lost_on_the_way(sky, folder):
+    parts = rs.PartitionedCatalog(folder)
+    whole = parts.read()
+    assert len(parts) == len(whole) == len(sky)
+    rows = np.array([int(name.split()[1]) for name in whole.id])
+    assert np.array_equal(np.sort(rows), np.arange(len(sky)))
+    assert whole.coord.separation(sky.coord[rows]).max() < 1e-6 * u.arcsec
+    for name in ("priority", "visits", "kind"):
+        assert np.array_equal(getattr(whole, name), getattr(sky, name)[rows])
+    assert 1 < parts.meta["n_partitions"] < 40
+
+
+@pytest.mark.parametrize("kept", [10_000_000, 100])
+def test_the_same_survey_as_from_one_piece(folder, small, monkeypatch, kept):
+    monkeypatch.setattr(_source, "KEPT_ROWS", kept)
+    parts = rs.PartitionedCatalog(folder)
+    options = {"requirements": "standard=2", "allocator": "lamost"}
+    same(rs.plan_survey(parts, TILES, small, **options), rs.plan_survey(parts.read(), TILES, small, **options))
+
+
+def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
+    read = []
+    real = pq.read_table
+    monkeypatch.setattr(
+        pq,
+        "read_table",
+        lambda path, columns, **kw: (read.append((path, columns)), real(path, columns=columns, **kw))[1],
+    )
+    source = _source.Partitioned(rs.PartitionedCatalog(folder))
+    field = source.field(TILES[0].cartesian.xyz.value, np.deg2rad(0.5), np.ones(len(source), dtype=np.uint8))
+    assert len(field.row) > 0
+    assert len({path for path, _ in read}) < 10
+    assert all("_healpix_29" not in columns for _, columns in read)
+
+
+def test_resume_and_another_catalog(folder, sky, small, tmp_path):
+    parts = rs.PartitionedCatalog(folder)
+    rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey")
+    rs.plan_survey(rs.PartitionedCatalog(folder), TILES, small, folder=tmp_path / "survey", resume=True)
+    other = rs.partition_catalog(sky[:-1], tmp_path / "other", order=4)
+    with pytest.raises(rs.InputError, match="another survey: catalog"):
+        rs.plan_survey(other, TILES, small, folder=tmp_path / "survey", resume=True)
+
+
+def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
+    parts = rs.partition_catalog(sky, tmp_path / "one", order=0)
+    assert parts.meta["n_partitions"] == 4  # the pole is the corner of four
+    same(rs.plan_survey(parts, TILES, small), rs.plan_survey(parts.read(), TILES, small))
+
+
+def test_proper_motions_and_epochs(small, tmp_path):
+    """A star as fast as Barnard's moves into the field, and out of it, and out of its partition."""
+    moving = SkyCoord(TILES[0].ra, TILES[0].dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=10_300 * u.mas / u.yr)
+    catalog = rs.Catalog(moving.reshape(1), epoch=2000.0)
+    parts = rs.partition_catalog(catalog, tmp_path / "moving", order=9)
+    seen = []
+    for epoch in (1720.0, 2000.0, 2290.0):
+        there = TILES[0].spherical_offsets_by(0 * u.deg, (epoch - 2000) * 10_300 * u.mas).reshape(1)
+        for where in (TILES[:1], there):
+            a, b = (rs.plan_survey(c, where, small, epoch=epoch).summary["n_assigned"] for c in (parts, catalog))
+            assert a == b
+            seen.append(a)
+    assert seen == [0, 1, 1, 1, 0, 1]
+
+
+def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
+    """Columns named in the properties, two orders, several files in a pixel, no ids, no Dir level."""
+    root = tmp_path / "foreign"
+    for order, pixel, name in ((1, 0, "Npix=0.parquet"), (2, 4, "Npix=4/a.parquet"), (2, 4, "Npix=4/b.parquet")):
+        path = root / f"Norder={order}" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({"RA_x": [45.0 + pixel, 46.0], "DEC_x": [1.0, 2.0], "flux": [1.0, 2.0]}), path)
+    (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
+    parts = rs.PartitionedCatalog(root)
+    assert parts.read().id.tolist() == list(range(6))
+    assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]
+
+
+def write(path, **columns):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), path)
+
+
+def test_bad_folders(tmp_path, sky, folder, small):
+    with pytest.raises(rs.InputError, match="there is no such folder"):
+        rs.PartitionedCatalog(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(rs.InputError, match="holds no partitions"):
+        rs.PartitionedCatalog(tmp_path / "empty")
+    write(tmp_path / "overlap" / "Norder=0" / "Npix=0.parquet", ra=[1.0], dec=[1.0])
+    write(tmp_path / "overlap" / "Norder=1" / "Npix=3.parquet", ra=[1.0], dec=[1.0])
+    with pytest.raises(rs.InputError, match="Norder=0/Npix=0 and Norder=1/Npix=3 do"):
+        rs.PartitionedCatalog(tmp_path / "overlap")
+    write(tmp_path / "pixel" / "Norder=0" / "Npix=12.parquet", ra=[1.0], dec=[1.0])
+    with pytest.raises(rs.InputError, match="impossible order or pixel"):
+        rs.PartitionedCatalog(tmp_path / "pixel")
+    write(tmp_path / "names" / "Norder=0" / "Npix=0.parquet", x=[1.0], dec=[1.0])
+    with pytest.raises(rs.InputError, match="no column for ra"):
+        rs.PartitionedCatalog(tmp_path / "names")
+    write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
+    with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="1 of 2 rows have no finite"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), SkyCoord([1] * u.deg, [1] * u.deg), small)
+    (tmp_path / "broken" / "Norder=0").mkdir(parents=True)
+    (tmp_path / "broken" / "Norder=0" / "Npix=0.parquet").write_bytes(b"PAR1")
+    with pytest.raises(rs.InputError, match=r"Npix=0.parquet cannot be read"):
+        rs.PartitionedCatalog(tmp_path / "broken")
+    with pytest.raises(rs.InputError, match="exists; give a folder that does not"):
+        rs.partition_catalog(sky, folder)
+    with pytest.raises(rs.InputError, match="at least one target"):
+        rs.partition_catalog(sky[:0], tmp_path / "none")
+    with pytest.raises(rs.InputError, match="order must be"):
+        rs.partition_catalog(sky, tmp_path / "none", order=14)
+    assert not any(name.startswith(".") for name in os.listdir(tmp_path))
