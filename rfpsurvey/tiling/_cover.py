@@ -93,9 +93,9 @@ def _all_inside(region, samples, margin):
 
 def _needed(index, centers, radius, margin):
     """Drop centers of circles that touch nothing, or nothing that others do not cover for sure."""
-    if radius <= 2 * margin:
-        return centers
     touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
+    if radius <= 2 * margin:
+        return centers[[len(rows) > 0 for rows in touched]]
     sure = [index.near(center, radius - margin) for center in centers]
     depth = np.zeros(len(index), dtype=np.int64)
     for rows in sure:
