@@ -9,10 +9,11 @@ from rfpsurvey._cli import (
     probability,
     reproduce,
     score,
+    tile,
 )
 from rfpsurvey._cli._app import app, main
 
 __all__ = [
     "app", "benchmark", "benchmark_probability", "compare_allocators", "instruments", "main", "plan", "probability",
-    "reproduce", "score",
+    "reproduce", "score", "tile",
 ]  # fmt: skip

@@ -49,6 +49,24 @@ MethodOption = Annotated[
 MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner, .fits or .ecsv.")]
 OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")]
 
+RegionOption = Annotated[
+    str | None,
+    typer.Option(help="Cover this: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky."),
+]
+TilingMethodOption = Annotated[
+    str,
+    typer.Option(
+        help="hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one tile after "
+        "the other, as LAMOST), or sdss (network flow)."
+    ),
+]
+PassesOption = Annotated[int, typer.Option(help="How often coverings cover everything.")]
+CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this part of the targets, 0 to 1.")]
+FibersOption = Annotated[int | None, typer.Option(help="Targets of a tile at most. None: one a positioner.")]
+NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
+TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
+TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .png, .pdf or .svg.")]
+
 PLAN_EXAMPLES = """\b
 Examples:
   rfpsurvey plan
@@ -68,6 +86,13 @@ SCORE_EXAMPLES = """\b
 Examples:
   rfpsurvey score plan.ecsv --instrument sdss_apo
   rfpsurvey score designs.ecsv --instrument sdss_lco --select design_id=503246 --equinox J2022.0
+"""
+
+TILE_EXAMPLES = """\b
+Examples:
+  rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --plot tiles.png
+  rfpsurvey tile --region sky --method spiral --instrument desi
+  rfpsurvey tile stars.fits --method sdss --fibers 1000 --completeness 0.95
 """
 
 BENCHMARK_EXAMPLES = """\b

@@ -1,0 +1,41 @@
+"""``rfpsurvey tile``."""
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options
+
+
+@_app.app.command(epilog=_options.TILE_EXAMPLES)
+def tile(
+    catalog: _options.CatalogArgument = None,
+    region: _options.RegionOption = None,
+    instrument: _options.InstrumentOption = "lamost",
+    method: _options.TilingMethodOption = "hexagonal",
+    passes: _options.PassesOption = 1,
+    completeness: _options.CompletenessOption = None,
+    fibers: _options.FibersOption = None,
+    n_tiles: _options.NTilesOption = None,
+    seed: _options.SeedOption = 0,
+    column: _options.ColumnOption = None,
+    unit: _options.UnitOption = None,
+    frame: _options.FrameOption = "icrs",
+    output: _options.TilingOutputOption = None,
+    plot: _options.TilingPlotOption = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Decide where the tiles of a survey go."""
+    _app.check_outputs(output, plot, overwrite=overwrite)
+    model = _app.load_instrument(instrument)
+    if region is not None and catalog is not None:
+        raise rs.InputError("give a catalog or --region, not both")
+    targets = _app.targets_and_center(catalog, None, model, seed, column, unit, frame)[0]
+    field = targets if region is None else rs.Region.parse(region)
+    options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
+    tiling = rs.place_tiles(field, model, method=method, **options)
+    for name, value in tiling.summary.items():
+        print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
+    if output is not None:
+        tiling.write(output, overwrite=overwrite)
+    if plot is not None:
+        _app._draw(lambda: rs.plot_tiling(tiling).figure, plot, overwrite=overwrite)
+    for path in filter(None, (output, plot)):
+        print(f"wrote {path}")
