@@ -17,7 +17,13 @@ from rfpsurvey.compare import compare_allocators
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
-from rfpsurvey.plot import plot_focal_plane, plot_probability_accuracy, plot_speed_accuracy
+from rfpsurvey.plot import (
+    plot_completeness,
+    plot_focal_plane,
+    plot_probability_accuracy,
+    plot_speed_accuracy,
+    plot_tiling,
+)  # fmt: skip
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import (
     Estimate,
@@ -74,9 +80,11 @@ __all__ = [
     "place_tiles",
     "plan_survey",
     "plan_tile",
+    "plot_completeness",
     "plot_focal_plane",
     "plot_probability_accuracy",
     "plot_speed_accuracy",
+    "plot_tiling",
     "reproduce",
     "score_tile",
     "surrogate_probability",

@@ -74,6 +74,8 @@ class Folder:
         if begun:
             self._compare(_load(self.path / REQUEST))
             self._known = read_index(self.path)
+            for left_over in self.path.rglob(".[0-9]*-*"):  # by a run that was killed
+                left_over.unlink()
         else:
             write_bytes(self.path / REQUEST, (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode())
         lines = [f"{name},{size},{digest}\n" for name, (size, digest) in self._known.items()]

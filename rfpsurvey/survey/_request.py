@@ -72,7 +72,7 @@ class Request:
         options = {k: _plain(v) for k, v in self.options.items()}
         return {
             **options, "passes": self.passes, "order": self.order, "rng": self.seed,
-            "lost_in_collision": self.lost_in_collision,
+            "lost_in_collision": self.lost_in_collision, "radius_deg": float(np.rad2deg(self.radius_rad)),
         }  # fmt: skip
 
     @cached_property

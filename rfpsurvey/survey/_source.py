@@ -51,6 +51,10 @@ class InMemory:
         columns = [None if column is None else column[row] for column in columns]
         return Field(slot, row, self._index.vectors[slot], *columns)
 
+    def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
+        """Return the sum of values (by slot) inside circles."""
+        return self._index.sum_near(centers, radius_rad, values)
+
     def by_slot(self, name: str) -> np.ndarray | None:
         """Return a column of the catalog, a value for each slot."""
         column = getattr(self._catalog, name)
@@ -119,6 +123,17 @@ class Partitioned:
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
         return Field(*(None if parts[0] is None else np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+    def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
+        """Return the sum of values (by slot) inside circles; each partition is read once at most."""
+        circles = [self._catalog._near(center, radius_rad + self._margin_rad) for center in centers]
+        total = np.zeros(len(centers))
+        part_of, circle_of = np.concatenate([[], *circles]), np.repeat(np.arange(len(centers)), list(map(len, circles)))
+        for k in np.unique(part_of).astype(int).tolist():
+            rows, part = circle_of[part_of == k], self._part(k)
+            first, last = self._first[k : k + 2]
+            total[rows] += part.sum_near(centers[rows], radius_rad, part.to_slots(values[first:last]))
+        return total
 
     def by_slot(self, name: str) -> np.ndarray | None:
         """Return a column of the catalog, a value for each slot."""

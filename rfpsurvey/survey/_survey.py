@@ -29,7 +29,8 @@ class Survey:
         ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets still wanted), ``n_reachable``,
         ``n_assigned``, ``n_observed`` (visits that count), ``n_colliding``, ``n_counted`` (positioners with a
         target or in the way), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements),
-        ``collision_rate``, ``fiber_use``. Its ``meta`` holds ``summary`` and ``provenance``.
+        ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field over those
+        wanted; NaN without targets). Its ``meta`` holds ``summary`` and ``provenance``.
     completeness : QTable
         A row for each pass and class of priority (``all``: all of them), after that pass: ``n_targets``, ``n_wanted``
         and ``n_observed`` (visits), ``n_complete`` (targets observed as often as wanted), ``completeness``

@@ -1,0 +1,193 @@
+"""Tiles on the sky, and how far a survey has come."""
+
+from typing import TYPE_CHECKING
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey._units import to_scalar
+from rfpsurvey.errors import InputError
+from rfpsurvey.plot._style import MARKERS, SERIES
+from rfpsurvey.survey import Survey
+from rfpsurvey.tiling import Tiling
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_completeness", "plot_tiling"]
+
+CORNERS = 36
+WIDE = 60.0  # deg about the middle: beyond it, the whole sky
+POLAR = 75.0
+
+
+def plot_tiling(
+    tiles: Tiling | Survey, *, color: str | None = None, radius: u.Quantity | None = None, ax: "Axes | None" = None
+) -> "Axes":
+    """Draw tiles on the sky: as circles in right ascension and declination, or the whole sky where they are far apart.
+
+    Parameters
+    ----------
+    tiles : Tiling or Survey
+        What to draw.
+    color : str, optional
+        Column that gives the color; by default the completeness of a survey, and the pass of a tiling.
+    radius : Quantity, optional
+        Radius of a field; by default that of the survey, or the one that the tiling was made for, else 1 deg.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default. Axes of the projection ``aitoff`` show the whole sky.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, east to the left.
+
+    Raises
+    ------
+    InputError
+        If there are no tiles, or no such column of numbers.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> region = rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg)
+    >>> ax = rs.plot_tiling(rs.place_tiles(region, "lamost"))
+    >>> ax.get_xlabel()
+    'right ascension [deg]'
+    """
+    from matplotlib.figure import Figure
+
+    if not isinstance(tiles, Tiling | Survey):
+        raise InputError(f"tiles must be a Tiling or a Survey, got {type(tiles).__name__}")
+    table = tiles.tiles if isinstance(tiles, Survey) else tiles.table
+    if len(table) == 0:
+        raise InputError("there must be at least one tile to draw, got none")
+    color = color or ("completeness" if isinstance(tiles, Survey) else "pass")
+    if color not in table.colnames or np.asarray(table[color]).dtype.kind not in "iufb":
+        raise InputError(f"color must be a column of numbers ({', '.join(table.colnames)}), got {color!r}")
+    radius = _radius(tiles) if radius is None else to_scalar(radius, u.deg, "radius", low=0, high=90)
+    centers = SkyCoord(table["ra"], table["dec"])
+    middle, spread = _middle(centers)
+    wide = spread > WIDE or np.abs(centers.dec.deg).max() + radius > POLAR
+    if ax is None:
+        figure = Figure(figsize=(8, 4.5) if wide else (7, 5.5), layout="constrained")
+        ax = figure.add_subplot(projection="aitoff" if wide else None)
+    draw = _draw_sky if ax.name == "aitoff" else _draw_region
+    drawn = draw(ax, centers, np.asarray(table[color], dtype=float), radius, middle)
+    if color == "completeness":
+        drawn.set_clim(0, 1)
+    ax.figure.colorbar(drawn, ax=ax, label=color.replace("_", " "), shrink=0.8)
+    ax.set_title(f"{len(table)} tiles")
+    return ax
+
+
+def plot_completeness(survey: Survey, *, ax: "Axes | None" = None) -> "Axes":
+    """Draw the completeness of a survey against the number of tiles, and that of each priority after each pass.
+
+    Parameters
+    ----------
+    survey : Survey
+        What to draw.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes.
+
+    Raises
+    ------
+    InputError
+        If it is no survey.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("poisson", SkyCoord("6h20m +23d"), 1 * u.deg, density=500 / u.deg**2, rng=1)
+    >>> survey = rs.plan_survey(sky, SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg), "moons")
+    >>> rs.plot_completeness(survey).get_xlabel()
+    'tiles'
+    """
+    from matplotlib.figure import Figure
+
+    if not isinstance(survey, Survey):
+        raise InputError(f"survey must be a Survey, got {type(survey).__name__}")
+    if ax is None:
+        ax = Figure(figsize=(7, 4.5), layout="constrained").subplots()
+    tiles, after = survey.tiles, survey.completeness
+    order = np.lexsort((np.arange(len(tiles)), tiles["round"]))
+    share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_wanted"], 1)
+    ax.plot(np.arange(len(tiles) + 1), np.append(0, share), color="k", label="all visits")
+    classes = [name for name in dict.fromkeys(after["priority"]) if name != "all"]
+    for k, name in enumerate(classes):
+        rows = after["priority"] == name
+        style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % len(MARKERS)], "ls": ":", "clip_on": False}
+        ax.plot(after["n_tiles"][rows], after["completeness"][rows], label=f"priority {name}", **style)
+    every = after["priority"] == "all"
+    complete = after["n_complete"][every] / np.maximum(after["n_targets"][every], 1)
+    ax.plot(after["n_tiles"][every], complete, "kX", clip_on=False, label="targets complete")
+    for number, end in zip(after["pass"][every], after["n_tiles"][every], strict=True):
+        ax.axvline(end, color="0.8", lw=0.8, zorder=0)
+        ax.annotate(
+            f"pass {number}", (end, 0.01), rotation=90, ha="right", va="bottom", fontsize="x-small", color="0.4"
+        )
+    ax.set_xlim(0, len(tiles))
+    ax.set_ylim(0, 1.02)
+    ax.set_xlabel("tiles")
+    ax.set_ylabel("completeness")
+    ax.legend(fontsize="small", loc="best")
+    return ax
+
+
+def _radius(tiles) -> float:
+    """Radius of a field in deg, as far as it is known."""
+    if isinstance(tiles, Survey):
+        return tiles.provenance["parameters"]["radius_deg"]
+    return float(tiles.summary.get("radius_deg", 1.0))
+
+
+def _middle(centers: SkyCoord):
+    """Mean direction, and the largest distance from it in deg."""
+    mean = centers.cartesian.mean()
+    if mean.norm() < 1e-6:
+        return centers[0], 180.0
+    middle = SkyCoord(mean, frame="icrs")
+    middle = SkyCoord(middle.spherical.lon, middle.spherical.lat)
+    return middle, centers.separation(middle).max().deg
+
+
+def _draw_region(ax, centers, values, radius, middle):
+    """Draw circles as polygons."""
+    from matplotlib.collections import PolyCollection
+
+    angles = np.linspace(0, 360, CORNERS, endpoint=False) * u.deg
+    rims = centers[:, None].directional_offset_by(angles[None, :], radius * u.deg)
+    lon = (rims.ra - middle.ra).wrap_at(180 * u.deg).deg + middle.ra.deg
+    circles = PolyCollection(
+        np.stack([lon, rims.dec.deg], axis=2), array=values, cmap="viridis", alpha=0.6, ec="0.3", lw=0.5
+    )
+    ax.add_collection(circles)
+    ax.autoscale_view()
+    ax.set_aspect(1 / max(np.cos(middle.dec.rad), 0.05))
+    ax.xaxis.set_inverted(True)
+    ax.xaxis.set_major_formatter(lambda lon, _: f"{lon % 360:g}")
+    ax.set_xlabel("right ascension [deg]")
+    ax.set_ylabel("declination [deg]")
+    return circles
+
+
+def _draw_sky(ax, centers, values, radius, _):
+    """Draw points as large as fields are in the middle of the map; the middle is at 180 deg."""
+    lon = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
+    # an Aitoff map is as wide as its axes: 360 deg
+    size = max(2 * radius / 360 * 72 * ax.figure.get_figwidth() * 0.8, 1.0)
+    points = ax.scatter(lon, centers.dec.rad, s=size**2, c=values, cmap="viridis", alpha=0.7, lw=0)
+    hours = np.arange(30, 360, 60)
+    ax.set_xticks(np.deg2rad(180 - hours), [f"{h}°" for h in hours], fontsize="small")
+    ax.grid(color="0.85", lw=0.5)
+    return points

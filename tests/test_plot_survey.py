@@ -1,0 +1,87 @@
+import astropy.units as u
+import matplotlib
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from matplotlib.collections import PolyCollection
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord(359.5 * u.deg, 20 * u.deg)
+
+
+@pytest.fixture(scope="module")
+def survey(small):
+    sky = rs.synthetic_catalog("poisson", CENTER, 2 * u.deg, density=200 / u.deg**2, rng=3)
+    sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
+    tiles = SkyCoord([359.0, 0.2, 359.5] * u.deg, [20, 20, 20.5] * u.deg)
+    table = QTable({"ra": tiles.ra, "dec": tiles.dec, "pass": [1, 1, 2]})
+    return rs.plan_survey(sky, table, small)
+
+
+def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
+    ax = rs.plot_tiling(survey)
+    (circles,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
+    corners = np.array([path.vertices for path in circles.get_paths()])[:, :-1]
+    assert np.ptp(corners[..., 0]) < 10
+    radius = survey.provenance["parameters"]["radius_deg"] * u.deg
+    for k, center in enumerate(SkyCoord(survey.tiles["ra"], survey.tiles["dec"])):
+        rim = SkyCoord(corners[k, :, 0] * u.deg, corners[k, :, 1] * u.deg)
+        assert np.abs(rim.separation(center) - radius).max() < 1e-6 * u.deg
+    assert np.array_equal(circles.get_array(), survey.tiles["completeness"])
+    assert ax.xaxis_inverted()
+    ax.figure.draw_without_rendering()
+    assert {t.get_text() for t in ax.get_xticklabels()} <= {f"{x:g}" for x in np.arange(0, 360, 0.25)}
+
+
+def test_wide_tilings_show_the_whole_sky():
+    tiling = rs.Tiling.from_table(QTable({"ra": [0, 120, 240] * u.deg, "dec": [0, 80, -30] * u.deg}))
+    ax = rs.plot_tiling(tiling, radius=3 * u.deg)
+    assert ax.name == "aitoff"
+    (points,) = [c for c in ax.collections if len(c.get_offsets()) == 3]
+    lon, lat = np.array(points.get_offsets()).T
+    assert lat == pytest.approx(np.deg2rad([0, 80, -30]))
+    # the middle is at 180 deg, and east is to the left
+    assert lon[1] > 0 > lon[2]
+    assert abs(lon[0]) == pytest.approx(np.pi)
+    figure = matplotlib.figure.Figure()
+    region = figure.subplots()
+    assert rs.plot_tiling(tiling, ax=region) is region
+
+
+def test_a_tiling_is_colored_by_pass_or_any_column(survey):
+    tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
+    assert np.array_equal(rs.plot_tiling(tiling).collections[0].get_array(), [1, 1, 2])
+    assert rs.plot_tiling(survey, color="n_observed").collections[0].get_array().sum() > 10
+    with pytest.raises(rs.InputError, match="color must be a column of numbers"):
+        rs.plot_tiling(tiling, color="completeness")
+    with pytest.raises(rs.InputError, match="must be a Tiling or a Survey"):
+        rs.plot_tiling(CENTER)
+    with pytest.raises(rs.InputError, match="at least one tile"):
+        rs.plot_tiling(rs.Tiling(tiling.table[:0]))
+
+
+def test_completeness_rises_to_what_the_summary_says(survey):
+    ax = rs.plot_completeness(survey)
+    lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}
+    curve = lines["all visits"]
+    assert curve[0].tolist() == [0, 0]
+    assert curve[-1].tolist() == [3, survey.summary["completeness"]]
+    assert (np.diff(curve[:, 1]) >= 0).all()
+    assert lines["targets complete"][-1, 1] == pytest.approx(survey.summary["completeness_targets"])
+    last = survey.completeness[survey.completeness["pass"] == 2]
+    for row in last[1:]:
+        assert lines[f"priority {row['priority']}"][-1].tolist() == [3, row["completeness"]]
+    assert {t.get_text() for t in ax.texts} == {"pass 1", "pass 2"}
+    with pytest.raises(rs.InputError, match="must be a Survey"):
+        rs.plot_completeness(survey.tiles)
+
+
+def test_twenty_thousand_tiles_are_one_collection():
+    rng = np.random.default_rng(1)
+    tiling = rs.Tiling.from_table(
+        QTable({"ra": rng.uniform(0, 360, 20_000) * u.deg, "dec": rng.uniform(-60, 60, 20_000) * u.deg})
+    )
+    ax = rs.plot_tiling(tiling)
+    assert len(ax.collections) == 1
