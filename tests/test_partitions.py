@@ -41,7 +41,8 @@ def same(a, b):
     for name in ("tiles", "completeness", "outcomes", "targets"):
         one, other = getattr(a, name), getattr(b, name)
         assert one.colnames == other.colnames
-        assert all((np.asarray(one[c]).tobytes() == np.asarray(other[c]).tobytes()) for c in one.colnames), name
+        for c in one.colnames:
+            np.testing.assert_array_equal(one[c], other[c], err_msg=f"{name} {c}")
 
 
 def test_nothing_is_lost_on_the_way(sky, folder):

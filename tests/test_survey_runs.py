@@ -60,7 +60,8 @@ def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
         for name in ("tiles", "completeness", "outcomes", "targets"):
             one, other = getattr(survey, name), getattr(held, name)
             assert one.colnames == other.colnames
-            assert all(np.asarray(one[c]).tobytes() == np.asarray(other[c]).tobytes() for c in one.colnames)
+            for c in one.colnames:
+                np.testing.assert_array_equal(one[c], other[c], err_msg=f"{name} {c}")
     assert read.visits(5)["tile"][0] == 5
     table = QTable.read(tmp_path / "survey" / "tiles" / "000" / "000005.fits")
     assert table.meta["TILE"] == 5
