@@ -14,7 +14,7 @@ from rfpsurvey.tiling._visit import visit_all
 __all__ = ["cover_region", "cover_targets", "snap"]
 
 # Samples of a region: so fine as parts of the tile's radius, as long as there are not more than so many.
-FINE = 1 / 20
+FINE = 1 / 40
 MOST_SAMPLES = 1_500_000
 
 

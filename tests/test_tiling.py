@@ -1,0 +1,277 @@
+"""Lists of tiles, and coverings without gaps."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+from scipy.spatial import cKDTree
+
+import rfpsurvey as rs
+from rfpsurvey.tiling import as_tiling
+from rfpsurvey.tiling._covering import dither, hexagonal, lattice, spiral, widest_gap
+
+DEG = u.deg
+CENTERS = {"equator": (180, 0), "zero": (0.01, 30), "north pole": (0, 90), "south": (77, -89.5)}
+
+
+def cap_points(center, radius_rad, n=60_000, seed=3):
+    """Random unit vectors in a circle."""
+    rng = np.random.default_rng(seed)
+    coord = SkyCoord(*center, unit="deg").directional_offset_by(
+        rng.uniform(0, 360, n) * DEG, 2 * np.arcsin(np.sin(radius_rad / 2) * np.sqrt(rng.random(n))) * u.rad
+    )
+    return coord.cartesian.xyz.value.T
+
+
+def vector(center):
+    return SkyCoord(*center, unit="deg").cartesian.xyz.value
+
+
+def angles(a, b):
+    """Angles to the nearest."""
+    return 2 * np.arcsin(np.minimum(cKDTree(b).query(a)[0] / 2, 1))
+
+
+def table(**more):
+    return QTable({"RACEN": [10.0, 20.0, 350.0] * DEG, "DECCEN": [-5.0, 0.0, 5.0] * DEG, **more})
+
+
+def test_usual_names_are_found():
+    tiling = rs.Tiling.from_table(
+        table(TILEID=[7, 8, 9], PASS=[0, 1, 1], PA=[0, 30, 0.5] * DEG, AIRMASS=[1.0, 1.1, 1.2])
+    )
+    assert tiling.table.colnames == ["tile", "ra", "dec", "position_angle", "pass", "AIRMASS"]
+    assert tiling.table["tile"].tolist() == [7, 8, 9]
+    assert tiling.table["pass"].tolist() == [0, 1, 1]
+    assert tiling.table["position_angle"].to_value(DEG).tolist() == [0, 30, 0.5]
+    assert repr(tiling) == "<Tiling of 3 tiles in 2 passes>"
+    bare = rs.Tiling.from_table(table())
+    assert bare.table["tile"].tolist() == [0, 1, 2]
+    assert bare.table["pass"].tolist() == [1, 1, 1]
+    assert bare.coord.ra.deg.tolist() == [10, 20, 350]
+    assert bare.summary == {}
+
+
+def test_columns_and_units_can_be_given():
+    t = Table({"a": [600.0], "b": [20.0], "who": ["x"], "turn": [90.0], "ra": [1.0]})
+    names = {"ra": "a", "dec": "b", "tile": "who", "position_angle": "turn"}
+    tiling = rs.Tiling.from_table(t, columns=names, units={"ra": "arcmin", "dec": "deg"})
+    assert tiling.table["ra"][0].to_value(DEG) == pytest.approx(10)
+    assert tiling.table["tile"].tolist() == ["x"]
+    assert tiling.table["position_angle"][0] == 90 * DEG
+
+
+@pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
+def test_write_then_read(tmp_path, suffix):
+    first = rs.place_tiles(rs.Region.parse("cap 95 23 8"), "lamost", passes=2, position_angle=30 * DEG)
+    path = tmp_path / f"tiles{suffix}"
+    first.write(path)
+    second = rs.Tiling.read(path)
+    assert second.table.colnames == first.table.colnames
+    for name in first.table.colnames:
+        np.testing.assert_array_equal(second.table[name], first.table[name])
+    assert second.summary == first.summary
+    with pytest.raises(rs.InputError, match="exists"):
+        first.write(path)
+
+
+def test_an_empty_tiling_is_one(tmp_path):
+    empty = rs.Tiling.from_table(table()[:0])
+    assert len(empty) == 0
+    empty.write(tmp_path / "e.fits")
+    assert len(rs.Tiling.read(tmp_path / "e.fits")) == 0
+    assert empty.coverage(1 * DEG, nside=2).tolist() == [0] * 48
+
+
+def test_what_stands_for_a_tiling():
+    coord = SkyCoord([1, 2] * DEG, [3, 4] * DEG)
+    for thing in (coord, QTable({"ra": coord.ra, "dec": coord.dec}), as_tiling(coord)):
+        np.testing.assert_allclose(as_tiling(thing).coord.dec.deg, [3, 4])
+    galactic = as_tiling(coord.galactic)
+    np.testing.assert_allclose(galactic.coord.ra.deg, [1, 2])
+    with pytest.raises(rs.InputError, match="tiles must be a Tiling, a Table or a SkyCoord, got list"):
+        as_tiling([1])
+
+
+def test_csv_is_in_degrees(tmp_path):
+    (tmp_path / "t.csv").write_text("tile,ra,dec,pass\na,10,20,1\nb,11,20,2\n")
+    tiling = rs.Tiling.read(tmp_path / "t.csv")
+    assert tiling.table["tile"].tolist() == ["a", "b"]
+    np.testing.assert_allclose(tiling.coord.ra.deg, [10, 11])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG})), "there is no column for dec; the columns are: ra"),
+        (lambda: rs.Tiling.from_table(QTable({"ra": [1.0], "dec": [1.0]})), "column 'ra' has no unit"),
+        (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table or QTable, got list"),
+        (lambda: rs.Tiling.from_table(table(tile=[1, 2, 1])), "but 1 occurs 2 times"),
+        (lambda: rs.Tiling.from_table(QTable({"ra": [1, 361.0] * DEG, "dec": [0, 0] * DEG})), "ra must lie between"),
+        (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "dec": [np.nan] * DEG})), "dec must lie between"),
+        (
+            lambda: rs.Tiling.from_table(QTable({"tile": ["a", "b"], "ra": [0, 360.0] * DEG, "dec": [5, 5] * DEG})),
+            "tiles a and b are the same: pass 1",
+        ),
+        (lambda: rs.Tiling.from_table(table(), columns={"field": "RACEN"}), "unknown column role of a tiling 'field'"),
+        (lambda: rs.Tiling.from_table(table(), columns={"ra": "nope"}), "there is no column 'nope'"),
+        (lambda: rs.Tiling.from_table(table(PASS=[1, 1.5, 2])), "pass must be a whole number for every tile, got 1.5"),
+        (lambda: rs.Tiling(QTable({"ra": [1.0] * DEG})), "lacks tile, dec, position_angle, pass"),
+        (lambda: rs.Tiling.from_table(table()).coverage(1 * DEG, nside=3), "nside must be a power of two"),
+        (lambda: rs.Tiling.from_table(table()).coverage(1), "radius must be a Quantity"),
+    ],
+)
+def test_bad_lists_are_named(make, message):
+    with pytest.raises(rs.InputError, match=message):
+        make()
+
+
+def test_a_pass_or_a_program_makes_another_tile():
+    same = {"ra": [1.0, 1.0] * DEG, "dec": [2.0, 2.0] * DEG}
+    assert len(rs.Tiling.from_table(QTable({**same, "pass": [1, 2]}))) == 2
+    assert len(rs.Tiling.from_table(QTable({**same, "PROGRAM": ["dark", "bright"]}))) == 2
+    assert len(rs.Tiling.from_table(QTable({**same, "pa": [0, 60] * DEG}))) == 2
+
+
+def test_coverage_agrees_with_brute_force():
+    from astropy_healpix import HEALPix
+
+    tiling = as_tiling(SkyCoord([0, 3, 359, 100, 20] * DEG, [0, 1, -1, 90, -88] * DEG))
+    hp = HEALPix(32, order="nested", frame="icrs")
+    pixels = hp.healpix_to_skycoord(np.arange(hp.npix))
+    expected = sum((pixels.separation(c) <= 4 * DEG).astype(int) for c in tiling.coord)
+    found = tiling.coverage(4 * DEG, nside=32)
+    assert found.max() == 3
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_tiles_of_desi(real_data):
+    """Its list says which area its tiles cover."""
+    tiling = rs.Tiling.read(real_data("desi_tiles_main.ecsv.gz"))
+    assert len(tiling) == 21615
+    assert set(tiling.table["program"]) == {"DARK", "BRIGHT"}
+    assert set(tiling.table["pass"]) == set(range(7))
+    covered = (tiling.coverage(1.6 * DEG, nside=128) > 0).mean() * 4 * np.pi * u.sr
+    assert covered.to_value(u.deg**2) == pytest.approx(tiling.table.meta["sky_area_deg2"], abs=0.01)
+
+
+@pytest.mark.parametrize("number", [0, 1, 5])
+@pytest.mark.parametrize("make", [hexagonal, spiral])
+@pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
+@pytest.mark.parametrize(("reach", "radius"), [(10, 1.5), (1, 2.5), (60, 7), (0.02, 0.003), (0, 1)])
+def test_no_gap(make, center, reach, radius, number):
+    reach, radius = np.deg2rad([reach, radius])
+    centers = make(vector(center), reach, radius, number)
+    assert angles(cap_points(center, reach), centers).max() <= radius
+
+
+@pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
+def test_the_widest_gap_is_what_dense_points_find(center):
+    """With a hole too: a proof that finds no gap in a lattice without one of its centers proves nothing."""
+    reach = np.deg2rad(8)
+    centers = lattice(vector(center), 2 * reach, np.deg2rad(2), dither(2))
+    for vectors in (centers, np.delete(centers, 5, axis=0)):
+        gap = widest_gap(vectors, vector(center), reach)
+        seen = angles(cap_points(center, reach, 300_000), vectors).max()
+        assert seen <= gap
+        assert seen >= 0.98 * gap
+
+
+def test_a_spiral_covers_the_whole_sky():
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(200_000, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    for radius in (1.6, 20, 80):
+        tiling = rs.place_tiles(rs.Region.whole_sky(), radius=radius * DEG, method="spiral")
+        assert np.rad2deg(angles(points, tiling._vectors).max()) <= radius
+        assert tiling.summary["covering_fraction"] == 1
+
+
+SHAPES = [
+    "cap 95 23 8", "cap 0 90 5", "box 350 10 -5 5", "box 0 360 80 90", "polygon 0 0 40 0 40 20 10 5 0 20",
+    "box 180 181 -20 20", "polygon 10 0 40 0.001 70 0 40 -0.001", "cap 10 10 0.1",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", ["hexagonal", "spiral"])
+@pytest.mark.parametrize("text", SHAPES)
+def test_every_pass_covers_the_region(method, text):
+    region = rs.Region.parse(text)
+    tiling = rs.place_tiles(region, radius=2 * DEG, method=method, passes=2)
+    center, reach = region._circle()
+    points = cap_points(
+        (np.rad2deg(np.arctan2(center[1], center[0])), np.rad2deg(np.arcsin(center[2]))), reach, 100_000
+    )
+    points = np.vstack([points[region._contains(points)], region._border() if region.kind != "cap" else center[None]])
+    for number in (1, 2):
+        tiles = tiling._vectors[tiling.table["pass"] == number]
+        assert np.rad2deg(angles(points, tiles).max()) <= 2 * (1 + 1e-9)
+    # no tile is for nothing
+    assert np.rad2deg(region._distance(tiling._vectors).max()) <= 2
+    assert tiling.summary["covering_fraction"] == 1
+    first, second = (tiling._vectors[tiling.table["pass"] == number] for number in (1, 2))
+    assert angles(first, second).min() > 1e-3
+
+
+def test_a_covering_is_close_to_the_best():
+    """No covering of the plane by circles needs less than 2 pi / sqrt(27) times the area."""
+    region = rs.Region.parse("cap 200 40 30")
+    hexagons = rs.place_tiles(region, radius=1.5 * DEG)
+    depth = len(hexagons) * 4 * np.pi * np.sin(np.deg2rad(0.75)) ** 2 / region.area.to_value(u.sr)
+    assert 1.209 < depth < 1.35
+    assert 1.209 < hexagons.summary["mean_depth"] < 1.25
+    assert len(rs.place_tiles(rs.Region.parse("cap 200 40 1.4"), radius=1.5 * DEG)) == 1
+
+
+def test_what_is_excluded_needs_no_tile():
+    region, hole = rs.Region.parse("cap 95 23 8"), rs.Region.parse("cap 95 23 4")
+    tiling = rs.place_tiles(region, radius=1 * DEG, exclude=hole)
+    points = cap_points((95, 23), np.deg2rad(8))
+    points = points[~hole._contains(points)]
+    assert np.rad2deg(angles(points, tiling._vectors).max()) <= 1
+    # those in the middle and in the first ring about it lie inside with all they cover
+    assert len(tiling) == len(rs.place_tiles(region, radius=1 * DEG)) - 7
+    with pytest.raises(rs.InputError, match="nothing is left"):
+        rs.place_tiles(hole, radius=1 * DEG, exclude=region)
+
+
+def test_centers_restrict_coverings():
+    region = rs.Region.parse("cap 95 23 5")
+    stars = rs.synthetic_catalog("poisson", SkyCoord(95 * DEG, 23 * DEG), 8 * DEG, density=2 / DEG**2, rng=1).coord
+    tiling = rs.place_tiles(region, radius=2.5 * DEG, centers=stars)
+    assert angles(tiling._vectors, stars.cartesian.xyz.value.T).max() < 1e-9
+    assert tiling.summary["covering_fraction"] == 1
+    with pytest.warns(rs.RfpsurveyWarning, match="the centers that may be cover 0.[0-9]+ of the region"):
+        poor = rs.place_tiles(region, radius=2.5 * DEG, centers=stars[:2])
+    points = cap_points((95, 23), np.deg2rad(5))
+    share = np.mean(angles(points, poor._vectors) <= np.deg2rad(2.5))
+    assert poor.summary["covering_fraction"] == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, hexagonal"),
+        ({"method": "sdss"}, "the method 'sdss' needs targets, got a Region; hexagonal and spiral cover regions"),
+        ({"completeness": 0.9}, "completeness is about targets"),
+        ({"n_tiles": 5}, "n_tiles is about targets"),
+        ({"passes": 0}, "passes must be a whole number of at least 1, got 0"),
+        ({"radius": 2}, "radius must be a Quantity"),
+        ({"radius": 95 * DEG}, "radius must be one finite value above 0 rad and below 1.5"),
+        ({"radius": 1 * u.arcsec}, "radius must be larger: about"),
+        ({"radius": None}, "give an instrument, or the radius of a tile"),
+        ({"centers": SkyCoord([] * DEG, [] * DEG)}, "centers must be at least one"),
+        ({"exclude": 5}, "exclude must be a Region"),
+        ({"position_angle": 5}, "position_angle must be a Quantity"),
+        ({"instrument": "lamots"}, "unknown instrument 'lamots'"),
+    ],
+)
+def test_bad_requests_for_a_region_are_named(options, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.place_tiles(rs.Region.parse("cap 95 23 8"), **{"radius": 2 * DEG, **options})
+
+
+def test_the_hexagonal_lattice_does_not_go_around():
+    with pytest.raises(rs.InputError, match="at most a hemisphere, the field reaches 180.0 deg .* use method='spiral'"):
+        rs.place_tiles(rs.Region.whole_sky(), radius=2 * DEG)
