@@ -9,11 +9,12 @@ from rfpsurvey._cli import (
     probability,
     reproduce,
     score,
+    survey,
     tile,
 )
 from rfpsurvey._cli._app import app, main
 
 __all__ = [
     "app", "benchmark", "benchmark_probability", "compare_allocators", "instruments", "main", "plan", "probability",
-    "reproduce", "score", "tile",
+    "reproduce", "score", "survey", "tile",
 ]  # fmt: skip

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import warnings
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Annotated
 
@@ -64,7 +65,7 @@ def main() -> None:
     except BrokenPipeError:  # the reader of the output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
-    except (rs.InputError, OSError) as error:
+    except (rs.InputError, OSError, BrokenExecutor) as error:
         print(f"rfpsurvey: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
 

@@ -66,6 +66,34 @@ FibersOption = Annotated[int | None, typer.Option(help="Targets of a tile at mos
 NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
 TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
 TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .png, .pdf or .svg.")]
+SurveyCatalogArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        "catalog, wider than a field."
+    ),
+]
+TilesOption = Annotated[
+    Path | None, typer.Option(help="List of tiles: ra, dec, pass, ... None: two hexagonal coverings of the catalog.")
+]
+VisitsOption = Annotated[
+    int | None, typer.Option(help="How often each target is wanted. None: as the catalog says, else once.", min=1)
+]
+SomePassesOption = Annotated[
+    list[int] | None, typer.Option("--pass", help="A pass of the tiling to plan, several in this order.")
+]
+LostOption = Annotated[bool, typer.Option("--lost/--kept", help="A target whose arm collides is not observed.")]
+OrderOption = Annotated[
+    str, typer.Option(help="color: pass after pass, tiles that do not overlap at the same time; given: as listed.")
+]
+FolderOption = Annotated[Path | None, typer.Option(help="Write tile after tile here.")]
+ResumeOption = Annotated[bool, typer.Option(help="Continue the survey in the folder.")]
+WorkersOption = Annotated[int, typer.Option(help="Threads; the result does not depend on it.", min=1)]
+ProcessesOption = Annotated[bool, typer.Option("--processes", help="Processes instead of threads.")]
+SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")]
+SurveyPlotOption = Annotated[
+    Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
+]
 
 PLAN_EXAMPLES = """\b
 Examples:
@@ -93,6 +121,14 @@ Examples:
   rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --plot tiles.png
   rfpsurvey tile --region sky --method spiral --instrument desi
   rfpsurvey tile stars.fits --method sdss --fibers 1000 --completeness 0.95
+"""
+
+SURVEY_EXAMPLES = """\b
+Examples:
+  rfpsurvey survey
+  rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --plot plan.png
+  rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --resume
+  rfpsurvey survey hats_catalog --tiles tiles.ecsv --instrument desi --scheduler tcp://10.0.0.1:8786 --folder plan
 """
 
 BENCHMARK_EXAMPLES = """\b

@@ -58,7 +58,7 @@ class PartitionedCatalog:
     Raises
     ------
     InputError
-        If pyarrow is missing, the folder has no such files, pixels overlap, a file cannot be read, or a column is missing.
+        If pyarrow or a column is missing, the folder has no such files, pixels overlap, or a file cannot be read.
     """
 
     folder: Path

@@ -2,10 +2,10 @@
 
 from rfpsurvey.plot._focal_plane import plot_focal_plane
 from rfpsurvey.plot._reproduction import draw_reproduction
-from rfpsurvey.plot._sky import plot_completeness, plot_tiling
+from rfpsurvey.plot._sky import draw_survey, plot_completeness, plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
 
 __all__ = [
-    "draw_reproduction", "plot_completeness", "plot_focal_plane", "plot_probability_accuracy", "plot_speed_accuracy",
-    "plot_tiling",
+    "draw_reproduction", "draw_survey", "plot_completeness", "plot_focal_plane", "plot_probability_accuracy",
+    "plot_speed_accuracy", "plot_tiling",
 ]  # fmt: skip

@@ -14,8 +14,9 @@ from rfpsurvey.tiling import Tiling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-__all__ = ["plot_completeness", "plot_tiling"]
+__all__ = ["draw_survey", "plot_completeness", "plot_tiling"]
 
 CORNERS = 36
 WIDE = 60.0  # deg about the middle: beyond it, the whole sky
@@ -69,8 +70,7 @@ def plot_tiling(
         raise InputError(f"color must be a column of numbers ({', '.join(table.colnames)}), got {color!r}")
     radius = _radius(tiles) if radius is None else to_scalar(radius, u.deg, "radius", low=0, high=90)
     centers = SkyCoord(table["ra"], table["dec"])
-    middle, spread = _middle(centers)
-    wide = spread > WIDE or np.abs(centers.dec.deg).max() + radius > POLAR
+    middle, wide = _view(centers, radius)
     if ax is None:
         figure = Figure(figsize=(8, 4.5) if wide else (7, 5.5), layout="constrained")
         ax = figure.add_subplot(projection="aitoff" if wide else None)
@@ -144,6 +144,18 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
+def draw_survey(survey: Survey) -> "Figure":
+    """Return a figure with the tiles of a survey, colored by completeness, beside its completeness by tiles."""
+    from matplotlib.figure import Figure
+
+    _, wide = _view(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), _radius(survey))
+    figure = Figure(figsize=(14, 4.8), layout="constrained")
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.3, 1))
+    plot_tiling(survey, ax=figure.add_subplot(left, projection="aitoff" if wide else None))
+    plot_completeness(survey, ax=figure.add_subplot(right))
+    return figure
+
+
 def _radius(tiles) -> float:
     """Radius of a field in deg, as far as it is known."""
     if isinstance(tiles, Survey):
@@ -151,14 +163,14 @@ def _radius(tiles) -> float:
     return float(tiles.summary.get("radius_deg", 1.0))
 
 
-def _middle(centers: SkyCoord):
-    """Mean direction, and the largest distance from it in deg."""
+def _view(centers: SkyCoord, radius: float):
+    """Mean direction, and whether only a map of the whole sky will do."""
     mean = centers.cartesian.mean()
     if mean.norm() < 1e-6:
-        return centers[0], 180.0
-    middle = SkyCoord(mean, frame="icrs")
-    middle = SkyCoord(middle.spherical.lon, middle.spherical.lat)
-    return middle, centers.separation(middle).max().deg
+        return centers[0], True
+    middle = SkyCoord(mean, frame="icrs").spherical
+    middle = SkyCoord(middle.lon, middle.lat)
+    return middle, bool(centers.separation(middle).max().deg > WIDE or np.abs(centers.dec.deg).max() + radius > POLAR)
 
 
 def _draw_region(ax, centers, values, radius, middle):
@@ -185,7 +197,7 @@ def _draw_sky(ax, centers, values, radius, _):
     """Draw points as large as fields are in the middle of the map; the middle is at 180 deg."""
     lon = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
     # an Aitoff map is as wide as its axes: 360 deg
-    size = max(2 * radius / 360 * 72 * ax.figure.get_figwidth() * 0.8, 1.0)
+    size = max(2 * radius / 360 * 72 * ax.figure.get_figwidth() * ax.get_position().width, 1.0)
     points = ax.scatter(lon, centers.dec.rad, s=size**2, c=values, cmap="viridis", alpha=0.7, lw=0)
     hours = np.arange(30, 360, 60)
     ax.set_xticks(np.deg2rad(180 - hours), [f"{h}°" for h in hours], fontsize="small")

@@ -84,7 +84,7 @@ def _take(waiting: deque):
             done = done.result()
         except BrokenExecutor as error:
             text = "a worker died; tiles that were written stay: continue the survey with resume=True (--resume)"
-            raise RuntimeError(text) from error
+            raise BrokenExecutor(text) from error
     return tile, field, done, fresh
 
 

@@ -1,0 +1,97 @@
+"""What the command ``survey`` needs: targets and tiles from files, workers, and a summary."""
+
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app
+from rfpsurvey._io import output_path
+from rfpsurvey.plot import draw_survey
+
+__all__ = ["options", "run", "targets_of", "workers"]
+
+
+def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str):
+    """Return the catalog of a file or of a folder of partitions, or a synthetic one that is wider than a field."""
+    names, units = _app.parse_pairs(column, "--column"), _app.parse_pairs(unit, "--unit")
+    if path is None:
+        options = {"density": model.target_density, "rng": seed}
+        return rs.synthetic_catalog(
+            "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
+        )
+    read = rs.PartitionedCatalog if path.is_dir() else rs.Catalog.read
+    return read(path, columns=names, units=units, frame=frame)
+
+
+def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
+    """Return the tiles of a file, or two coverings of the catalog."""
+    if path is not None:
+        return rs.Tiling.read(path)
+    if isinstance(targets, rs.PartitionedCatalog):
+        raise rs.InputError("a catalog in partitions needs --tiles, such as those of: rfpsurvey tile --region ...")
+    return rs.place_tiles(targets, model, passes=2)
+
+
+@contextmanager
+def workers(number: int, scheduler: str | None, *, processes: bool):
+    """Give an executor, None for the work to be done here."""
+    if scheduler is not None:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise rs.InputError(f"--scheduler needs dask (pip install 'rfpsurvey[distributed]'): {error}") from error
+        try:
+            client = Client(scheduler, timeout="10s")
+        except (OSError, ValueError, TypeError) as error:
+            raise rs.InputError(f"--scheduler: no scheduler answers at {scheduler!r}: {error}") from error
+        with client:
+            yield client.get_executor()
+    elif number == 1:
+        yield None
+    else:
+        pool: Executor
+        pool = ProcessPoolExecutor(number, get_context("spawn")) if processes else ThreadPoolExecutor(number)
+        with pool:
+            yield pool
+
+
+def _print_survey(survey: "rs.Survey", seconds: float) -> None:
+    """Print what came out, a line a figure."""
+    s, name = survey.summary, survey.provenance["instrument"]["name"]
+    print(f"{name}, allocator {survey.provenance['parameters']['method']}")
+    labels = {
+        "tiles": s["n_tiles"], "  rounds": s["n_rounds"], "targets wanted": s["n_targets"],
+        "visits wanted": s["n_visits_wanted"], "  observed": s["n_visits_observed"], "completeness": s["completeness"],
+        "  targets complete": s["completeness_targets"], "fibers assigned": s["n_assigned"],
+        "  of all": s["fiber_use"], "positioners in collision": s["n_colliding"],
+        "  collision rate": s["collision_rate"], "tiles' requirements not met": s["n_unmet"],
+    }  # fmt: skip
+    for label, value in labels.items():
+        if value or not label.startswith("tiles'"):
+            print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
+    for outcome, number in s["outcomes"].items():
+        print(f"{'targets ' + outcome:<34}{number:>12}")
+    _app.print_table(survey.completeness)
+    print(f"{seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms a tile")
+
+
+def options(allocator, visits, passes, epoch, require, sky_separation, time_limit, order) -> dict:
+    """Return the arguments of plan_survey that options stand for."""
+    common = _app.plan_options(0.0, None, epoch, require, None, sky_separation, "priority", time_limit)
+    common = {name: common[name] for name in ("epoch", "requirements", "sky_separation", "time_limit")}
+    return {"allocator": allocator, "visits": visits, "passes": passes, "order": order, **common}
+
+
+def run(targets, tiles: Path | None, model: "rs.Instrument", executor, options: dict, plot: Path | None) -> None:
+    """Plan a survey, print what came out, and draw it where asked."""
+    tiling = _read_tiles(tiles, targets, model)
+    begin = perf_counter()
+    survey = rs.plan_survey(targets, tiling, model, executor=executor, progress=True, **options)
+    _print_survey(survey, perf_counter() - begin)
+    if plot is not None:
+        with output_path(plot, _app.PICTURES, overwrite=True) as temporary:
+            draw_survey(survey).savefig(temporary, dpi=150, format=plot.suffix[1:].lower())
+        print(f"wrote {plot}")

@@ -1,0 +1,40 @@
+"""``rfpsurvey survey``."""
+
+from rfpsurvey._cli import _app, _options, _surveys
+
+
+@_app.app.command(epilog=_options.SURVEY_EXAMPLES)
+def survey(
+    catalog: _options.SurveyCatalogArgument = None,
+    tiles: _options.TilesOption = None,
+    instrument: _options.InstrumentOption = "lamost",
+    allocator: _options.AllocatorOption = "lamost",
+    visits: _options.VisitsOption = None,
+    passes: _options.SomePassesOption = None,
+    epoch: _options.EpochOption = None,
+    require: _options.RequireOption = None,
+    sky_separation: _options.SkyOption = None,
+    time_limit: _options.TimeLimitOption = 60.0,
+    parked: _options.ParkedOption = True,
+    lost: _options.LostOption = True,
+    order: _options.OrderOption = "color",
+    folder: _options.FolderOption = None,
+    resume: _options.ResumeOption = False,
+    workers: _options.WorkersOption = 1,
+    processes: _options.ProcessesOption = False,
+    scheduler: _options.SchedulerOption = None,
+    seed: _options.SeedOption = 0,
+    column: _options.ColumnOption = None,
+    unit: _options.UnitOption = None,
+    frame: _options.FrameOption = "icrs",
+    plot: _options.SurveyPlotOption = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Plan tile after tile until targets are observed as often as they are wanted."""
+    _app.check_outputs(None, plot, overwrite=overwrite)
+    model = _app.load_instrument(instrument)
+    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame)
+    options = _surveys.options(allocator, visits, passes, epoch, require, sky_separation, time_limit, order)
+    options.update(parked_obstacles=parked, lost_in_collision=lost, folder=folder, resume=resume, rng=seed)
+    with _surveys.workers(workers, scheduler, processes=processes) as executor:
+        _surveys.run(targets, tiles, model, executor, options, plot)
