@@ -1,4 +1,5 @@
 import os
+import sys
 from pathlib import Path
 
 import astropy.units as u
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import settings
 
 import rfpsurvey as rs
+from rfpsurvey import _cli
 
 matplotlib.use("agg")
 # the first call of a kernel compiles it; the same examples every time, so that a red run can be repeated
@@ -54,3 +56,20 @@ def small():
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
     return rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process; returns exit code, output and errors."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["rfpsurvey", *map(str, arguments)])
+        try:
+            _cli.main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return call

@@ -10,23 +10,6 @@ import rfpsurvey as rs
 from rfpsurvey import _cli
 
 
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process; returns exit code, output and errors."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["rfpsurvey", *map(str, arguments)])
-        try:
-            _cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        out = capsys.readouterr()
-        return code, out.out, out.err
-
-    return call
-
-
 def sentence(code, err):
     """Bad input: exit code 2 and one line, no traceback."""
     assert code == 2
