@@ -1,10 +1,12 @@
 """HEALPix pixels as unit vectors, nested; the package behind it is imported when it is needed."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["centers", "check_nside", "nside_for", "pixel_radius", "pixels_of", "pixels_within", "to_nested"]
+__all__ = ["centers", "check_nside", "nside_for", "pixel_radius", "pixels_near", "pixels_of", "to_nested"]
 
 MOST_NSIDE = 2**20
 
@@ -34,17 +36,29 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
     return np.atleast_1d(healpy.vec2pix(nside, *vectors.T, nest=True)).astype(np.int64)
 
 
-def pixels_within(nside: int, center: np.ndarray, radius_rad: float) -> np.ndarray:
-    """Return the pixels whose centers are within a circle, sorted.
+def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
+    """Return the pixels whose centers are at most ``margin`` from something, sorted.
 
-    From the twelve largest pixels down, those that are too far away are left out with all that they contain:
-    the package's own search takes a time that grows with the square of the number of pixels.
+    From the twelve largest pixels down, those that are too far away are left out with all that they contain.
+
+    Parameters
+    ----------
+    nside : int
+        Resolution.
+    distance : callable
+        Gives angles (radians) from unit vectors to what is sought.
+    margin : float
+        Angle in radians.
+
+    Returns
+    -------
+    ndarray of int
+        Pixels.
     """
     pixels, level = np.arange(12), 1
     while True:
-        margin = 0.0 if level == nside else pixel_radius(level)
-        away = 2 * np.arcsin(np.minimum(np.linalg.norm(centers(level, pixels) - center, axis=1) / 2, 1.0))
-        pixels = pixels[away <= radius_rad + margin + 1e-12]
+        allowance = margin if level == nside else margin + pixel_radius(level)
+        pixels = pixels[distance(centers(level, pixels)) <= allowance + 1e-12]
         if level == nside:
             return pixels
         pixels, level = (4 * pixels[:, None] + np.arange(4)).ravel(), 2 * level

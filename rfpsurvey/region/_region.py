@@ -327,7 +327,7 @@ class Region:
         if self.kind == "healpix" and nside >= self.nside:
             finer = (nside // self.nside) ** 2
             return _healpix.centers(nside, (self.values[:, None] * finer + np.arange(finer)).ravel())
-        points = _healpix.centers(nside, _healpix.pixels_within(nside, *self._circle()))
+        points = _healpix.centers(nside, _healpix.pixels_near(nside, self._distance, 0.0))
         return points[self._contains(points)]
 
 

@@ -15,7 +15,7 @@ __all__ = ["cover_region", "cover_targets", "snap"]
 
 # Samples of a region: so fine as parts of the tile's radius, as long as there are not more than so many.
 FINE = 1 / 40
-MOST_SAMPLES = 1_500_000
+MOST_SAMPLES = 200_000
 
 
 def cover_targets(problem: Problem, make: Callable) -> Ledger:
@@ -38,7 +38,7 @@ def cover_region(
 ) -> tuple[list, dict]:
     """Cover a region; returns the centers of each pass and how good the covering is."""
     center, reach = region._circle()
-    samples, margin = _conservative(region, exclude, center, reach, radius)
+    samples, margin = _conservative(region, exclude, reach, radius)
     inside = region._contains(samples)
     if exclude is not None:
         inside &= ~exclude._contains(samples)
@@ -64,19 +64,17 @@ def cover_region(
     return found, quality
 
 
-def _conservative(region, exclude, center, reach, radius):
+def _conservative(region, exclude, reach, radius):
     """Return HEALPix centers that are near every point of the region, and how near."""
     nside = _healpix.nside_for(FINE * radius)
     area = region.area.to_value("sr")
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
         nside //= 2
     margin = _healpix.pixel_radius(nside)
-    pixels = _healpix.pixels_within(nside, center, min(reach + margin, np.pi))
-    samples = _healpix.centers(nside, pixels)
-    keep = region._distance(samples) <= margin
+    samples = _healpix.centers(nside, _healpix.pixels_near(nside, region._distance, margin))
     if exclude is not None:
-        keep[keep] = ~_all_inside(exclude, samples[keep], margin)
-    return samples[keep], margin
+        samples = samples[~_all_inside(exclude, samples, margin)]
+    return samples, margin
 
 
 def _all_inside(region, samples, margin):
