@@ -1,8 +1,10 @@
 """A whole survey: the tiles of DESI's main survey, and synthetic targets.
 
     RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py [--targets 20e6] [--tiles 21615] [--workers 2]
+    RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py --scaling
 
-Prints seconds, seconds per tile and the peak of the memory; catalogs are made before the clock starts.
+The first prints seconds, seconds per tile and the peak of the memory; catalogs are made before the clock starts. The
+second lets the number of tiles grow, and then that of targets.
 """
 
 import argparse
@@ -59,35 +61,76 @@ def peak_gb():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
+def plan(targets, tiling, options, folder, *, progress=True):
+    """Plan and write a survey; returns it, and the seconds."""
+    pool = ProcessPoolExecutor if options.processes else ThreadPoolExecutor
+    begin = perf_counter()
+    with pool(options.workers) as executor:
+        survey = rs.plan_survey(
+            targets, tiling, "desi", allocator=options.allocator, folder=folder, executor=executor, progress=progress
+        )
+    return survey, perf_counter() - begin
+
+
+def scale(options):
+    """Seconds against the number of tiles, and of targets."""
+    tiling = desi_tiles()
+    shuffled = rs.Tiling(tiling.table[np.random.default_rng(1).permutation(len(tiling))])
+    cases = [(shuffled.table[: len(tiling) // k], 5e6) for k in (8, 4, 2, 1)]
+    cases += [(tiling.table, n) for n in (2.5e6, 5e6, 10e6, 20e6)]
+    found, targets = [], None
+    for table, n in cases:
+        if targets is None or abs(len(targets) / n - 1) > 0.1:
+            targets = make_targets(tiling, n)
+        with tempfile.TemporaryDirectory() as folder:
+            _, seconds = plan(targets, rs.Tiling(table), options, Path(folder) / "survey", progress=False)
+        found.append((len(table), len(targets), seconds))
+        print(f"{len(table):>6} tiles {len(targets):>9} targets {seconds:7.1f} s", flush=True)
+    found = np.log(np.array(found))
+    for name, column, rows in (("tiles", 0, found[:4]), ("targets", 1, found[4:])):
+        print(
+            f"seconds grow with the power {np.polyfit(rows[:, column], rows[:, 2], 1)[0]:.2f} of the number of {name}"
+        )
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--targets", type=float, default=20e6)
     parser.add_argument("--tiles", type=int)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--processes", action="store_true")
+    parser.add_argument("--partitions", type=Path, help="write the targets here first, and read them from there")
     parser.add_argument("--allocator", default="nearest")
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--plot", type=Path)
+    parser.add_argument("--scaling", action="store_true")
     options = parser.parse_args()
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
+    few = rs.synthetic_catalog("uniform", POLE, 2 * u.deg, n_targets=1000, rng=1)
+    rs.plan_survey(few, POLE.reshape(1), "desi", allocator=options.allocator)  # compiles
+    if options.scaling:
+        return scale(options)
     tiling = desi_tiles(options.tiles)
-    targets = make_targets(tiling, options.targets)
-    print(f"{len(tiling)} tiles, {len(targets)} targets, {platform.machine()}, {os.cpu_count()} cores")
-    print(f"memory with the catalog: {peak_gb():.2f} GB")
+    if options.partitions and options.partitions.exists():
+        targets = rs.PartitionedCatalog(options.partitions)
+    else:
+        targets = make_targets(tiling, options.targets)
+        if options.partitions:
+            targets = rs.partition_catalog(targets, options.partitions)
+    print(f"{len(tiling)} tiles, {len(targets)} targets; memory so far: {peak_gb():.2f} GB")
     folder = options.folder or Path(tempfile.mkdtemp()) / "survey"
-    rs.plan_survey(targets[:1000], tiling.coord[:1], "desi", allocator=options.allocator)  # compiles
-    pool = ProcessPoolExecutor if options.processes else ThreadPoolExecutor
-    begin = perf_counter()
-    with pool(options.workers) as executor:
-        survey = rs.plan_survey(
-            targets, tiling, "desi", allocator=options.allocator, folder=folder, executor=executor, progress=True
-        )
-    seconds = perf_counter() - begin
+    survey, seconds = plan(targets, tiling, options, folder)
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    print(f"{seconds:.1f} s, {1e3 * seconds / len(tiling):.2f} ms a tile, {options.workers} {pool.__name__} workers")
+    kind = "processes" if options.processes else "threads"
+    print(f"{seconds:.1f} s, {1e3 * seconds / len(tiling):.2f} ms a tile, {options.workers} {kind}")
     print(f"peak memory {peak_gb():.2f} GB, {size / 1e9:.2f} GB written")
     survey.completeness.pprint_all()
     print(json.dumps(survey.summary, indent=1))
+    if options.plot:
+        rs.plot_completeness(survey).figure.savefig(options.plot, dpi=150)
     if options.folder is None:
         shutil.rmtree(folder)
+    return None
 
 
 if __name__ == "__main__":

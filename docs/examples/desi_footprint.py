@@ -1,0 +1,36 @@
+"""DESI's real list of tiles with synthetic targets, wanted one to four times each; written as it goes, and resumable.
+
+python docs/examples/desi_footprint.py desi_tiles_main.ecsv.gz [n_targets] [folder]
+
+The list is that of https://github.com/desihub/desisurveyops.
+"""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+
+
+def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.Survey:
+    tiles = rs.Tiling.read(path)
+    pole = SkyCoord(0 * u.deg, 90 * u.deg)
+    # the footprint is two fifths of the sky or so: what no tile covers is reported, and costs nothing
+    targets = rs.synthetic_catalog("poisson", pole, 180 * u.deg, n_targets=float(n_targets), rng=1)
+    visits = np.random.default_rng(1).integers(1, 5, len(targets))
+    with ThreadPoolExecutor(2) as executor:
+        survey = rs.plan_survey(
+            targets, tiles, "desi", allocator="nearest", visits=visits, folder=folder, resume=True, executor=executor,
+            progress=True,
+        )  # fmt: skip
+    print(survey)
+    survey.completeness.pprint_all()
+    rs.plot_completeness(survey).figure.savefig("desi_footprint.png", dpi=150)
+    return survey
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

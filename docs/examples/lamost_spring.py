@@ -1,0 +1,27 @@
+"""LAMOST over the Tycho-2 stars of a spring block: tiles where the stars are, then a survey of them.
+
+python docs/examples/lamost_spring.py data/tycho2_spring_60x20.ecsv.gz
+"""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import rfpsurvey as rs
+
+
+def main(path: str) -> rs.Survey:
+    stars = rs.Catalog.read(path)
+    tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.9)
+    print(tiles, f"for a completeness of {tiles.summary['completeness']:.3f}, were every star in reach of a fiber")
+    with ThreadPoolExecutor(2) as executor:
+        survey = rs.plan_survey(stars, tiles, "lamost", allocator="repair", executor=executor, progress=True)
+    print(survey)
+    for outcome, number in survey.summary["outcomes"].items():
+        print(f"{number:>8} {outcome}")
+    survey.tiles.write("lamost_spring.ecsv", overwrite=True)
+    rs.plot_tiling(survey).figure.savefig("lamost_spring.png", dpi=150)
+    return survey
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,31 @@
+"""SDSS-V over the Tycho-2 stars around the Galactic anticenter: bright stars first, two visits each, no collisions.
+
+python docs/examples/sdssv_anticenter.py data/tycho2_anticenter_r8.ecsv.gz
+"""
+
+import sys
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+
+def main(path: str, passes: int = 6) -> rs.Survey:
+    table = QTable.read(path, format="ascii.ecsv")
+    magnitude = table["vt_mag"].to_value(u.mag)
+    # three classes of priority; stars brighter than 8 mag are wanted twice
+    table["priority"] = np.select([magnitude < 8, magnitude < 11], [3, 2], 1)
+    table["visits"] = np.where(magnitude < 8, 2, 1)
+    stars = rs.Catalog.from_table(table)
+    tiles = rs.place_tiles(stars, "sdss_apo", method="hexagonal", passes=int(passes))
+    survey = rs.plan_survey(stars, tiles, "sdss_apo", allocator="optimal", epoch=2026.5, progress=True)
+    print(survey)
+    survey.completeness.pprint_all()
+    rs.plot_completeness(survey).figure.savefig("sdssv_anticenter.png", dpi=150)
+    return survey
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
