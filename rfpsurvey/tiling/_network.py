@@ -148,12 +148,17 @@ def _relax(problem: Problem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
             break
         last = total
         centers = centers.copy()
+        left = cells.supply - np.bincount(cell, amount, len(cells.supply))
         order = np.argsort(tile, kind="stable")
         bounds = np.searchsorted(tile[order], np.arange(len(centers) + 1))
         for k in range(len(centers)):
             own = order[bounds[k] : bounds[k + 1]]
             if len(own):
                 centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
+            elif left.max() > 0.5:  # of no use where it is: to where most is left out
+                gain = cells.index.sum_near(cells.vectors, radius, left[cells.index.order])
+                centers[k] = cells.vectors[np.argmax(gain)]
+                left[cells.index.order[cells.index.near(centers[k], radius)]] = 0.0
     return centers
 
 

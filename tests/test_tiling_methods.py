@@ -1,0 +1,383 @@
+"""Tiles for targets: every method against brute force."""
+
+from itertools import combinations
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from scipy.optimize import linear_sum_assignment
+
+import rfpsurvey as rs
+from rfpsurvey.catalog import SkyIndex
+from rfpsurvey.tiling import METHODS
+from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow
+from rfpsurvey.tiling._serve import Fibers, neighbors_within
+
+DEG = u.deg
+GREEDY = ("max_density", "density_gradient", "mean_shift")
+PLACES = {"equator": (180, 0), "zero": (0, 0), "north pole": (0, 90), "south pole": (40, -90), "middle": (123, 45)}
+
+
+@pytest.fixture(params=METHODS)
+def method(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def stars(tycho):
+    return rs.Catalog.read(tycho)
+
+
+def sky(center=(95, 23), radius=3, n=300, seed=1, kind="uniform", **options):
+    center = SkyCoord(*center, unit="deg")
+    return rs.synthetic_catalog(kind, center, radius * DEG, n_targets=n, rng=seed, **options)
+
+
+def replay(catalog, tiling, radius, visits=1):
+    """Serve everybody in each field in the order of the tiles, with astropy's separations."""
+    left, rows = np.full(len(catalog), visits), []
+    for center in tiling.coord:
+        inside = (catalog.coord.separation(center) <= radius) & (left > 0)
+        left[inside] -= 1
+        rows.append((inside.sum(), inside.sum(), 1 - left.sum() / (visits * len(catalog))))
+    return np.array(rows)
+
+
+def test_two_clusters_take_two_tiles(method):
+    clusters = [sky(center, 0.4, 50, seed) for seed, center in enumerate([(10, 5), (16, 5)])]
+    coord = SkyCoord(np.concatenate([c.coord.ra for c in clusters]), np.concatenate([c.coord.dec for c in clusters]))
+    options = {"n_tiles": 2} if method == "sdss" else {}
+    tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=60, method=method, **options)
+    if method in (*GREEDY, "sdss"):
+        assert tiling.table["n_new"].tolist() == [50, 50]
+        order = np.argsort(tiling.coord.ra)
+        assert (tiling.coord[order].separation(SkyCoord([10, 16] * DEG, [5, 5] * DEG)) < 0.7 * DEG).all()
+    assert tiling.summary["completeness"] == 1
+    assert len(tiling) >= 2
+
+
+def test_fibers_limit_what_a_tile_serves(method):
+    options = {"n_tiles": 6} if method == "sdss" else {}
+    if method in ("hexagonal", "spiral"):
+        options = {"completeness": 1}
+    tiling = rs.place_tiles(sky(radius=0.5, n=250), radius=1 * DEG, fibers=50, method=method, **options)
+    assert tiling.table["n_new"].max() == 50
+    assert tiling.summary["completeness"] == 1
+    if method in GREEDY:
+        assert tiling.table["n_new"].tolist() == [50] * 5
+        assert tiling.table["n_targets"].tolist() == [250, 200, 150, 100, 50]
+        assert tiling.summary["fiber_use"] == 1
+
+
+def test_columns_agree_with_a_replay(method):
+    catalog = sky(n=400, radius=5)
+    tiling = rs.place_tiles(catalog, radius=1.2 * DEG, fibers=10_000, method=method)
+    expected = replay(catalog, tiling, 1.2 * DEG)
+    np.testing.assert_array_equal(tiling.table["n_targets"], expected[:, 0])
+    np.testing.assert_array_equal(tiling.table["n_new"], expected[:, 1])
+    np.testing.assert_allclose(tiling.table["completeness"], expected[:, 2])
+    assert (tiling.table["n_new"] > 0).all()
+    summary = tiling.summary
+    assert summary["n_tiles"] == len(tiling)
+    assert summary["n_observed"] == tiling.table["n_new"].sum()
+    if method != "sdss":
+        assert summary["completeness"] == 1
+
+
+def test_coverings_observe_the_fullest_tile_first():
+    catalog = sky(n=400, radius=5)
+    tiling = rs.place_tiles(catalog, radius=1.2 * DEG, fibers=10_000)
+    assert (np.diff(tiling.table["n_targets"]) <= 0).all()
+
+
+def test_max_density_is_the_densest_place(rng):
+    """No place of a fine grid has more targets than the first tile."""
+    catalog = sky(n=500, radius=4, kind="clustered", cluster_scale=0.5 * DEG)
+    tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=10_000, method="max_density", n_tiles=1)
+    center = SkyCoord(95 * DEG, 23 * DEG)
+    grid = center.directional_offset_by(rng.uniform(0, 360, 4000) * DEG, 4 * np.sqrt(rng.random(4000)) * DEG)
+    counts = [np.sum(catalog.coord.separation(c) <= 1 * DEG) for c in grid]
+    assert tiling.table["n_new"][0] >= max(counts) - 1
+
+
+def test_mean_shift_rests_at_the_mean():
+    catalog = sky(n=300, radius=0.8, kind="clustered", cluster_scale=0.3 * DEG, cluster_size=20)
+    tiling = rs.place_tiles(catalog, radius=2 * DEG, fibers=10_000, method="mean_shift")
+    assert len(tiling) == 1
+    mean = catalog._middle
+    assert tiling.coord[0].separation(mean) < 0.005 * DEG
+
+
+def test_density_gradient_rests_on_the_hill(rng):
+    """No place nearby has a larger smoothed density."""
+    catalog = sky(n=300, radius=3, kind="clustered", cluster_scale=0.7 * DEG, cluster_size=20)
+    tiling = rs.place_tiles(catalog, radius=2 * DEG, fibers=10_000, method="density_gradient", n_tiles=1)
+
+    def density(place):
+        d = catalog.coord.separation(place).deg
+        return np.exp(-0.5 * d[d <= 3] ** 2).sum()
+
+    top = density(tiling.coord[0])
+    around = tiling.coord[0].directional_offset_by(rng.uniform(0, 360, 200) * DEG, rng.uniform(0.05, 1, 200) * DEG)
+    assert top >= max(density(place) for place in around) - 0.05
+
+
+def fewest(catalog, radius):
+    """Fewest circles that hold all targets: exhaustive over circles through two targets, and those about one."""
+    vectors = catalog._vectors
+    centers = [*vectors]
+    for a, b in combinations(vectors, 2):
+        middle = (a + b) / np.linalg.norm(a + b)
+        half = np.arccos(np.clip(a @ middle, -1, 1))
+        if half <= radius:
+            side = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
+            h = np.arccos(np.cos(radius) / np.cos(half)) * (1 - 1e-9)
+            centers += [np.cos(h) * middle + np.sin(h) * side, np.cos(h) * middle - np.sin(h) * side]
+    inside = np.array(centers) @ vectors.T >= np.cos(radius) - 1e-12
+    sets = {int(sum(1 << int(k) for k in np.flatnonzero(row))) for row in inside}
+    sets = [s for s in sets if not any(s != t and s & t == s for t in sets)]
+    for n in range(1, 7):
+        for some in combinations(sets, n):
+            union = 0
+            for one in some:
+                union |= one
+            if union == (1 << len(catalog)) - 1:
+                return n
+    raise AssertionError
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_method_beats_the_optimum(seed):
+    catalog = sky(n=11, radius=2, seed=seed)
+    best = fewest(catalog, np.deg2rad(1))
+    for name in METHODS:
+        tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=11, method=name, completeness=1)
+        assert tiling.summary["completeness"] == 1
+        assert len(tiling) >= best
+        if name == "max_density":
+            assert len(tiling) <= best + 1
+
+
+def test_completeness_ends_the_placing(method, stars):
+    tiling = rs.place_tiles(stars, "lamost", fibers=1000, method=method, completeness=0.9)
+    assert 0.9 <= tiling.summary["completeness"] < 0.96
+    assert tiling.table["completeness"][-1] >= 0.9
+    if method != "sdss":
+        assert (tiling.table["completeness"][:-1] < 0.9).all()
+    # 1000 targets a tile at most
+    assert 0.9 * len(stars) / 1000 <= len(tiling) <= 1.3 * 0.9 * len(stars) / 1000
+    again = rs.place_tiles(stars, "lamost", fibers=1000, method=method, completeness=0.9)
+    np.testing.assert_array_equal(tiling.table["ra"], again.table["ra"])
+    np.testing.assert_array_equal(tiling.table["n_new"], again.table["n_new"])
+
+
+def test_n_tiles_ends_the_placing(method):
+    tiling = rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4)
+    assert len(tiling) == 4
+    with pytest.warns(rs.RfpsurveyWarning, match="4 tiles reach a completeness of 0.[0-9]+, not 0.99, .* n_tiles=4"):
+        rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4, completeness=0.99)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_sky_has_no_edge(name):
+    """The same targets at RA = 0, at the poles and elsewhere take about as many tiles."""
+    center = SkyCoord(123 * DEG, 45 * DEG)
+    base = sky((123, 45), 4, 800, kind="clustered", cluster_scale=0.3 * DEG).coord
+    angle, away = center.position_angle(base), center.separation(base)
+    numbers = {}
+    for place, where in PLACES.items():
+        moved = SkyCoord(*where, unit="deg").directional_offset_by(angle, away)
+        tiling = rs.place_tiles(moved, radius=1 * DEG, fibers=60, method=name, completeness=0.95)
+        numbers[place] = len(tiling)
+        assert tiling.summary["completeness"] >= 0.95
+    assert max(numbers.values()) - min(numbers.values()) <= 0.12 * min(numbers.values()) + 1, numbers
+
+
+def test_visits_take_as_many_tiles(method):
+    catalog = sky(n=30, radius=0.2)
+    options = {"completeness": 1} if method in ("hexagonal", "spiral", "sdss") else {}
+    tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=30, method=method, visits=3, **options)
+    assert tiling.summary["n_observed"] == 90
+    np.testing.assert_allclose(tiling.table["completeness"], replay(catalog, tiling, 1 * DEG, 3)[:, 2])
+    if method in GREEDY:
+        assert tiling.table["n_new"].tolist() == [30] * 3
+        assert tiling.table["pass"].tolist() == [1, 2, 3]
+    wanted = rs.Catalog(catalog.coord, visits=np.repeat([0, 1, 2], 10))
+    assert rs.place_tiles(wanted, radius=1 * DEG, fibers=30, method=method, **options).summary["n_wanted"] == 30
+
+
+def test_priority_comes_first(method):
+    catalog = sky(n=60, radius=0.3)
+    priority = np.arange(60) % 3
+    catalog = rs.Catalog(catalog.coord, priority=priority)
+    serve = Fibers(20, priority.astype(float), None)
+    assert sorted(priority[serve(None, np.arange(60), SimpleNamespace(chances=None))]) == [2] * 20
+    tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=20, method=method, n_tiles=1)
+    assert tiling.table["n_new"].tolist() == [20]
+
+
+def test_targets_that_more_tiles_cover_can_wait():
+    serve = Fibers(2, None, None)
+    served = serve(None, np.arange(4), SimpleNamespace(chances=np.array([3, 1, 2, 1])))
+    assert served.tolist() == [1, 3]
+
+
+def test_fibers_keep_their_distance(rng):
+    """As large a set as brute force finds, and nobody too close."""
+    for _ in range(30):
+        points = rng.uniform(0, 1, (9, 2))
+        vectors = SkyCoord(points[:, 0] * DEG, points[:, 1] * DEG).cartesian.xyz.value.T
+        near = neighbors_within(vectors, np.deg2rad(0.35))
+        coord = SkyCoord(points * DEG)
+        close = coord[:, None].separation(coord[None]).deg
+        close = (close < 0.35) & ~np.eye(9, dtype=bool)
+        np.testing.assert_array_equal(np.diff(near[0]), close.sum(axis=1))
+        served = Fibers(9, None, near)(None, np.arange(9), SimpleNamespace(chances=None))
+        assert not close[np.ix_(served, served)].any()
+        sets = [s for n in range(10) for s in combinations(range(9), n) if not close[np.ix_(s, s)].any()]
+        best = max(map(len, sets))
+        assert best - 1 <= len(served) <= best
+        # nobody who could be served, is not
+        assert all(close[k, served].any() for k in set(range(9)) - set(served.tolist()))
+
+
+def test_pairs_too_close_take_two_tiles(method):
+    ra = np.array([10, 10.01, 10.2, 10.4, 10.41, 10.42])
+    coord = SkyCoord(ra * DEG, np.zeros(6) * DEG)
+    options = {"n_tiles": 2} if method == "sdss" else {"completeness": 1}
+    tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=6, method=method, min_separation=50 * u.arcsec, **options)
+    # the ends of the chain of three go together
+    assert tiling.table["n_new"][0] == 4
+    assert tiling.summary["n_isolated"] == 1
+    assert tiling.summary["completeness_isolated"] == 1
+    if method in GREEDY:
+        assert tiling.table["n_new"].tolist() == [4, 2]
+
+
+def test_network_flow_is_the_best_assignment(rng):
+    """Against the assignment of single targets to single fibers (Hungarian method)."""
+    coord = sky(n=40, radius=3).coord
+    index = SkyIndex(coord.cartesian.xyz.value.T)
+    problem = SimpleNamespace(index=index, wanted=np.ones(40, dtype=int), radius=np.deg2rad(1), fibers=5)
+    cells = _Cells(problem)
+    centers = index.vectors[rng.choice(40, 4, replace=False)]
+    _, tile, amount, total = _flow(problem, cells, centers)
+    np.testing.assert_allclose(amount, np.rint(amount), atol=1e-6)
+    assert np.bincount(tile, amount, 4).max() <= 5
+    distance = np.arccos(np.clip(cells.vectors @ centers.T, -1, 1))
+    cost = np.repeat(np.repeat(_cost(distance, problem.radius), 5, axis=1), cells.supply.astype(int), axis=0)
+    cost = np.hstack([cost, np.full((40, 40), UNASSIGNED)])
+    assert total == pytest.approx(cost[linear_sum_assignment(cost)].sum(), rel=1e-9)
+
+
+def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
+    options = {"fibers": 1000, "completeness": 0.95}
+    lattice, network = (rs.place_tiles(stars, "lamost", method=m, **options) for m in ("hexagonal", "sdss"))
+    assert len(network) < len(lattice)
+
+
+@pytest.mark.parametrize("instrument", ["lamost", "moons"])
+def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
+    near = stars.within(SkyCoord("6h20m +23d"), 3 * DEG)
+    tiling = rs.place_tiles(
+        near, instrument, method="max_density", allocator="lamost", n_tiles=2, position_angle=20 * DEG
+    )
+    tile = rs.plan_tile(near, instrument, tiling.coord[0], allocator="lamost", position_angle=20 * DEG)
+    assert tiling.table["n_new"][0] == tile.summary["n_assigned"]
+    assert tiling.table["n_targets"][0] == tile.summary["n_in_field"]
+    some = rs.place_tiles(near, instrument, method="max_density", allocator="lamost", n_tiles=1, fibers=7)
+    assert some.table["n_new"].tolist() == [7]
+
+
+def test_real_focal_planes_end(method):
+    """Also where positioners cannot reach every target of the last tiles."""
+    catalog = sky(n=60, radius=0.6)
+    tiling = rs.place_tiles(catalog, "moons", method=method, allocator="nearest")
+    assert tiling.summary["completeness"] > 0.8
+    assert (tiling.table["n_new"] > 0).all()
+
+
+def test_centers_are_chosen_from_a_list(method, stars):
+    near = stars.within(SkyCoord("6h20m +23d"), 5 * DEG)
+    bright = near.coord[::60]
+    tiling = rs.place_tiles(near, "lamost", fibers=1000, method=method, centers=bright, completeness=0.9)
+    assert tiling.summary["completeness"] >= 0.9
+    assert max(c.separation(bright).min().arcsec for c in tiling.coord) < 1e-3
+
+
+def test_centers_too_few_are_a_warning(method):
+    catalog = sky(n=100, radius=5)
+    with pytest.warns(rs.RfpsurveyWarning, match="tiles reach a completeness of 0.[0-9]+, not 0.9"):
+        tiling = rs.place_tiles(
+            catalog, radius=1 * DEG, fibers=100, method=method, centers=catalog.coord[:3], completeness=0.9
+        )
+    assert 1 <= len(tiling)
+    expected = np.min([catalog.coord.separation(c).deg for c in catalog.coord[:3]], axis=0) <= 1
+    if method != "sdss":
+        assert tiling.summary["n_observed"] == expected.sum()
+
+
+def test_no_center_near_any_target_is_a_warning(method):
+    far = SkyCoord([200] * DEG, [-60] * DEG)
+    with pytest.warns(rs.RfpsurveyWarning, match="no tile serves any target"):
+        tiling = rs.place_tiles(sky(n=20), radius=1 * DEG, fibers=20, method=method, centers=far)
+    assert len(tiling) == 0
+    assert "n_new" in tiling.table.colnames
+
+
+def test_what_does_not_count(method):
+    catalog = sky(n=200, radius=3)
+    hole = rs.Region.parse("cap 95 23 1.5")
+    tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=200, method=method, exclude=hole)
+    assert tiling.summary["n_targets"] == (~hole.contains(catalog.coord)).sum()
+    kinds = rs.Catalog(catalog.coord, kind=np.where(np.arange(200) % 4 == 0, "sky", "science"))
+    assert rs.place_tiles(kinds, radius=1 * DEG, fibers=200, method=method).summary["n_targets"] == 150
+
+
+@pytest.mark.parametrize("coord", [[(5, 5)], [(5, 5)] * 7, [(0, 0), (180, 0)], [(10, 90), (0, -90), (0, 0)]])
+def test_few_targets(method, coord):
+    """One, the same several times, antipodes: every method ends."""
+    if method == "hexagonal" and len(set(coord)) > 1:
+        pytest.skip("beyond a hemisphere")
+    coord = SkyCoord(np.array(coord, dtype=float) * DEG)
+    options = {"n_tiles": len(set(coord.ra.deg))} if method == "sdss" else {}
+    tiling = rs.place_tiles(coord, radius=2 * DEG, fibers=10, method=method, **options)
+    assert tiling.table["n_new"].sum() > 0
+    if method != "sdss":
+        assert tiling.summary["completeness"] == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "greedy"}, "unknown method to place tiles 'greedy'; choose one of: density_gradient, hexagonal"),
+        ({"completeness": 0}, "completeness must be a number above 0 and at most 1, got 0"),
+        ({"completeness": 95}, "completeness must be a number above 0 and at most 1, got 95"),
+        ({"n_tiles": 0}, "n_tiles must be a whole number of at least 1"),
+        ({"fibers": 1.5}, "fibers must be a whole number of at least 1"),
+        ({"fibers": None}, "give an instrument, or the number of fibers"),
+        ({"radius": None}, "give an instrument, or the radius"),
+        ({"allocator": "lamost"}, "an allocator needs the positioners of an instrument"),
+        ({"min_separation": 55}, "min_separation must be a Quantity"),
+        ({"visits": [1, 2]}, "visits must be one number or have the shape"),
+        ({"visits": 0}, "at least one science target outside of exclude that wants a visit"),
+        ({"exclude": rs.Region.whole_sky()}, "at least one science target outside of exclude"),
+        ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
+        (
+            {"instrument": "lamost", "allocator": "lamost", "min_separation": 1 * u.arcsec},
+            "give min_separation or an allocator",
+        ),
+        ({"centers": 5}, "centers must be a SkyCoord"),
+        ({"rng": -1}, "rng must be a seed"),
+    ],
+)
+def test_bad_requests_are_named(options, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.place_tiles(sky(n=20), **{"radius": 1 * DEG, "fibers": 20, **options})
+
+
+def test_nothing_to_observe_is_an_error():
+    with pytest.raises(rs.InputError, match="the catalog must have at least one target with finite coordinates"):
+        rs.place_tiles(SkyCoord([] * DEG, [] * DEG), "lamost")
