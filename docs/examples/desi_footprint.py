@@ -16,6 +16,7 @@ import rfpsurvey as rs
 
 
 def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.Survey:
+    """Plan the tiles of a list with synthetic targets."""
     tiles = rs.Tiling.read(path)
     pole = SkyCoord(0 * u.deg, 90 * u.deg)
     # the footprint is two fifths of the sky or so: what no tile covers is reported, and costs nothing

@@ -10,6 +10,7 @@ import rfpsurvey as rs
 
 
 def main(path: str) -> rs.Survey:
+    """Place tiles where the stars of a catalog are, and plan them."""
     stars = rs.Catalog.read(path)
     tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.9)
     print(tiles, f"for a completeness of {tiles.summary['completeness']:.3f}, were every star in reach of a fiber")

@@ -13,6 +13,7 @@ import rfpsurvey as rs
 
 
 def main(path: str, passes: int = 6) -> rs.Survey:
+    """Plan several passes over a catalog with priorities."""
     table = QTable.read(path, format="ascii.ecsv")
     magnitude = table["vt_mag"].to_value(u.mag)
     # three classes of priority; stars brighter than 8 mag are wanted twice
