@@ -58,9 +58,8 @@ def test_nothing_is_lost_on_the_way(sky, folder):
 
 
 @pytest.mark.parametrize("kept", [10_000_000, 100])
-def test_the_same_survey_as_from_one_piece(folder, small, monkeypatch, kept):
-    monkeypatch.setattr(_source, "KEPT_ROWS", kept)
-    parts = rs.PartitionedCatalog(folder)
+def test_the_same_survey_as_from_one_piece(folder, small, kept):
+    parts = rs.PartitionedCatalog(folder, kept_rows=kept)
     options = {"requirements": "standard=2", "allocator": "lamost"}
     same(rs.plan_survey(parts, TILES, small, **options), rs.plan_survey(parts.read(), TILES, small, **options))
 

@@ -54,6 +54,8 @@ class PartitionedCatalog:
         As in `Catalog.from_table`; positions are in degrees where nothing else is said.
     frame : str, optional
         As in `Catalog.from_table`.
+    kept_rows : int, optional
+        Partitions that a survey read last stay in memory up to so many rows, of some 60 bytes each.
 
     Raises
     ------
@@ -65,6 +67,7 @@ class PartitionedCatalog:
     columns: dict = field(default_factory=dict)
     units: dict = field(default_factory=dict)
     frame: str = "icrs"
+    kept_rows: int = 10_000_000
 
     def __post_init__(self):
         object.__setattr__(self, "folder", to_path(self.folder))

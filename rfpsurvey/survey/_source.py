@@ -12,8 +12,6 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, to_time
 
 __all__ = ["Field", "InMemory", "Partitioned", "digest"]
 
-# Rows of a partitioned catalog that are kept: about 100 bytes each.
-KEPT_ROWS = 10_000_000
 # The fastest star, Barnard's, moves 10.4 arcsec a year: targets may have left their partition.
 FASTEST_RAD = np.deg2rad(10.4 / 3600)
 
@@ -108,7 +106,7 @@ class Partitioned:
         else:
             part = self._catalog._part(k)
             self._kept[k] = InMemory(part if self._epoch is None else part.at_epoch(self._epoch))
-            while len(self._kept) > 1 and sum(map(len, self._kept.values())) > KEPT_ROWS:
+            while len(self._kept) > 1 and sum(map(len, self._kept.values())) > self._catalog.kept_rows:
                 self._kept.popitem(last=False)
         return self._kept[k]
 
