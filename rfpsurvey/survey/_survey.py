@@ -39,14 +39,16 @@ class Survey:
         A row for each target: ``target_id``, ``wanted`` and ``observed`` (times), ``outcome``, an index of
         ``Survey.OUTCOMES``.
     folder : Path, optional
-        Where the parts are.
+        Where the visits are.
+    parts : tuple of ndarray, optional
+        The visits of each tile, where there is no folder.
     """
 
     tiles: QTable
     completeness: QTable
     outcomes: QTable
     folder: Path | None = None
-    _parts: tuple | None = None
+    parts: tuple | None = None
 
     OUTCOMES = OUTCOMES
     """What may become of a target."""
@@ -100,7 +102,7 @@ class Survey:
         return len(self.tiles)
 
     def _visits(self, k: int) -> QTable:
-        rows = self._parts[k] if self._parts is not None else read_part(self.folder, k)
+        rows = self.parts[k] if self.parts is not None else read_part(self.folder, k)
         table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
         for name in rows.dtype.names:
             table[name] = rows[name]
