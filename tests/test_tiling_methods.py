@@ -313,7 +313,7 @@ def test_centers_too_few_are_a_warning(method):
         tiling = rs.place_tiles(
             catalog, radius=1 * DEG, fibers=100, method=method, centers=catalog.coord[:3], completeness=0.9
         )
-    assert 1 <= len(tiling)
+    assert len(tiling) >= 1
     expected = np.min([catalog.coord.separation(c).deg for c in catalog.coord[:3]], axis=0) <= 1
     if method != "sdss":
         assert tiling.summary["n_observed"] == expected.sum()
