@@ -1,0 +1,88 @@
+"""Figures of the page on tiling: how many tiles each method needs, and Blanton's setting.
+
+``RFPSURVEY_TEST_DATA=... python tests/benchmarks/tiling_figures.py``; about three minutes on one core.
+"""
+
+import os
+import warnings
+from pathlib import Path
+from time import perf_counter
+
+import astropy.units as u
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from rfpsurvey.tiling import METHODS
+
+HERE = Path(__file__).parents[2] / "data" / "tycho2_anticenter_r8.ecsv.gz"
+GOALS = (0.9, 0.95, 0.99)
+SDSS = {"radius": 1.49 * u.deg, "min_separation": 55 * u.arcsec}
+
+
+def place(*arguments, **options):
+    """Place tiles, and return them and the seconds that it took."""
+    begin = perf_counter()
+    tiling = rs.place_tiles(*arguments, **options)
+    return tiling, perf_counter() - begin
+
+
+def numbers_of_tiles(title, catalog, fibers):
+    """Print the tiles that each method needs for a completeness."""
+    print(f"{title}: {len(catalog)} targets, LAMOST, {fibers} fibers a tile; tiles (seconds)")
+    print(f"  {'method':<18}" + "".join(f"{100 * goal:>16g} %" for goal in GOALS))
+    for method in METHODS:
+        cells = []
+        for goal in GOALS:
+            tiling, seconds = place(catalog, "lamost", method=method, fibers=fibers, completeness=goal)
+            cells.append(f"{len(tiling):>9} ({seconds:6.2f})")
+        print(f"  {method:<18}" + "  ".join(cells), flush=True)
+
+
+def one_pass(title, catalog, fibers):
+    """Print what as many tiles as one pass of the hexagonal lattice has reach by each method."""
+    options = {"fibers": fibers, "n_tiles": len(rs.place_tiles(catalog, "lamost", fibers=fibers))}
+    print(f"{title}: completeness of {options['n_tiles']} tiles")
+    for method in METHODS:
+        tiling, _ = place(catalog, "lamost", method=method, **options)
+        print(f"  {method:<18}{tiling.summary['completeness']:.4f}", flush=True)
+
+
+def blanton(density, fibers):
+    """Print, for clustered targets and SDSS's plates, what is observed by a number of tiles."""
+    center = SkyCoord(180 * u.deg, 30 * u.deg)
+    catalog = rs.synthetic_catalog(
+        "clustered", center, 10 * u.deg, density=density / u.deg**2, cluster_size=6, cluster_scale=0.15 * u.deg, rng=1
+    )
+    lattice = rs.place_tiles(catalog, fibers=fibers, **SDSS)
+    print(f"SDSS plates of {fibers} fibers, {len(catalog)} targets, {density} / deg2 over 314 deg2")
+    print(f"  {'':<24}{'tiles':>6}{'all':>8}{'isolated':>10}{'fibers used':>13}{'seconds':>9}")
+    report("hexagonal, one pass", lattice, 0.0)
+    for n in sorted({len(lattice), *numbers(len(catalog), fibers)}):
+        tiling, seconds = place(catalog, fibers=fibers, method="sdss", n_tiles=n, **SDSS)
+        report("sdss", tiling, seconds)
+
+
+def numbers(n_targets, fibers):
+    """Numbers of tiles whose fibers would be used to 100, 95, 90, 85 and 80 %, if 95 % of the targets were observed."""
+    return [round(0.95 * n_targets / (fibers * use)) for use in (1.0, 0.95, 0.9, 0.85, 0.8)]
+
+
+def report(name, tiling, seconds):
+    parts = [tiling.summary[key] for key in ("completeness", "completeness_isolated", "fiber_use")]
+    print(f"  {name:<24}{len(tiling):>6}{parts[0]:>8.4f}{parts[1]:>10.4f}{parts[2]:>13.4f}{seconds:>9.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("error")
+    anticenter = rs.Catalog.read(HERE)
+    for method in METHODS:  # compile
+        rs.place_tiles(anticenter[::50], "lamost", method=method, n_tiles=2)
+    numbers_of_tiles("Tycho-2 anticenter, 8 deg", anticenter, 1000)
+    one_pass("Tycho-2 anticenter, 8 deg", anticenter, 1000)
+    if os.environ.get("RFPSURVEY_TEST_DATA"):
+        spring = rs.Catalog.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "tycho2_spring_60x20.ecsv.gz")
+        numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 1000)
+        numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 250)
+        one_pass("Tycho-2 spring, 60 x 20 deg", spring, 1000)
+    for density, fibers in ((90, 640), (90, 592), (120, 640), (120, 592)):
+        blanton(density, fibers)
