@@ -177,6 +177,16 @@ def test_blank_sky_has_its_position(small):
     assert catalog.coord[others["target_row"]].separation(where).max() < 1e-6 * u.arcsec
 
 
+def test_blank_sky_keeps_away_from_targets_that_nobody_wants(small):
+    catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=400, rng=2)
+    options = {"requirements": "sky=5", "sky_separation": 100 * u.arcsec, "visits": np.arange(400) % 40 == 0}
+    visits = rs.plan_survey(catalog, CENTER.reshape(1), small, **options).targets
+    sky = visits[visits["kind"] == "sky"]
+    assert len(sky) == 5
+    where = SkyCoord(sky["ra_deg"] * u.deg, sky["dec_deg"] * u.deg)
+    assert catalog.coord[:, None].separation(where).min() > 100 * u.arcsec
+
+
 def test_rounds_keep_neighbors_apart(rng):
     vectors = rng.normal(size=(300, 3))
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)

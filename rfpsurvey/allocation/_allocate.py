@@ -35,6 +35,7 @@ def allocate(
     required: np.ndarray | None = None,
     forbidden: np.ndarray | None = None,
     sky_separation: u.Quantity | None = None,
+    avoid: u.Quantity | None = None,
     objective: str = "priority",
     time_limit: u.Quantity = 60 * u.s,
     start: Allocation | str = "lamost",
@@ -83,6 +84,8 @@ def allocate(
     sky_separation : Quantity, optional
         With it, positions at least so far (on the focal plane) from all targets serve as sky, too, also those that
         stuck positioners look at. They are looked for where requirements on ``sky`` ask for some.
+    avoid : Quantity, shape (k, 2), optional
+        Further points from which such sky keeps as far, such as stars that nobody wants to observe.
     objective : {"priority", "count"}, optional
         Class after class, or the number of science targets before the classes (``sdss``, ``optimal``).
     time_limit : Quantity, optional
@@ -161,7 +164,8 @@ def allocate(
         if not any(one.what == "sky" and one.minimum for one in requirements):
             text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
             warnings.warn(text, RfpsurveyWarning, stacklevel=2)
-        problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0))
+        others = np.empty((0, 2)) if avoid is None else to_points_mm(avoid, "avoid")
+        problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0), others)
     if method == "repair":
         problem = replace(problem, start=_as_choice(start, problem, n, reach.covered))
     choice = solve(problem)

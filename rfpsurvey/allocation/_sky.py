@@ -62,13 +62,13 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     return Sky(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
 
-def with_sky(problem: Problem, separation: float) -> Problem:
-    """Add sky positions in gaps between the targets, where a requirement asks for sky."""
+def with_sky(problem: Problem, separation: float, others: np.ndarray) -> Problem:
+    """Add sky positions in gaps between the targets and other points (mm), where a requirement asks for sky."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem
     plane, n = problem.plane, len(problem.points)
-    own, points, wanted, stuck = find_sky(plane, problem.points, separation, fibers)
+    own, points, wanted, stuck = find_sky(plane, np.vstack([problem.points, others]), separation, fibers)
     k = len(own)
     reach = problem.reach
     usable = ~stuck

@@ -61,7 +61,9 @@ class Request:
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row) with what is left of the targets."""
         row = self.tiling.table[tile]
-        field = self.source.field(self.tiling._vectors[tile], self.radius_rad, left)
+        # blank sky is where no target is, done or not
+        rest = "sky_separation" in self.options
+        field = self.source.field(self.tiling._vectors[tile], self.radius_rad, left, rest=rest)
         where = (float(row[name].to_value(u.deg)) for name in ("ra", "dec", "position_angle"))
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         return Job(self.model, row["tile"].item(), *where, field, seed, as_file)

@@ -27,6 +27,11 @@ class Field(NamedTuple):
     kind: np.ndarray | None
     category: np.ndarray | None
     fiber_type: np.ndarray | None
+    rest: np.ndarray | None = None
+    """Unit vectors of the other targets in the field, where they are asked for."""
+
+
+COLUMNS = ("id", "priority", "kind", "category", "fiber_type")
 
 
 class InMemory:
@@ -41,13 +46,19 @@ class InMemory:
     def __len__(self):
         return len(self._index)
 
-    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, by_row: bool = False) -> Field:
-        """Return the targets inside a circle with something ``left`` (by slot, or by row)."""
-        slot = self._index.near(center, radius_rad, self.to_slots(left) if by_row else left)
+    def field(
+        self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
+    ) -> Field:
+        """Return the targets inside a circle with something ``left`` (by slot, or by row), and maybe the ``rest``."""
+        left = self.to_slots(left) if by_row else left
+        slot, others = self._index.near(center, radius_rad, None if rest else left), None
+        if rest:
+            others = self._index.vectors[slot[left[slot] == 0]]
+            slot = slot[left[slot] > 0]
         row = self._index.order[slot]
-        columns = (getattr(self._catalog, name) for name in Field._fields[3:])
+        columns = (getattr(self._catalog, name) for name in COLUMNS)
         columns = [None if column is None else column[row] for column in columns]
-        return Field(slot, row, self._index.vectors[slot], *columns)
+        return Field(slot, row, self._index.vectors[slot], *columns, others)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of values (by slot) inside circles."""
@@ -74,7 +85,7 @@ class InMemory:
 
     def digest(self) -> str:
         """Return what tells one catalog from another."""
-        columns = (getattr(self._catalog, name) for name in Field._fields[3:])
+        columns = (getattr(self._catalog, name) for name in COLUMNS)
         return digest(self._index.vectors, self._index.order, *columns)
 
 
@@ -110,13 +121,13 @@ class Partitioned:
                 self._kept.popitem(last=False)
         return self._kept[k]
 
-    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray) -> Field:
-        """Return the targets inside a circle with something ``left`` (by slot)."""
+    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
+        """Return the targets inside a circle with something ``left`` (by slot), and maybe the ``rest``."""
         found = []
         for k in self._catalog._near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
-            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True)
-            if len(field.row) or not found:
+            field = self._part(k).field(center, radius_rad, left[first:last], rest=rest, by_row=True)
+            if len(field.row) or rest or not found:
                 found.append(field._replace(slot=field.row + first, row=field.row + first))
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))

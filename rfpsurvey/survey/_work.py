@@ -77,6 +77,8 @@ def work(job: Job) -> Done:
     plane, field = instrument.focal_plane, job.field
     projection, xy, needs = _project(job)
     columns = {name: getattr(field, name) for name in ("priority", "kind", "category")}
+    if field.rest is not None:
+        columns["avoid"] = projection._project(field.rest) * u.mm
     allocation, _, report, _ = run_stages(
         plane, xy, **columns, fiber_type=needs, rng=np.random.default_rng(job.seed), **options
     )
