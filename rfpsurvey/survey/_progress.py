@@ -13,7 +13,7 @@ class Ticker:
 
     def __init__(self, progress: object, total: int):
         self._tell = progress if callable(progress) else None
-        self._shown = bool(progress) and self._tell is None
+        self._shown, self._open = bool(progress) and self._tell is None, False
         self._total, self._begin, self._last, self._new = total, monotonic(), 0.0, 0
 
     def step(self, done: int, *, new: bool) -> None:
@@ -30,7 +30,15 @@ class Ticker:
         rate = self._new / max(now - self._begin, 1e-9)
         left = (self._total - done) / rate if rate else 0.0
         text = f"{done} of {self._total} tiles, {rate:.1f} tiles/s, {_clock(left)} left"
-        print(f"\r{text:<70}", end="\n" if done == self._total else "", file=sys.stderr, flush=True)
+        self._open = done < self._total
+        print(f"\r{text:<70}", end="" if self._open else "\n", file=sys.stderr, flush=True)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self._open:  # work ended in the midst of the line
+            print(file=sys.stderr, flush=True)
 
 
 def _clock(seconds: float) -> str:

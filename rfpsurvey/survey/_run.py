@@ -26,31 +26,33 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
     with nullcontext() if path is None else Folder(path, request.identity(), resume=resume) as folder:
         ledger = request.open_ledger()
         n = len(request.tiling)
-        parts, counts = [None] * n, {name: np.zeros(n, dtype=np.int64) for name in (*COUNTS.values(), "n_observed")}
-        ticker, finished = Ticker(progress, n), 0
-        round_of = np.empty(n, dtype=np.int64)
-        for k, tiles in enumerate(request.rounds):
-            round_of[tiles] = k
-            for tile, field, done, fresh in _plan_round(request, tiles, ledger, folder, executor):
-                slot = np.where(done.target >= 0, np.append(field.slot, -1)[done.target], -1)
-                kept = ledger.enter(field, done.in_reach, slot, done.observed, request.number[tile])
-                if fresh and folder is not None:
-                    folder.put_part(tile, done.part)
-                parts[tile] = done.visits
-                for name, value in {**done.counts, "n_observed": kept}.items():
-                    counts[name][tile] = value
-                finished += 1
-                ticker.step(finished, new=fresh)
+        round_of, parts = np.empty(n, dtype=np.int64), [None] * n
+        counts = {name: np.zeros(n, dtype=np.int64) for name in (*COUNTS.values(), "n_observed")}
+        finished = 0
+        with Ticker(progress, n) as ticker:
+            for k, tiles in enumerate(request.rounds):
+                round_of[tiles] = k
+                for tile, field, done, fresh in _plan_round(request, tiles, ledger, folder, executor):
+                    slot = np.append(field.slot, -1)[done.target]
+                    kept = ledger.enter(field, done.in_reach, slot, done.observed, request.number[tile])
+                    if fresh and folder is not None:
+                        folder.put_part(tile, done.part)
+                    parts[tile] = done.visits
+                    for name, value in {**done.counts, "n_observed": kept}.items():
+                        counts[name][tile] = value
+                    finished += 1
+                    ticker.step(finished, new=fresh)
         tables = {
             TILES: tile_table(request, ledger, round_of, counts),
             COMPLETENESS: completeness_table(request, ledger),
             TARGETS: outcome_table(request, ledger),
         }
-        if folder is not None:
-            for name, table in tables.items():
-                folder.put(name, _io.table_bytes(table, name))
-            folder.finish()
-    return Survey(*tables.values(), None if folder is None else folder.path, None if folder else tuple(parts))
+        if folder is None:
+            return Survey(*tables.values(), parts=tuple(parts))
+        for name, table in tables.items():
+            folder.put(name, _io.table_bytes(table, name))
+        folder.finish()
+    return Survey(*tables.values(), folder.path)
 
 
 def _plan_round(request, tiles, ledger, folder, executor) -> Iterator:
