@@ -81,6 +81,7 @@ def test_columns_agree_with_a_replay(method):
     assert (tiling.table["n_new"] > 0).all()
     summary = tiling.summary
     assert summary["n_tiles"] == len(tiling)
+    assert summary["n_on_tiles"] == tiling.table["n_new"].sum()
     assert summary["n_observed"] == tiling.table["n_new"].sum()
     if method != "sdss":
         assert summary["completeness"] == 1
@@ -224,6 +225,22 @@ def test_targets_that_more_tiles_cover_can_wait():
     assert served.tolist() == [1, 3]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_overlaps_help_where_fibers_are_short(seed):
+    """Two overlapping fields with as many fibers as targets: those of one field only go first, and all are served."""
+    from rfpsurvey.tiling._problem import Ledger, Problem
+    from rfpsurvey.tiling._visit import visit_all
+
+    rng = np.random.default_rng(seed)
+    ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
+    coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
+    index = SkyIndex(coord.cartesian.xyz.value.T)
+    ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, Fibers(20, None, None)))
+    centers = SkyCoord([9.5, 11.0] * DEG, [0, 0] * DEG).cartesian.xyz.value.T
+    assert visit_all(ledger, np.ascontiguousarray(centers), 1) == 2
+    assert ledger.completeness == 1
+
+
 def test_fibers_keep_their_distance(rng):
     """As large a set as brute force finds, and nobody too close."""
     for _ in range(30):
@@ -302,8 +319,10 @@ def test_real_focal_planes_end(method):
 def test_centers_are_chosen_from_a_list(method, stars):
     near = stars.within(SkyCoord("6h20m +23d"), 5 * DEG)
     bright = near.coord[::60]
+    bright = SkyCoord(np.append(bright.ra, bright.ra), np.append(bright.dec, bright.dec))  # one star twice is one star
     tiling = rs.place_tiles(near, "lamost", fibers=1000, method=method, centers=bright, completeness=0.9)
     assert tiling.summary["completeness"] >= 0.9
+    assert tiling.summary["n_on_tiles"] >= tiling.summary["n_observed"]
     assert max(c.separation(bright).min().arcsec for c in tiling.coord) < 1e-3
 
 

@@ -17,7 +17,7 @@ from rfpsurvey.tiling._cover import cover_region
 from rfpsurvey.tiling._methods import COVERINGS, METHODS
 from rfpsurvey.tiling._problem import Ledger, Problem
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, neighbors_within
-from rfpsurvey.tiling._tiling import Tiling, to_lonlat
+from rfpsurvey.tiling._tiling import Tiling, place_of, to_lonlat
 
 __all__ = ["place_tiles"]
 
@@ -133,6 +133,7 @@ def place_tiles(
         allowed = allowed[np.isfinite(allowed).all(axis=1)]
         if len(allowed) == 0:
             raise InputError("centers must be at least one finite direction, got none")
+        allowed = allowed[np.sort(np.unique(place_of(*to_lonlat(allowed)), axis=0, return_index=True)[1])]
     summary = {"method": method, "n_tiles": 0, "passes": 0, "radius_deg": float(np.rad2deg(radius_rad))}
     if isinstance(field, Region):
         given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
@@ -216,8 +217,11 @@ def _account(ledger: Ledger, neighbors) -> dict:
     problem = ledger.problem
     wanted, made = problem.wanted, problem.wanted - ledger.left
     n = len(ledger.rows)
+    tiles = np.reshape([row[0] for row in ledger.rows], (-1, 3))
+    depth = SkyIndex(tiles).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
         "n_targets": int(np.count_nonzero(wanted)),
+        "n_on_tiles": int(np.count_nonzero(depth)),
         "n_wanted": int(wanted.sum()),
         "n_observed": int(made.sum()),
         "completeness": float(ledger.completeness),

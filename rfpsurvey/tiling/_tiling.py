@@ -14,7 +14,7 @@ from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_un
 from rfpsurvey.catalog import Finder, SkyIndex
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["Tiling", "as_tiling"]
+__all__ = ["Tiling", "as_tiling", "place_of", "to_lonlat"]
 
 COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
 # Usual names, compared without case, in order of preference.
@@ -262,6 +262,13 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.rad2deg(np.arctan2(y, x)) % 360, np.rad2deg(np.arctan2(z, np.hypot(x, y)))
 
 
+def place_of(ra, dec) -> np.ndarray:
+    """Return whole numbers, shape (n, 2), that tell whether centers (degrees) are the same to 1e-8 deg."""
+    return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
+        np.int64
+    )
+
+
 def _find(table, columns):
     """Return role to column name."""
     columns = {} if columns is None else columns
@@ -293,10 +300,9 @@ def _refuse_twins(tile, angles, number, table):
     """Raise an error where two tiles of a pass (and of a program, if there are some) are the same to 1e-8 deg."""
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
-    key = np.column_stack([
-        np.rint(angles["ra"] * 1e8) % round(360e8), np.rint(angles["dec"] * 1e8),
-        np.rint(angles["position_angle"] * 1e8) % round(360e8), number, np.broadcast_to(program, len(tile)),
-    ])  # fmt: skip
+    columns = [angles["ra"], angles["dec"], angles["position_angle"]]
+    key = np.column_stack([place_of(*columns[:2]), np.rint(columns[2] * 1e8) % round(360e8), number,
+                           np.broadcast_to(program, len(tile))])  # fmt: skip
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     first = first[inverse.reshape(-1)]
     twin = np.flatnonzero(first != np.arange(len(tile)))
