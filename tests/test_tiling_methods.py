@@ -11,9 +11,11 @@ from scipy.optimize import linear_sum_assignment
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling import METHODS
-from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow
+from rfpsurvey.tiling import METHODS, _greedy
+from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow, _relax
+from rfpsurvey.tiling._problem import Ledger, Problem
 from rfpsurvey.tiling._serve import Fibers, neighbors_within
+from rfpsurvey.tiling._visit import visit_all
 
 DEG = u.deg
 GREEDY = ("max_density", "density_gradient", "mean_shift")
@@ -125,6 +127,22 @@ def test_density_gradient_rests_on_the_hill(rng):
     assert top >= max(density(place) for place in around) - 0.05
 
 
+@pytest.mark.parametrize("search", [_greedy._climb_sum, _greedy._shift_to_mean])
+def test_searches_never_lose_and_sometimes_gain(search):
+    """From random places among few targets, where means wander and sums are stairs."""
+    gains = []
+    for seed in range(40):
+        catalog = sky(n=25, radius=2, seed=seed)
+        index = SkyIndex(catalog._vectors)
+        ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, Fibers(25, None, None)))
+        begin = catalog._vectors[0]
+        end = search(ledger, begin)
+        assert np.linalg.norm(end) == pytest.approx(1)
+        gains.append(np.diff(index.sum_near(np.array([begin, end]), np.deg2rad(1), ledger.weight))[0])
+    assert min(gains) >= 0
+    assert np.mean(np.array(gains) > 0) > 0.3
+
+
 def fewest(catalog, radius):
     """Fewest circles that hold all targets: exhaustive over circles through two targets, and those about one."""
     vectors = catalog._vectors
@@ -228,9 +246,6 @@ def test_targets_that_more_tiles_cover_can_wait():
 @pytest.mark.parametrize("seed", range(3))
 def test_overlaps_help_where_fibers_are_short(seed):
     """Two overlapping fields with as many fibers as targets: those of one field only go first, and all are served."""
-    from rfpsurvey.tiling._problem import Ledger, Problem
-    from rfpsurvey.tiling._visit import visit_all
-
     rng = np.random.default_rng(seed)
     ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
     coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
@@ -287,6 +302,20 @@ def test_network_flow_is_the_best_assignment(rng):
     cost = np.repeat(np.repeat(_cost(distance, problem.radius), 5, axis=1), cells.supply.astype(int), axis=0)
     cost = np.hstack([cost, np.full((40, 40), UNASSIGNED)])
     assert total == pytest.approx(cost[linear_sum_assignment(cost)].sum(), rel=1e-9)
+
+
+def test_tiles_move_to_what_they_are_given(rng):
+    """Every target in a field at the end, from centers that are a bit off, and one that is of no use where it is."""
+    clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
+    vectors = np.vstack([c._vectors for c in clusters])
+    problem = Problem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, Fibers(25, None, None))
+    cells = _Cells(problem)
+    begin = SkyCoord([10.6, 13.4, 40] * DEG, [5, 5.4, -30] * DEG).cartesian.xyz.value.T
+    before = _flow(problem, cells, begin)[-1]
+    centers = _relax(problem, cells, np.ascontiguousarray(begin))
+    assert _flow(problem, cells, centers)[-1] < before
+    away = np.linalg.norm(vectors[:, None] - centers[None], axis=2).min(axis=1)
+    assert away.max() <= np.deg2rad(1)
 
 
 def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
