@@ -1,5 +1,6 @@
 """Tiles for targets: every method against brute force."""
 
+from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -322,6 +323,9 @@ def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
     options = {"fibers": 1000, "completeness": 0.95}
     lattice, network = (rs.place_tiles(stars, "lamost", method=m, **options) for m in ("hexagonal", "sdss"))
     assert len(network) < len(lattice)
+    # the fewest: with one less it is not reached
+    less = rs.place_tiles(stars, "lamost", method="sdss", fibers=1000, n_tiles=len(network) - 1)
+    assert less.summary["completeness"] < 0.95
 
 
 @pytest.mark.parametrize("instrument", ["lamost", "moons"])
@@ -426,6 +430,9 @@ def test_bad_requests_are_named(options, message):
         rs.place_tiles(sky(n=20), **{"radius": 1 * DEG, "fibers": 20, **options})
 
 
-def test_nothing_to_observe_is_an_error():
+def test_nothing_to_observe_is_an_error(small):
+    dead = replace(small, focal_plane=replace(small.focal_plane, disabled=np.ones(len(small.focal_plane), bool)))
+    with pytest.raises(rs.InputError, match="small must have at least one positioner that is not disabled or stuck"):
+        rs.place_tiles(sky(n=20), dead)
     with pytest.raises(rs.InputError, match="the catalog must have at least one target with finite coordinates"):
         rs.place_tiles(SkyCoord([] * DEG, [] * DEG), "lamost")

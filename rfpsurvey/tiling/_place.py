@@ -147,6 +147,8 @@ def place_tiles(
     if fibers is None and model is None:
         raise InputError("give an instrument, or the number of fibers of a tile")
     usable = None if model is None else int(np.count_nonzero(model.focal_plane._usable))
+    if usable == 0:
+        raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
     fibers = usable if fibers is None else _whole(fibers, "fibers")
     index = SkyIndex(catalog._vectors)
     neighbors = None
