@@ -431,6 +431,8 @@ def test_bad_requests_are_named(options, message):
 
 
 def test_nothing_to_observe_is_an_error(small):
+    with pytest.raises(rs.InputError, match="field must be a Catalog, SkyCoord, Table or Region, got int"):
+        rs.place_tiles(5, "lamost")
     dead = replace(small, focal_plane=replace(small.focal_plane, disabled=np.ones(len(small.focal_plane), bool)))
     with pytest.raises(rs.InputError, match="small must have at least one positioner that is not disabled or stuck"):
         rs.place_tiles(sky(n=20), dead)

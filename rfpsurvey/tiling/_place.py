@@ -71,7 +71,8 @@ def place_tiles(
     min_separation : Quantity, optional
         No two targets of a tile are closer than this angle.
     allocator : str, optional
-        Let the positioners of the instrument decide what a tile observes, by this method of `allocate`.
+        Let the positioners of the instrument decide what a tile observes, by this method of `allocate`; what it
+        assigns counts, also where arms collide (``repair`` leaves no collisions).
     radius : Quantity, optional
         Angular radius of a tile, instead of the instrument's.
     position_angle : Quantity, optional
@@ -139,6 +140,8 @@ def place_tiles(
         given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
                  "fibers": fibers, "min_separation": min_separation}  # fmt: skip
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
+    if not isinstance(field, Catalog | SkyCoord | Table):
+        raise InputError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")

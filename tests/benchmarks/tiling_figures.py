@@ -1,6 +1,6 @@
 """Figures of the page on tiling: how many tiles each method needs, and Blanton's setting.
 
-``RFPSURVEY_TEST_DATA=... python tests/benchmarks/tiling_figures.py``; about three minutes on one core.
+``RFPSURVEY_TEST_DATA=... python tests/benchmarks/tiling_figures.py``; about two and a half minutes on one core.
 """
 
 import os
