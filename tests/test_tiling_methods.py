@@ -323,9 +323,42 @@ def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
     options = {"fibers": 1000, "completeness": 0.95}
     lattice, network = (rs.place_tiles(stars, "lamost", method=m, **options) for m in ("hexagonal", "sdss"))
     assert len(network) < len(lattice)
-    # the fewest: with one less it is not reached
-    less = rs.place_tiles(stars, "lamost", method="sdss", fibers=1000, n_tiles=len(network) - 1)
-    assert less.summary["completeness"] < 0.95
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_network_flow_finds_the_fewest_tiles(seed):
+    """With one less, the completeness is not reached."""
+    catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "sdss"}
+    tiling = rs.place_tiles(catalog, completeness=0.95, **options)
+    less = rs.place_tiles(catalog, n_tiles=len(tiling) - 1, **options)
+    assert less.summary["completeness"] < 0.95 <= tiling.summary["completeness"]
+
+
+def test_chances_are_the_tiles_to_come():
+    catalog = sky(n=100, radius=2)
+    index, seen = SkyIndex(catalog._vectors), []
+
+    def serve(center, near, ledger):
+        seen.append((center, ledger.chances.copy()))
+        return near[:5]
+
+    ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(100, dtype=int), 5, serve))
+    visit_all(ledger, np.ascontiguousarray(index.vectors[:12]), 1)
+    assert len(seen) > 5
+    for k, (_, chances) in enumerate(seen):
+        later = [center for center, _ in seen[k + 1 :]]
+        inside = [np.linalg.norm(index.vectors - c, axis=1) <= 2 * np.sin(np.deg2rad(0.5)) for c in later]
+        # tiles that will find nobody are to come, too
+        assert (chances >= np.sum(inside, axis=0)).all()
+        assert (chances <= 11 - k).all()
+
+
+def test_real_focal_planes_look_beside_a_hole():
+    """One target where no positioner gets: the tile goes a little to the side."""
+    plane = rs.FocalPlane([[40.0, 0.0]] * u.mm, rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm))
+    one = rs.Instrument("one", plane, plate_scale=60 * u.um / u.arcsec)
+    tiling = rs.place_tiles(SkyCoord([10.0] * DEG, [5.0] * DEG), one, method="mean_shift", allocator="nearest")
+    assert tiling.summary["completeness"] == 1
 
 
 @pytest.mark.parametrize("instrument", ["lamost", "moons"])

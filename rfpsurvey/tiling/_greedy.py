@@ -15,6 +15,7 @@ GRID = 0.1
 SIGMA = 0.5
 SEED = 0.5
 STILL = 1e-3
+BESIDE = (0.1, 0.35)
 MOST_STEPS = 200
 
 
@@ -73,11 +74,11 @@ def _run(ledger: Ledger, candidates, seek: Callable) -> Ledger:
             break
         tries = [center]
         if ledger.problem.allowed is None:  # a target may be where no positioner gets, but not for a tile beside it
-            tries += list(ring(center, 0.1 * ledger.problem.radius))
+            tries += [one for step in BESIDE for one in ring(center, step * ledger.problem.radius)]
         if not any(len(ledger.observe(one)) for one in tries):
             ledger.give_up(center)
         for one in lists:
-            one.update(center, 1.2 * ledger.problem.radius)
+            one.update(center, (1 + max(BESIDE)) * ledger.problem.radius)
     return ledger
 
 
