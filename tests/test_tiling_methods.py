@@ -8,15 +8,10 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from scipy.optimize import linear_sum_assignment
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling import METHODS, _greedy
-from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow, _relax
-from rfpsurvey.tiling._problem import Ledger, Problem
-from rfpsurvey.tiling._serve import Fibers, neighbors_within
-from rfpsurvey.tiling._visit import visit_all
+from rfpsurvey.tiling import METHODS
+from rfpsurvey.tiling._serve import Fibers
 
 DEG = u.deg
 GREEDY = ("max_density", "density_gradient", "mean_shift")
@@ -128,22 +123,6 @@ def test_density_gradient_rests_on_the_hill(rng):
     assert top >= max(density(place) for place in around) - 0.05
 
 
-@pytest.mark.parametrize("search", [_greedy._climb_sum, _greedy._shift_to_mean])
-def test_searches_never_lose_and_sometimes_gain(search):
-    """From random places among few targets, where means wander and sums are stairs."""
-    gains = []
-    for seed in range(40):
-        catalog = sky(n=25, radius=2, seed=seed)
-        index = SkyIndex(catalog._vectors)
-        ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, Fibers(25, None, None)))
-        begin = catalog._vectors[0]
-        end = search(ledger, begin)
-        assert np.linalg.norm(end) == pytest.approx(1)
-        gains.append(np.diff(index.sum_near(np.array([begin, end]), np.deg2rad(1), ledger.weight))[0])
-    assert min(gains) >= 0
-    assert np.mean(np.array(gains) > 0) > 0.3
-
-
 def fewest(catalog, radius):
     """Fewest circles that hold all targets: exhaustive over circles through two targets, and those about one."""
     vectors = catalog._vectors
@@ -238,44 +217,6 @@ def test_priority_comes_first(method):
     assert tiling.table["n_new"].tolist() == [20]
 
 
-def test_targets_that_more_tiles_cover_can_wait():
-    serve = Fibers(2, None, None)
-    served = serve(None, np.arange(4), SimpleNamespace(chances=np.array([3, 1, 2, 1])))
-    assert served.tolist() == [1, 3]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_overlaps_help_where_fibers_are_short(seed):
-    """Two overlapping fields with as many fibers as targets: those of one field only go first, and all are served."""
-    rng = np.random.default_rng(seed)
-    ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
-    coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
-    index = SkyIndex(coord.cartesian.xyz.value.T)
-    ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, Fibers(20, None, None)))
-    centers = SkyCoord([9.5, 11.0] * DEG, [0, 0] * DEG).cartesian.xyz.value.T
-    assert visit_all(ledger, np.ascontiguousarray(centers), 1) == 2
-    assert ledger.completeness == 1
-
-
-def test_fibers_keep_their_distance(rng):
-    """As large a set as brute force finds, and nobody too close."""
-    for _ in range(30):
-        points = rng.uniform(0, 1, (9, 2))
-        vectors = SkyCoord(points[:, 0] * DEG, points[:, 1] * DEG).cartesian.xyz.value.T
-        near = neighbors_within(vectors, np.deg2rad(0.35))
-        coord = SkyCoord(points * DEG)
-        close = coord[:, None].separation(coord[None]).deg
-        close = (close < 0.35) & ~np.eye(9, dtype=bool)
-        np.testing.assert_array_equal(np.diff(near[0]), close.sum(axis=1))
-        served = Fibers(9, None, near)(None, np.arange(9), SimpleNamespace(chances=None))
-        assert not close[np.ix_(served, served)].any()
-        sets = [s for n in range(10) for s in combinations(range(9), n) if not close[np.ix_(s, s)].any()]
-        best = max(map(len, sets))
-        assert best - 1 <= len(served) <= best
-        # nobody who could be served, is not
-        assert all(close[k, served].any() for k in set(range(9)) - set(served.tolist()))
-
-
 def test_pairs_too_close_take_two_tiles(method):
     ra = np.array([10, 10.01, 10.2, 10.4, 10.41, 10.42])
     coord = SkyCoord(ra * DEG, np.zeros(6) * DEG)
@@ -287,36 +228,6 @@ def test_pairs_too_close_take_two_tiles(method):
     assert tiling.summary["completeness_isolated"] == 1
     if method in GREEDY:
         assert tiling.table["n_new"].tolist() == [4, 2]
-
-
-def test_network_flow_is_the_best_assignment(rng):
-    """Against the assignment of single targets to single fibers (Hungarian method)."""
-    coord = sky(n=40, radius=3).coord
-    index = SkyIndex(coord.cartesian.xyz.value.T)
-    problem = SimpleNamespace(index=index, wanted=np.ones(40, dtype=int), radius=np.deg2rad(1), fibers=5)
-    cells = _Cells(problem)
-    centers = index.vectors[rng.choice(40, 4, replace=False)]
-    _, tile, amount, total = _flow(problem, cells, centers)
-    np.testing.assert_allclose(amount, np.rint(amount), atol=1e-6)
-    assert np.bincount(tile, amount, 4).max() <= 5
-    distance = np.arccos(np.clip(cells.vectors @ centers.T, -1, 1))
-    cost = np.repeat(np.repeat(_cost(distance, problem.radius), 5, axis=1), cells.supply.astype(int), axis=0)
-    cost = np.hstack([cost, np.full((40, 40), UNASSIGNED)])
-    assert total == pytest.approx(cost[linear_sum_assignment(cost)].sum(), rel=1e-9)
-
-
-def test_tiles_move_to_what_they_are_given(rng):
-    """Every target in a field at the end, from centers that are a bit off, and one that is of no use where it is."""
-    clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
-    vectors = np.vstack([c._vectors for c in clusters])
-    problem = Problem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, Fibers(25, None, None))
-    cells = _Cells(problem)
-    begin = SkyCoord([10.6, 13.4, 40] * DEG, [5, 5.4, -30] * DEG).cartesian.xyz.value.T
-    before = _flow(problem, cells, begin)[-1]
-    centers = _relax(problem, cells, np.ascontiguousarray(begin))
-    assert _flow(problem, cells, centers)[-1] < before
-    away = np.linalg.norm(vectors[:, None] - centers[None], axis=2).min(axis=1)
-    assert away.max() <= np.deg2rad(1)
 
 
 def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
@@ -332,25 +243,6 @@ def test_network_flow_finds_the_fewest_tiles(seed):
     tiling = rs.place_tiles(catalog, completeness=0.95, **options)
     less = rs.place_tiles(catalog, n_tiles=len(tiling) - 1, **options)
     assert less.summary["completeness"] < 0.95 <= tiling.summary["completeness"]
-
-
-def test_chances_are_the_tiles_to_come():
-    catalog = sky(n=100, radius=2)
-    index, seen = SkyIndex(catalog._vectors), []
-
-    def serve(center, near, ledger):
-        seen.append((center, ledger.chances.copy()))
-        return near[:5]
-
-    ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(100, dtype=int), 5, serve))
-    visit_all(ledger, np.ascontiguousarray(index.vectors[:12]), 1)
-    assert len(seen) > 5
-    for k, (_, chances) in enumerate(seen):
-        later = [center for center, _ in seen[k + 1 :]]
-        inside = [np.linalg.norm(index.vectors - c, axis=1) <= 2 * np.sin(np.deg2rad(0.5)) for c in later]
-        # tiles that will find nobody are to come, too
-        assert (chances >= np.sum(inside, axis=0)).all()
-        assert (chances <= 11 - k).all()
 
 
 def test_real_focal_planes_look_beside_a_hole():
