@@ -176,11 +176,14 @@ def _with_meta(table, cards):
     return table
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file that appears whole or not at all."""
+def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
+    """Write a file that appears whole or not at all; with ``sync``, also if the power fails."""
     temporary = path.with_name(f".{os.getpid()}-{path.name}")
     try:
         temporary.write_bytes(content)
+        if sync:
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -6,6 +6,7 @@ trusted, and a line that was cut off is no line.
 
 import hashlib
 import json
+import re
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -15,10 +16,13 @@ from filelock import FileLock, Timeout
 from rfpsurvey._io import to_path, write_bytes
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 
-__all__ = ["Folder", "part_name", "read_index"]
+__all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
 
 REQUEST, INDEX, LOCK = "survey.json", "index.csv", "lock"
+TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 HEADER = "file,bytes,sha256\n"
+LINE = re.compile(r"((?:tiles/\d{3,}/(\d{6,})\.fits)|[a-z]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
+TEMPORARY = re.compile(r"\.\d+-(survey\.json|index\.csv|[a-z]+\.fits|completeness\.ecsv|\d{6,}\.fits)")
 
 
 class Folder:
@@ -30,28 +34,31 @@ class Folder:
         Where it is, or shall be.
     request : dict
         What the run is asked to do: a run is continued by the same request only.
+    n_tiles : int
+        Number of tiles.
     resume : bool
         Continue what is there?
     """
 
-    def __init__(self, path: object, request: dict, *, resume: bool):
+    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool):
         self.path = to_path(path)
         if self.path.exists() and not self.path.is_dir():
             raise InputError(f"{self.path} is a file; the output of a survey is a folder")
         if not self.path.parent.is_dir():
             raise InputError(f"{self.path}: the folder {self.path.parent} does not exist")
-        self._request, self._resume = json.loads(json.dumps(request)), resume
+        self._request, self._n, self._resume = json.loads(json.dumps(request)), n_tiles, resume
         self._known: dict[str, tuple[int, str]] = {}
 
     def __enter__(self):
         try:
             self.path.mkdir(exist_ok=True)
+            if not self._begun:
+                self._refuse_others()
             self._lock = FileLock(self.path / LOCK)
             self._lock.acquire(timeout=0)
         except Timeout:
-            raise InputError(
-                f"{self.path}: another run is at work in this folder; wait for it, or take another"
-            ) from None
+            text = f"{self.path}: another run is at work in this folder; wait for it, or take another"
+            raise InputError(text) from None
         except OSError as error:
             raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
         try:
@@ -64,21 +71,35 @@ class Folder:
     def __exit__(self, *_):
         self._lock.release()
 
-    def _open(self):
+    @property
+    def _begun(self) -> bool:
+        return (self.path / REQUEST).is_file()
+
+    def _refuse_others(self):
         others = [entry.name for entry in self.path.iterdir() if entry.name != LOCK]
-        begun = (self.path / REQUEST).is_file()
-        if others and not begun:
+        others = [name for name in others if not TEMPORARY.fullmatch(name)]
+        if others:
             raise InputError(f"{self.path} holds something else ({others[0]}); give a new or empty folder")
-        if begun and not self._resume:
+
+    def _open(self):
+        if self._begun and not self._resume:
             raise InputError(f"{self.path} holds a survey; continue it (--resume, resume=True) or give another folder")
-        if begun:
+        if self._begun:
             self._compare(_load(self.path / REQUEST))
-            self._known = read_index(self.path)
-            for left_over in self.path.rglob(".[0-9]*-*"):  # by a run that was killed
+            known, n_strange = _read_index(self.path)
+            self._known = {name: entry for name, entry in known.items() if name in TABLES or _tile_of(name) < self._n}
+            if n_strange or len(self._known) < len(known):
+                text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
+                warnings.warn(text, RfpsurveyWarning, stacklevel=5)
+        for left_over in self.path.rglob(".*"):  # by a run that was killed
+            if TEMPORARY.fullmatch(left_over.name) and left_over.is_file():
                 left_over.unlink()
-        else:
-            write_bytes(self.path / REQUEST, (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode())
-        lines = [f"{name},{size},{digest}\n" for name, (size, digest) in self._known.items()]
+        content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
+        write_bytes(self.path / REQUEST, content, sync=True)
+        self._write_index(self._known.items())
+
+    def _write_index(self, entries):
+        lines = [f"{name},{size},{digest}\n" for name, (size, digest) in entries]
         write_bytes(self.path / INDEX, "".join([HEADER, *lines]).encode())
 
     def _compare(self, before: dict):
@@ -100,19 +121,16 @@ class Folder:
         name = part_name(tile)
         if name not in self._known:
             return None
-        size, digest = self._known[name]
         try:
-            content = (self.path / name).read_bytes()
-        except OSError as error:
-            reason = error.strerror or str(error)
-        else:
-            if (len(content), hashlib.sha256(content).hexdigest()) == (size, digest):
-                return content
-            reason = "it is not what was written"
-        warnings.warn(
-            f"{self.path / name} is damaged ({reason}): its tile is planned again", RfpsurveyWarning, stacklevel=4
-        )
-        return None
+            return read_verified(self.path, name, self._known)
+        except InputError as error:
+            self.distrust(tile, str(error))
+            return None
+
+    def distrust(self, tile: int, reason: str) -> None:
+        """Say that a part cannot be used."""
+        text = f"tile {tile} (by row) is planned again: {reason}"
+        warnings.warn(text, RfpsurveyWarning, stacklevel=2)
 
     def put_part(self, tile: int, content: bytes) -> None:
         """Write the part of a tile."""
@@ -144,22 +162,41 @@ class Folder:
 
     def finish(self) -> None:
         """Sort the index: the same survey has the same index, however it was made."""
-        lines = [f"{name},{size},{digest}\n" for name, (size, digest) in sorted(self._known.items())]
-        write_bytes(self.path / INDEX, "".join([HEADER, *lines]).encode())
+        self._write_index(sorted(self._known.items()))
+
+
+def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> bytes:
+    """Return the content of a file of a survey, if it is what was written."""
+    try:
+        content = (path / name).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path / name} is damaged ({error.strerror or error})") from None
+    if (len(content), hashlib.sha256(content).hexdigest()) != known.get(name):
+        raise InputError(f"{path / name} is damaged (it is not what was written)")
+    return content
 
 
 def read_index(path: Path) -> dict[str, tuple[int, str]]:
     """Return size and checksum of each file; lines that were cut off are left out."""
+    return _read_index(path)[0]
+
+
+def _read_index(path: Path):
+    """Return what the index says, and the number of lines before the last that say nothing."""
     try:
-        text = (path / INDEX).read_text()
+        text = (path / INDEX).read_text(encoding="ascii", errors="replace")
     except OSError:
-        return {}
-    found = {}
-    for line in text.splitlines(keepends=True)[1:]:
-        fields = line.strip().split(",")
-        if line.endswith("\n") and len(fields) == 3 and fields[1].isdigit() and len(fields[2]) == 64:
-            found[fields[0]] = int(fields[1]), fields[2]
-    return found
+        return {}, 0
+    lines = text.splitlines(keepends=True)[1:]
+    found = [LINE.fullmatch(line) for line in lines]
+    known = {match[1]: (int(match[3]), match[4]) for match in found if match}
+    return known, sum(match is None for match in found[:-1])
+
+
+def _tile_of(name: str) -> int:
+    """Return the tile (by row) of a part; one that no survey has for any other file."""
+    row = int(Path(name).stem) if name.startswith("tiles/") else -1
+    return row if row >= 0 and name == part_name(row) else 10**18
 
 
 def part_name(tile: int) -> str:
@@ -169,9 +206,12 @@ def part_name(tile: int) -> str:
 
 def _load(path: Path) -> dict:
     try:
-        return json.loads(path.read_text())
+        found = json.loads(path.read_text())
+        if not isinstance(found, dict):
+            raise ValueError("it holds no request")
     except (OSError, ValueError) as error:
         raise InputError(f"{path} is damaged ({error}); start the survey again in another folder") from None
+    return found
 
 
 def _short(value) -> str:

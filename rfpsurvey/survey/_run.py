@@ -3,17 +3,17 @@
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 
 from rfpsurvey import _io
-from rfpsurvey.survey._folder import Folder
+from rfpsurvey.survey._folder import TABLES, Folder
 from rfpsurvey.survey._progress import Ticker
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
-from rfpsurvey.survey._survey import COMPLETENESS, TARGETS, TILES, Survey
-from rfpsurvey.survey._work import COUNTS, Done, in_reach, work
+from rfpsurvey.survey._survey import Survey
+from rfpsurvey.survey._work import COUNTS, N_FIELD, Done, in_reach, work
 
 __all__ = ["run"]
 
@@ -23,7 +23,11 @@ IN_FLIGHT = 256
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
     """Plan the tiles, and write them if there is a path."""
-    with nullcontext() if path is None else Folder(path, request.identity(), resume=resume) as folder:
+    with (
+        nullcontext()
+        if path is None
+        else Folder(path, request.identity(), len(request.tiling), resume=resume) as folder
+    ):
         ledger = request.open_ledger()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
@@ -42,17 +46,16 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                         counts[name][tile] = value
                     finished += 1
                     ticker.step(finished, new=fresh)
-        tables = {
-            TILES: tile_table(request, ledger, round_of, counts),
-            COMPLETENESS: completeness_table(request, ledger),
-            TARGETS: outcome_table(request, ledger),
-        }
+        tables = (
+            tile_table(request, ledger, round_of, counts), completeness_table(request, ledger),
+            outcome_table(request, ledger),
+        )  # fmt: skip
         if folder is None:
-            return Survey(*tables.values(), parts=tuple(parts))
-        for name, table in tables.items():
+            return Survey(*tables, parts=tuple(parts))
+        for name, table in zip(TABLES, tables, strict=True):
             folder.put(name, _io.table_bytes(table, name))
         folder.finish()
-    return Survey(*tables.values(), folder.path)
+    return Survey(*tables, folder.path)
 
 
 def _plan_round(request, tiles, ledger, folder, executor) -> Iterator:
@@ -61,13 +64,11 @@ def _plan_round(request, tiles, ledger, folder, executor) -> Iterator:
     try:
         for tile in tiles.tolist():
             job = request.job(tile, ledger.left, as_file=folder is not None)
-            part = None if folder is None else folder.part(tile)
-            if part is not None:
-                waiting.append((tile, job.field, _read(part, job), False))
-            elif executor is None:
-                waiting.append((tile, job.field, work(job), True))
-            else:
-                waiting.append((tile, job.field, executor.submit(work, job), True))
+            done = None if folder is None else _read(folder, tile, job)
+            fresh = done is None
+            if fresh:
+                done = _begin(job, executor)
+            waiting.append((tile, job, done, fresh))
             if executor is None or len(waiting) >= IN_FLIGHT:
                 yield _take(waiting)
         while waiting:
@@ -78,22 +79,49 @@ def _plan_round(request, tiles, ledger, folder, executor) -> Iterator:
                 done.cancel()
 
 
+def _begin(job, executor):
+    """Do the work, or hand it out."""
+    if executor is None:
+        with _told(job):
+            return work(job)
+    with _told(job):
+        # the slots of targets concern nobody else
+        return executor.submit(work, job._replace(field=job.field._replace(slot=None)))
+
+
 def _take(waiting: deque):
     """Return the first that waits, finished."""
-    tile, field, done, fresh = waiting.popleft()
+    tile, job, done, fresh = waiting.popleft()
     if not isinstance(done, Done):
-        try:
+        with _told(job):
             done = done.result()
-        except BrokenExecutor as error:
-            text = "a worker died; tiles that were written stay: continue the survey with resume=True (--resume)"
-            raise BrokenExecutor(text) from error
-    return tile, field, done, fresh
+    return tile, job.field, done, fresh
 
 
-def _read(part: bytes, job) -> Done:
-    """Return what came out when the part was made."""
+@contextmanager
+def _told(job):
+    """Say at which tile an error occurred, and what to do if a worker died."""
+    try:
+        yield
+    except BrokenExecutor as error:
+        text = "a worker died; tiles that were written stay: continue the survey with resume=True (--resume)"
+        raise BrokenExecutor(text) from error
+    except Exception as error:
+        error.add_note(f"while tile {job.tile} was planned")
+        raise
+
+
+def _read(folder, tile, job) -> Done | None:
+    """Return what came out when the part of a tile was made, None where it must be made again."""
+    part = folder.part(tile)
+    if part is None:
+        return None
     visits, cards = _io.read_fits_bytes(part)
-    target = np.searchsorted(job.field.row, visits["target_row"])
+    given = visits["target_row"] >= 0
+    rows = np.append(job.field.row, -1)
+    target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
+    if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
+        folder.distrust(tile, "it was planned when other targets were left")
+        return None
     counts = {name: cards[card] for card, name in COUNTS.items()}
-    target = np.where(visits["target_row"] >= 0, target, -1)
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,10 @@ from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
 from rfpsurvey.errors import InputError
-from rfpsurvey.survey._folder import part_name, read_index
+from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
 from rfpsurvey.survey._ledger import OUTCOMES
 
 __all__ = ["Survey"]
-
-TILES, COMPLETENESS, TARGETS = "tiles.fits", "completeness.ecsv", "outcomes.fits"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +101,10 @@ class Survey:
         return len(self.tiles)
 
     def _visits(self, k: int) -> QTable:
-        rows = self.parts[k] if self.parts is not None else read_part(self.folder, k)
+        if self.parts is not None:
+            rows = self.parts[k]
+        else:
+            rows = _io.read_fits_bytes(read_verified(self.folder, part_name(k), self._known))[0]
         table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
         for name in rows.dtype.names:
             table[name] = rows[name]
@@ -132,21 +134,20 @@ class Survey:
         Raises
         ------
         InputError
-            If the folder does not hold a survey, or one that is not finished.
+            If the folder does not hold a survey, or one that is not finished or damaged.
         """
         folder = _io.to_path(folder)
         if not (folder / "survey.json").is_file():
             raise InputError(f"{folder} does not hold a survey: there is no survey.json")
-        if not all((folder / name).is_file() for name in (TILES, COMPLETENESS, TARGETS)):
-            n = sum(name.startswith("tiles/") for name in read_index(folder))
+        known = read_index(folder)
+        if not all((folder / name).is_file() for name in TABLES):
+            n = sum(name.startswith("tiles/") for name in known)
             raise InputError(f"{folder} holds a survey that is not finished ({n} tiles are there): continue it first")
-        return cls(*(_io.read_table(folder / name) for name in (TILES, COMPLETENESS, TARGETS)), folder)
+        for name in TABLES:
+            read_verified(folder, name, known)
+        return cls(*(_io.read_table(folder / name) for name in TABLES), folder)
 
-
-def read_part(folder: Path, k: int):
-    """Return the visits of a tile (by row)."""
-    path = folder / part_name(k)
-    try:
-        return _io.read_fits_bytes(path.read_bytes())[0]
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{path} is missing or damaged ({error}): continue the survey, which mends it") from None
+    @cached_property
+    def _known(self) -> dict:
+        """Sizes and checksums of the files."""
+        return read_index(self.folder)

@@ -13,11 +13,12 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.survey._source import Field
 from rfpsurvey.tile import run_stages
 
-__all__ = ["COUNTS", "Done", "Job", "Model", "in_reach", "work"]
+__all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 
 # Header cards of a part, and what they count.
+N_FIELD = "NFIELD"
 COUNTS = {
-    "NFIELD": "n_in_field", "NREACH": "n_reachable", "NASSIGN": "n_assigned", "NCOLLIDE": "n_colliding",
+    N_FIELD: "n_in_field", "NREACH": "n_reachable", "NASSIGN": "n_assigned", "NCOLLIDE": "n_colliding",
     "NCOUNTED": "n_counted", "NPAIRS": "n_colliding_pairs", "NOBSTACL": "n_obstacle_collisions",
     "NUNMET": "n_unmet",
 }  # fmt: skip
