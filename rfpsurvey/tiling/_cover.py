@@ -19,16 +19,17 @@ MOST_SAMPLES = 200_000
 
 
 def cover_targets(problem: Problem, make: Callable) -> Ledger:
-    """Cover the targets: so many passes as asked for, or until the ledger is done or a pass serves nobody."""
+    """Cover the targets so many times as asked for; or, for a goal, until it is reached or a pass serves nobody."""
     ledger = Ledger(problem)
     center, reach = problem.circle()
-    number = 0
-    while not ledger.done and (number < problem.passes or not problem.open_ended):
+    number, whole = 0, problem.open_ended
+    while number < problem.passes if whole else not ledger.done:
         centers = make(center, reach, problem.radius, number)
+        targets = problem.wanted > 0 if whole else ledger.left > 0
         if problem.allowed is not None:
-            centers = snap(centers, problem.allowed, problem.index.vectors[ledger.left > 0], problem.radius)
+            centers = snap(centers, problem.allowed, problem.index.vectors[targets], problem.radius)
         number += 1
-        if visit_all(ledger, centers, number) == 0:
+        if visit_all(ledger, centers, number, every=whole) == 0:
             break
     return ledger
 

@@ -60,8 +60,8 @@ def place_tiles(
         ``mean_shift``: the same, the center moving to the mean of its targets. ``sdss``: a number of tiles by
         network flow, by default that of a hexagonal lattice.
     passes : int, optional
-        How often coverings cover everything, each pass with its tiles elsewhere. For targets it is as often as needed
-        where ``completeness`` or ``n_tiles`` is given.
+        How often coverings cover everything, each pass with its tiles elsewhere, whether or not a target is left. With
+        ``completeness`` or ``n_tiles``, passes follow until that is reached, without tiles that serve nobody.
     n_tiles : int, optional
         At most so many tiles; for ``sdss`` without ``completeness``, so many.
     completeness : float, optional

@@ -82,15 +82,15 @@ class Ledger:
         enough = problem.completeness is not None and self.completeness >= problem.completeness - 1e-12
         return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)
 
-    def observe(self, center: np.ndarray, number: int | None = None) -> np.ndarray:
-        """Place a tile and return the positions that it serves; where it serves nobody, it is not placed.
+    def observe(self, center: np.ndarray, number: int | None = None, *, every: bool = False) -> np.ndarray:
+        """Place a tile and return the positions that it serves; where it serves nobody, it is not, unless ``every``.
 
         Without a number of the pass, it is 1 more than the number of tiles at the same place.
         """
         problem = self.problem
         near = problem.index.near(center, problem.radius, self.left)
         served = problem.serve(center, near, self) if len(near) else near
-        if len(served) == 0:
+        if len(served) == 0 and not every:
             return served
         self.left[served] -= 1
         self._n_left -= len(served)
