@@ -140,7 +140,7 @@ def to_labels(value: object, name: str) -> np.ndarray:
     values = to_plain(value)
     if values.dtype.kind in "iu" and (values.size == 0 or values.max() < 2**63):
         return values.astype(np.int64)
-    if values.dtype.kind == "f":
+    if values.dtype.kind == "f" and values.size:
         raise InputError(f"{name} must be integers or text for every row, got numbers such as {values.flat[0]}")
     if values.size == 0:  # numpy cannot replace in nothing
         return values.astype(str)

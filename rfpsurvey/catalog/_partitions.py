@@ -7,11 +7,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
-from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._catalog import Catalog, as_catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.errors import InputError
 
@@ -37,6 +38,7 @@ ROLES = (
 INDEX_ORDER = 29
 ROWS_PER_PART = 20_000
 MOST_ORDER = 13
+SLACK_RAD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,14 @@ class PartitionedCatalog:
 
     def __post_init__(self):
         object.__setattr__(self, "folder", to_path(self.folder))
+        for name in ("columns", "units"):
+            if not isinstance(getattr(self, name), dict | None):
+                raise InputError(f"{name} must be a dict from role to {name[:-1]}, got {getattr(self, name)!r}")
+        if not isinstance(self.frame, str):
+            raise InputError(f"frame must be the name of a frame, got {self.frame!r}")
+        kept = self.kept_rows
+        if isinstance(kept, bool) or not isinstance(kept, int | np.integer) or kept < 1:
+            raise InputError(f"kept_rows must be a whole number of at least 1, got {kept!r}")
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
         if not self._files:
@@ -79,7 +89,7 @@ class PartitionedCatalog:
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
         self._refuse_overlaps()
-        self._names  # noqa: B018  (raises where columns are missing)
+        self._names, self._rows  # noqa: B018  (raise where columns are missing)
 
     @cached_property
     def _files(self) -> list[tuple[int, int, Path]]:
@@ -89,13 +99,13 @@ class PartitionedCatalog:
             match = PART.search(path.relative_to(self.folder).as_posix())
             if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
                 found.append((int(match[1]), int(match[2]), path))
+        if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in found):
+            raise InputError(f"{self.folder}: a partition has an impossible order or pixel")
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
 
     def _refuse_overlaps(self):
         """Raise an error where a pixel lies inside another: its targets would be there twice."""
         orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self._files], strict=True))
-        if (orders > INDEX_ORDER).any() or (pixels >= 12 << 2 * orders).any():
-            raise InputError(f"{self.folder}: a partition has an impossible order or pixel")
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
         same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files of one pixel
@@ -110,8 +120,15 @@ class PartitionedCatalog:
     @cached_property
     def _rows(self) -> np.ndarray:
         """First row of each partition, and the number of all rows."""
-        parquet = _parquet()
-        counts = [_try(path, lambda path=path: parquet.read_metadata(path).num_rows) for *_, path in self._files]
+        parquet, counts, columns = _parquet(), [], None
+        for *_, path in self._files:
+            about = _try(path, lambda path=path: parquet.read_metadata(path))
+            counts.append(about.num_rows)
+            names = set(about.schema.names)
+            if columns is not None and names != columns:
+                strange = ", ".join(sorted(names ^ columns))
+                raise InputError(f"{path}: all partitions must have the same columns, but {strange} differs")
+            columns = names
         return np.concatenate([[0], np.cumsum(counts)])
 
     @cached_property
@@ -160,7 +177,7 @@ class PartitionedCatalog:
         """Return the partitions that a circle may touch."""
         vectors, radii = self._circles
         half_chord = 0.5 * np.linalg.norm(vectors - center, axis=1)
-        return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad)
+        return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
 
     def _part(self, k: int) -> Catalog:
         """Return the targets of a partition; without an id of their own, they are numbered by the rows of all."""
@@ -169,7 +186,17 @@ class PartitionedCatalog:
         n = int(self._rows[k + 1] - self._rows[k])
         if len(catalog) < n:
             raise InputError(f"{path}: {n - len(catalog)} of {n} rows have no finite coordinates; leave them out")
+        middles, radii = self._circles
+        chord = np.linalg.norm(catalog._vectors - middles[k], axis=1).max(initial=0.0)
+        if 2 * np.arcsin(min(chord / 2, 1.0)) > radii[k] + SLACK_RAD:
+            raise InputError(f"{path}: targets lie outside the pixel, which must be that of nested order and ICRS")
+        if k and catalog.id.dtype.kind != self._id_kind:
+            raise InputError(f"{path}: ids must be integers in all partitions, or text in all")
         return catalog
+
+    @cached_property
+    def _id_kind(self) -> str:
+        return self._part(0).id.dtype.kind
 
     def _column(self, name: str) -> np.ndarray | None:
         """Return one column of all targets."""
@@ -197,12 +224,14 @@ class PartitionedCatalog:
             raise InputError(f"{path}: {error}") from None
 
 
-def partition_catalog(catalog: Catalog, folder: str | os.PathLike, *, order: int | None = None) -> PartitionedCatalog:
+def partition_catalog(
+    catalog: Catalog | SkyCoord | Table, folder: str | os.PathLike, *, order: int | None = None
+) -> PartitionedCatalog:
     """Write a catalog as Parquet files by HEALPix pixel, in the layout of HATS.
 
     Parameters
     ----------
-    catalog : Catalog
+    catalog : Catalog, SkyCoord or Table
         The targets, at their epoch.
     folder : str or path-like
         A folder that does not exist yet; it appears whole or not at all.
@@ -219,15 +248,15 @@ def partition_catalog(catalog: Catalog, folder: str | os.PathLike, *, order: int
     InputError
         If the catalog is empty, the folder exists, the order is impossible, or pyarrow is missing.
     """
+    parquet, catalog = _parquet(), as_catalog(catalog)
     import pyarrow as pa
 
-    parquet = _parquet()
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target, got none")
     vectors = catalog._vectors
     if order is None:
         order = next((k for k in range(MOST_ORDER) if _mean_rows(vectors, k) <= ROWS_PER_PART), MOST_ORDER)
-    if not (isinstance(order, int | np.integer) and 0 <= order <= MOST_ORDER):
+    if isinstance(order, bool) or not (isinstance(order, int | np.integer) and 0 <= order <= MOST_ORDER):
         raise InputError(f"order must be a whole number from 0 to {MOST_ORDER}, got {order!r}")
     fine = _healpix.pixels_of(2**INDEX_ORDER, vectors)
     along = np.argsort(fine, kind="stable")

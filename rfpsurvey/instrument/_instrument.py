@@ -223,6 +223,7 @@ class Instrument:
         plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
         plane = self.focal_plane
         parts = (self.values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
+        parts += plane.id.tolist(), plane.spectrograph.tolist()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         for column in (plane._xy_mm, plane._l1_mm, plane._l2_mm, plane.disabled, plane._stuck_rad, plane._obstacles_mm):
             digest.update(np.ascontiguousarray(column).tobytes())

@@ -24,7 +24,7 @@ FORMS = {
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A part of the sky; made by `cap`, `box`, `polygon`, `healpix`, `whole_sky` or `parse`.
+    """A part of the sky; made by ``cap``, ``box``, ``polygon``, ``healpix``, ``whole_sky`` or ``parse``.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ OUTCOMES = (
 NOT_WANTED, OBSERVED, PARTLY, COLLIDED, COMPETED, UNREACHABLE, NO_TILE = range(len(OUTCOMES))
 SEEN, REACHED, LOST = 1, 2, 4
 # Priorities that are counted apart; where there are more, ranges of them.
-MOST_CLASSES = 20
+MOST_CLASSES, N_RANGES = 20, 10
 
 
 class Ledger:
@@ -73,15 +73,15 @@ class Ledger:
 
 def _classes(priority, wanted):
     """Class of each target, the most important first, and the names of the classes."""
-    if priority is None:
+    if priority is None or not wanted.any():
         return np.zeros(len(wanted), dtype=np.uint8), [""]
-    values = np.unique(priority[wanted > 0])
-    if len(values) <= MOST_CLASSES:
-        names = [f"{value:.6g}" for value in values[::-1]] or [""]
-        edges = values
-    else:
-        edges = np.unique(np.quantile(priority[wanted > 0], np.linspace(0, 1, 11)[:-1], method="lower"))
-        tops = [*edges[1:], values[-1]]
-        names = [f"{low:.6g} to {top:.6g}" for low, top in zip(edges, tops, strict=True)][::-1]
-    place = np.searchsorted(edges, priority, side="right") - 1
-    return np.clip(len(names) - 1 - place, 0, len(names) - 1).astype(np.uint8), names
+    values, counts = np.unique(priority[wanted > 0], return_counts=True)
+    group = np.arange(len(values))
+    if len(values) > MOST_CLASSES:  # ranges with about as many targets each; one value is never split
+        before = np.cumsum(counts) - counts
+        group = np.unique(before * N_RANGES // counts.sum(), return_inverse=True)[1].reshape(-1)
+    low = values[np.searchsorted(group, np.arange(group[-1] + 1))]
+    high = values[np.searchsorted(group, np.arange(group[-1] + 1), side="right") - 1]
+    names = [f"{a:.15g}" if a == b else f"{a:.15g} to {b:.15g}" for a, b in zip(low, high, strict=True)]
+    place = np.clip(np.searchsorted(low, priority, side="right") - 1, 0, len(low) - 1)
+    return (len(low) - 1 - place).astype(np.uint8), names[::-1]

@@ -1,6 +1,7 @@
 """Plan a survey: tile after tile, until targets are observed as often as they are wanted."""
 
 import logging
+import warnings
 from concurrent.futures import Executor
 from time import perf_counter
 
@@ -13,7 +14,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_generator, to_scalar
 from rfpsurvey.allocation import METHODS, OBJECTIVES, Requirement, as_requirements
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import make_request
@@ -59,7 +60,8 @@ def plan_survey(
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord or Table
-        The targets; those of the kind ``standard`` and ``sky`` serve requirements, and are never used up.
+        The targets; those of the kind ``standard`` and ``sky`` serve ``requirements``, without which they are not
+        used, and are never used up.
     tiles : Tiling, Table or SkyCoord
         Where to point, see `place_tiles` and `Tiling.from_table`.
     instrument : Instrument or str
@@ -67,7 +69,8 @@ def plan_survey(
     allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
         Method of the allocation, see `allocate`.
     visits : int or array_like of int, shape (n_targets,), optional
-        How often each target is wanted, at most once a tile; by default as the catalog says, else once.
+        How often each target is wanted, 0 to 255 times, at most once a tile; by default as the catalog says, else once.
+        Rows of a `PartitionedCatalog` are those of its `read`.
     passes : list of int, optional
         Passes of the tiling to plan, in this order; all, ascending, by default.
     epoch : Time, str or float, optional
@@ -81,7 +84,7 @@ def plan_survey(
         colors take turns. ``given``: an earlier tile of the list always comes before a later one that overlaps
         it, whatever the passes.
     folder : str or path-like, optional
-        Write tile after tile here. Without it all visits are held in memory.
+        Write tile after tile here, as FITS, which holds ASCII text only. Without it all visits are held in memory.
     resume : bool, optional
         Continue the survey in the folder, if one was begun there. Its tiles are verified, damaged ones planned again.
     executor : concurrent.futures.Executor, optional
@@ -89,7 +92,8 @@ def plan_survey(
     progress : bool or callable, optional
         Show a line with rate and remaining time, or call a function with (tiles done, all tiles).
     rng : int, Generator or None, optional
-        Seed or source of random numbers; each tile has a stream of its own.
+        Seed or source of random numbers; each tile has a stream of its own. A seed that is drawn is written down in
+        ``provenance`` and ``survey.json``: a survey is continued with that.
 
     Returns
     -------
@@ -101,6 +105,8 @@ def plan_survey(
     InputError
         If the catalog or the tiling is empty, a name is unknown, a number is impossible, or the folder is in use, holds
         another survey, or cannot be written to. Tiles that are written stay.
+    concurrent.futures.BrokenExecutor
+        If a worker process died, and the executor does not replace it. Tiles that are written stay.
 
     See Also
     --------
@@ -128,13 +134,16 @@ def plan_survey(
         source = Partitioned(catalog, epoch)
     else:
         catalog = as_catalog(catalog)
+        if epoch is not None and not catalog.has_proper_motion:
+            warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     options = _options(
         instrument, allocator, requirements, sky_separation, objective, time_limit, start, parked_obstacles
     )
     request = make_request(
         source, as_tiling(tiles), instrument, options, visits=visits, passes=passes, seed=_seed(rng),
-        order=check_choice(order, ORDERS, "order"), lost_in_collision=bool(lost_in_collision),
+        order=check_choice(order, ORDERS, "order"), epoch=None if epoch is None else str(epoch),
+        lost_in_collision=bool(lost_in_collision),
     )  # fmt: skip
     survey = run(request, folder, executor, progress, resume=resume)
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
@@ -149,7 +158,10 @@ def _options(instrument, allocator, requirements, sky_separation, objective, tim
     to_scalar(time_limit, u.s, "time_limit", low=0)
     wishes = as_requirements(instrument.requirements if requirements == "instrument" else requirements)
     options = {"method": allocator, "requirements": wishes, "parked_obstacles": bool(parked_obstacles)}
-    if sky_separation is not None:
+    if sky_separation is not None and not any(one.what == "sky" and one.minimum for one in wishes):
+        text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
+        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+    elif sky_separation is not None:
         options["sky_separation"] = to_length(sky_separation, instrument, "sky_separation")
     if allocator in ("sdss", "optimal"):
         options.update(objective=objective, time_limit=time_limit)
@@ -160,6 +172,5 @@ def _options(instrument, allocator, requirements, sky_separation, objective, tim
 
 def _seed(rng) -> int:
     """Return a seed that is written down."""
-    if isinstance(rng, int | np.integer):
-        return int(rng)
-    return int(to_generator(rng).integers(2**63))
+    generator = to_generator(rng)
+    return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))

@@ -1,5 +1,6 @@
 """What a survey is asked to do, checked, and how to tell it from another."""
 
+import json
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,6 +35,7 @@ class Request:
     visits: np.ndarray
     """How often each target is wanted, by slot."""
     order: str
+    epoch: str | None
     seed: int
     lost_in_collision: bool
 
@@ -73,17 +75,34 @@ class Request:
         """What a result records."""
         options = {k: _plain(v) for k, v in self.options.items()}
         return {
-            **options, "passes": self.passes, "order": self.order, "rng": self.seed,
+            **options, "passes": self.passes, "order": self.order, "epoch": self.epoch, "rng": self.seed,
             "lost_in_collision": self.lost_in_collision, "radius_deg": float(np.rad2deg(self.radius_rad)),
         }  # fmt: skip
 
     @cached_property
     def provenance(self) -> dict:
         """Versions, instrument, catalog and parameters."""
-        return {
+        found = {
             "software": versions(), "instrument": self.instrument._provenance(), "catalog": dict(self.source.meta),
             "tiling": dict(self.tiling.summary), "parameters": self.parameters,
         }  # fmt: skip
+        return json.loads(json.dumps(found, default=str))  # what every file can hold
+
+    def check_text(self) -> None:
+        """Refuse names that FITS files cannot hold."""
+        columns = {"tile": self.tiling.table["tile"], "positioner": self.instrument.focal_plane.id}
+        if self.source.has_text_ids:
+            columns["target"] = self.source.ids()
+        for what, names in columns.items():
+            names = np.asarray(names)
+            bad = (
+                [n for n in names.tolist() if not (n.isascii() and n.isprintable())] if names.dtype.kind == "U" else []
+            )
+            if bad:
+                raise InputError(
+                    f"FITS files hold printable ASCII text only, but {len(bad)} {what} ids are other, such as "
+                    f"{bad[0]!r}; give them other ids, or plan without a folder"
+                )
 
     def identity(self) -> dict:
         """Return what tells one survey from another."""
@@ -101,8 +120,9 @@ def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, 
     if len(source) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     number = np.asarray(tiling.table["pass"])
-    passes = np.unique(number).tolist() if passes is None else [int(p) for p in np.atleast_1d(passes)]
-    strange = [p for p in passes if p not in number]
+    asked = np.unique(number) if passes is None else np.atleast_1d(passes)
+    strange = [p for p in asked.tolist() if p not in number.tolist()]
+    passes = asked.tolist() if strange else asked.astype(int).tolist()
     if strange or len(set(passes)) < len(passes):
         known = ", ".join(str(p) for p in np.unique(number)[:12])
         raise InputError(f"passes must be different passes of the tiling ({known}), got {passes}")

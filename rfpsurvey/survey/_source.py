@@ -73,6 +73,11 @@ class InMemory:
         """Return values by row in the order of slots."""
         return values[self._index.order]
 
+    @property
+    def has_text_ids(self) -> bool:
+        """Whether ids are text."""
+        return self._catalog.id.dtype.kind == "U"
+
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self._catalog.id
@@ -104,11 +109,13 @@ class Partitioned:
     @cached_property
     def _margin_rad(self) -> float:
         """How far targets may have moved."""
-        first = self._catalog._part(0)
-        if self._epoch is None or first.epoch is None:
+        catalog = self._catalog
+        if self._epoch is None or not catalog._part(0).has_proper_motion:
             return 0.0
-        years = np.abs((to_time(self._epoch, "epoch").tdb - first.epoch.tdb).to_value(u.yr))
-        return FASTEST_RAD * float(np.max(years))
+        time = to_time(self._epoch, "epoch").tdb
+        epochs = (catalog._part(k).epoch for k in range(len(catalog._files)))
+        years = [np.max(np.abs((time - epoch.tdb).to_value(u.yr))) for epoch in epochs if epoch is not None]
+        return FASTEST_RAD * float(max(years, default=0.0))
 
     def _part(self, k: int) -> InMemory:
         """Return a partition, read or kept."""
@@ -154,14 +161,21 @@ class Partitioned:
 
     by_row = to_slots
 
+    @property
+    def has_text_ids(self) -> bool:
+        """Whether ids are text."""
+        return self._part(0).has_text_ids
+
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self._catalog._column("id")
 
     def digest(self) -> str:
         """Return what tells one catalog from another: files and their sizes, not what they hold."""
-        files = [f"{order}/{pixel}/{path.stat().st_size}" for order, pixel, path in self._catalog._files]
-        return digest(np.array(files), self._first)
+        catalog = self._catalog
+        files = [f"{order}/{pixel}/{path.stat().st_size}" for order, pixel, path in catalog._files]
+        reading = repr((sorted(catalog.columns.items()), sorted(catalog.units.items()), catalog.frame))
+        return digest(np.array([*files, reading]), self._first)
 
 
 def digest(*columns: np.ndarray | None) -> str:
