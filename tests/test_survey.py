@@ -43,7 +43,7 @@ def same(a, b):
 def one_by_one(sky, tiling, instrument, order, **options):
     """Plan the tiles with plan_tile, in a plain loop."""
     left = sky.visits.astype(int).copy()
-    visits = {}
+    visits, summaries = {}, {}
     for k in order:
         rows = np.flatnonzero(left > 0)
         try:
@@ -52,10 +52,11 @@ def one_by_one(sky, tiling, instrument, order, **options):
             continue
         table = tile.table[tile.table["status"] == "assigned"]
         ids = np.asarray(table["target_id"])
+        summaries[k] = tile.summary
         rows = zip(ids.tolist(), np.asarray(table["id"]).tolist(), table["in_collision"].tolist(), strict=True)
         visits[k] = set(rows)
         left[ids[~table["in_collision"]]] -= 1
-    return left, visits
+    return left, visits, summaries
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
@@ -63,7 +64,12 @@ def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocato
     tiling = grid(1.2)
     survey = rs.plan_survey(sky, tiling, small, allocator=allocator)
     order = np.lexsort((np.arange(len(tiling)), survey.tiles["round"]))
-    left, visits = one_by_one(sky, tiling, small, order, allocator=allocator)
+    left, visits, summaries = one_by_one(sky, tiling, small, order, allocator=allocator)
+    assert len(summaries) == len(tiling)
+    for k, summary in summaries.items():
+        for name in ("n_in_field", "n_reachable", "n_assigned", "n_colliding", "n_colliding_pairs", "collision_rate"):
+            assert survey.tiles[name][k] == summary[name], name
+        assert survey.tiles["fiber_use"][k] == summary["n_assigned"] / summary["n_positioners"]
     for k, tile in enumerate(survey.tiles["tile"]):
         table = survey.visits(tile)
         found = zip(*(table[name].tolist() for name in ("target_id", "positioner", "in_collision")), strict=True)
@@ -136,14 +142,41 @@ def test_completeness_counts_what_the_visits_say(sky, small):
     assert set(survey.completeness["priority"]) == {"all", "1", "2", "3"}
 
 
-def test_many_priorities_are_counted_in_ranges(sky, small, rng):
-    priority = rng.random(len(sky))
-    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), grid(1.2), small)
-    last = survey.completeness[-10:]
-    assert last["n_targets"].sum() == len(sky)
-    assert np.all(np.abs(last["n_targets"] / len(sky) - 0.1) < 0.01)
-    low = [float(name.split(" to ")[0]) for name in last["priority"]]
-    assert np.all(np.diff(low) < 0)
+def classes(sky, small, priority):
+    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), grid(1.2), small, passes=[2])
+    return survey.completeness[1:]
+
+
+def test_priorities_are_counted_apart_up_to_twenty(sky, small):
+    values = np.arange(len(sky)) % 20 + 1e7
+    table = classes(sky, small, values)
+    assert table["priority"].tolist() == [str(round(v)) for v in np.unique(values)[::-1]]
+    assert table["n_targets"].tolist() == np.bincount((values - 1e7).astype(int))[::-1].tolist()
+
+
+def test_more_priorities_are_counted_in_ranges(sky, small, rng):
+    table = classes(sky, small, rng.random(len(sky)))
+    assert len(table) == 10
+    assert table["n_targets"].sum() == len(sky)
+    assert np.all(np.abs(table["n_targets"] / len(sky) - 0.1) < 0.01)
+    ranges = np.array([[float(x) for x in name.split(" to ")] for name in table["priority"]])
+    assert (ranges[:, 0] < ranges[:, 1]).all()
+    assert (ranges[1:, 1] < ranges[:-1, 0]).all()
+    assert len(classes(sky, small, np.arange(len(sky)) % 21)) == 10
+
+
+def test_a_common_priority_is_never_split(sky, small):
+    """Nine of ten have the same value: it is a class of its own, as are those above and below it."""
+    n = len(sky)
+    for low in (True, False):
+        priority = np.where(np.arange(n) % 10 > 0, 500.0, np.arange(n) * (0.1 if low else 10.0) + (0 if low else 600))
+        table = classes(sky, small, priority)
+        common = [name for name in table["priority"] if " " not in name and float(name) == 500]
+        parts = [[float(x) for x in name.split(" to ")] for name in table["priority"]]
+        holding = [p for p in parts if p[0] <= 500 <= p[-1]]
+        assert len(holding) == 1
+        assert common or low
+        assert table["n_targets"].sum() == n
 
 
 def test_standards_and_sky_are_never_used_up(small):
@@ -158,6 +191,10 @@ def test_standards_and_sky_are_never_used_up(small):
         assert kinds.count("standard") == 2
     assert survey.summary["n_unmet"] == 0
     assert survey.summary["n_targets"] == 30
+    assert not survey.outcomes["observed"][:30].any()
+    lacking = rs.plan_survey(catalog, tiles, small, requirements="sky=25")
+    assert lacking.tiles["n_unmet"].tolist() == [1, 1]
+    assert lacking.summary["n_unmet"] == 2
     codes = survey.outcomes["outcome"][:30]
     assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not wanted"}
     assert rs.plan_survey(catalog, tiles, small).summary["n_assigned"] <= 30
@@ -207,6 +244,67 @@ def test_rounds_keep_neighbors_apart(rng):
             assert (np.sign(round_of[i] - round_of[j]) == np.sign(passes[i] - passes[j]))[passes[i] != passes[j]].all()
 
 
+def test_fields_that_overlap_are_planned_in_turn(sky, small):
+    radius = small.field_radius
+    for factor, n in ((1.95, 2), (2.05, 1)):
+        apart = SkyCoord([CENTER, CENTER.directional_offset_by(30 * u.deg, factor * radius)])
+        assert rs.plan_survey(sky, apart, small).summary["n_rounds"] == n
+
+
+def test_each_tile_draws_by_itself(sky, small):
+    """The same targets seen by two tiles far from each other: not the same draw."""
+    other = CENTER.directional_offset_by(0 * u.deg, 10 * u.deg)
+    offsets = np.random.default_rng(1).uniform(-0.4, 0.4, (2, 2000)) * u.deg
+    both = [SkyCoord(*offsets, frame=c.skyoffset_frame()).icrs for c in (CENTER, other)]
+    survey = rs.plan_survey(SkyCoord(both).ravel(), SkyCoord([CENTER, other]), small, allocator="balanced")
+    assert survey.summary["n_rounds"] == 1
+    one, two = (survey.visits(k)["target_row"] % 2000 for k in (0, 1))
+    assert not np.array_equal(one, two)
+
+
+def test_a_field_without_targets_has_no_completeness(sky, small):
+    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 20 * u.deg)])
+    survey = rs.plan_survey(sky, tiles, small)
+    assert survey.tiles["n_in_field"][1] == survey.tiles["n_assigned"][1] == 0
+    assert np.isnan(survey.tiles["completeness"][1])
+    near = sky.coord.separation(CENTER) < small.field_radius
+    table = survey.outcomes[near]
+    assert survey.tiles["completeness"][0] == pytest.approx(table["observed"].sum() / table["wanted"].sum())
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"passes": [1, 1]}, "must be different passes"), ({"passes": [1.5]}, "must be different passes"),
+        ({"passes": "all"}, "must be different passes"), ({"passes": [np.nan]}, "must be different passes"),
+        ({"rng": -1}, "rng must be a seed of at least 0"), ({"visits": 256}, "whole numbers from 0 to 255"),
+        ({"visits": [1, 2]}, "must be one number or have the shape"), ({"visits": "often"}, "visits must be"),
+        ({"executor": 2}, "must be a concurrent.futures.Executor"), ({"start": "repair"}, "allocator to start with"),
+        ({"time_limit": 5}, "time_limit must be a Quantity"), ({"objective": "most"}, "unknown objective"),
+    ],
+)  # fmt: skip
+def test_bad_options(sky, small, options, sentence):
+    with pytest.raises(rs.InputError, match=sentence):
+        rs.plan_survey(sky, grid(1.2), small, **options)
+
+
+def test_nothing_to_plan(sky, small):
+    with pytest.raises(rs.InputError, match="at least one target"):
+        rs.plan_survey(sky[:0], grid(1.2), small)
+    with pytest.raises(rs.InputError, match="at least one tile"):
+        rs.plan_survey(sky, grid(1.2).table[:0], small)
+    nobody = rs.plan_survey(sky, grid(1.2), small, visits=0)
+    assert nobody.summary["n_assigned"] == 0
+    assert set(nobody.summary["outcomes"]) == {"not wanted"}
+
+
+def test_what_is_told_is_told_once(sky, small):
+    for options, sentence in (({"sky_separation": 30 * u.arcsec}, "no requirement asks"), ({"epoch": 2026.5}, "epoch")):
+        with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
+            rs.plan_survey(sky, grid(1.2), small, **options)
+        assert len(told) == 1
+
+
 def test_order_and_passes(sky, small):
     tiling = grid(1.2)
     second_first = rs.plan_survey(sky, tiling, small, passes=[2, 1])
@@ -215,7 +313,7 @@ def test_order_and_passes(sky, small):
     assert len(only) == 9
     assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
     given = rs.plan_survey(sky, tiling, small, order="given")
-    left, _ = one_by_one(sky, tiling, small, range(len(tiling)))
+    left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
     assert np.array_equal(given.outcomes["wanted"] - given.outcomes["observed"].astype(int), left)
 
 

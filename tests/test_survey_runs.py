@@ -6,7 +6,8 @@ import os
 import signal
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
@@ -150,6 +151,111 @@ def test_a_damaged_part_is_named_and_made_again(case, tmp_path, undisturbed):
     assert content(folder) == undisturbed
 
 
+def flip(path, place):
+    damaged = bytearray(path.read_bytes())
+    damaged[place] ^= 1
+    path.write_bytes(damaged)
+
+
+def test_a_damaged_survey_is_not_read(case, tmp_path):
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    flip(folder / "tiles" / "000" / "000007.fits", 6000)
+    survey = rs.Survey.read(folder)
+    with pytest.raises(rs.InputError, match=r"000007.fits is damaged \(it is not what was written\)"):
+        survey.visits(7)
+    assert len(survey.visits(8))
+    for name in ("tiles.fits", "outcomes.fits", "completeness.ecsv"):
+        flip(folder / name, -200)
+        with pytest.raises(rs.InputError, match=rf"{name} is damaged"):
+            rs.Survey.read(folder)
+        flip(folder / name, -200)
+
+
+@pytest.mark.parametrize("damage", [b"\xff\xfe junk\n", b"tiles/000/000900.fits,5," + b"0" * 64 + b"\n", b"a,b,c\n"])
+def test_a_damaged_index_is_told_and_mended(case, tmp_path, undisturbed, damage):
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    lines = (folder / "index.csv").read_bytes().splitlines(keepends=True)
+    (folder / "index.csv").write_bytes(b"".join([*lines[:5], damage, *lines[8:]]))
+    with pytest.warns(rs.RfpsurveyWarning, match="index.csv is damaged"):
+        plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_killed_before_anything_is_there(case, tmp_path, undisturbed):
+    folder = tmp_path / "survey"
+    folder.mkdir()
+    (folder / ".123-survey.json").write_text("{")
+    plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_a_part_from_other_circumstances_is_planned_again(case, tmp_path):
+    """A whole and verified part, but of a run that drew otherwise: the books still balance."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    plan(case, one)
+    plan(case, other, rng=7)
+    first = np.flatnonzero(rs.Survey.read(one).tiles["round"] == 0)[0]
+    name = f"tiles/000/{first:06d}.fits"
+    (one / name).write_bytes((other / name).read_bytes())
+    lines = {folder: (folder / "index.csv").read_text().splitlines(keepends=True) for folder in (one, other)}
+    (line,) = [line for line in lines[other] if line.startswith(name)]
+    (one / "index.csv").write_text("".join(line if old.startswith(name) else old for old in lines[one]))
+    with pytest.warns(rs.RfpsurveyWarning, match="planned when other targets were left"):
+        survey = plan(case, one, resume=True)
+    visits = survey.targets
+    times = np.bincount(visits["target_row"][visits["observed"]], minlength=len(survey.outcomes))
+    assert np.array_equal(times, survey.outcomes["observed"])
+    assert (times <= survey.outcomes["wanted"]).all()
+
+
+def test_blank_sky_is_resumed(case, tmp_path):
+    options = {"requirements": "sky=2", "sky_separation": 30 * u.arcsec}
+    plan(case, tmp_path / "survey", **options)
+    before = content(tmp_path / "survey")
+    lines = before["index.csv"].decode().splitlines(keepends=True)
+    (tmp_path / "survey" / "index.csv").write_text("".join(lines[:60]))
+    plan(case, tmp_path / "survey", resume=True, **options)
+    assert content(tmp_path / "survey") == before
+
+
+def test_names_that_fits_cannot_hold_are_refused_at_once(case, tmp_path):
+    sky, tiling, small = case
+    table = tiling.table.copy()
+    table.replace_column("tile", [f"t\t{k}" for k in range(len(table))])
+    star = rs.Catalog(sky.coord, id=[f"étoile {k}" for k in range(len(sky))])
+    for other, what in (((sky, table, small), "128 tile ids"), ((star, tiling, small), "target ids")):
+        with pytest.raises(rs.InputError, match=rf"printable ASCII text only, but .*{what}"):
+            plan(other, tmp_path / "survey")
+        assert not (tmp_path / "survey").exists()
+        assert len(plan(other, None).tiles) == 128
+
+
+def test_a_worker_that_dies_is_told(case, tmp_path, undisturbed):
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as executor:
+
+        def kill(done, _):
+            for pid in list(executor._processes):
+                os.kill(pid, signal.SIGKILL)
+
+        with pytest.raises(BrokenExecutor, match="a worker died; tiles that were written stay"):
+            plan(case, tmp_path / "survey", executor=executor, progress=kill)
+    plan(case, tmp_path / "survey", resume=True)
+    assert content(tmp_path / "survey") == undisturbed
+
+
+def test_an_error_names_its_tile(case, monkeypatch):
+    def fail(job):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("rfpsurvey.survey._run.work", fail)
+    with pytest.raises(ZeroDivisionError) as error:
+        plan(case, None)
+    assert error.value.__notes__[0].startswith("while tile ")
+
+
 def test_a_finished_survey_is_verified_only(case, tmp_path, undisturbed):
     plan(case, tmp_path / "survey")
     before = (tmp_path / "survey" / "tiles" / "000" / "000000.fits").stat().st_mtime_ns
@@ -183,12 +289,21 @@ def test_another_survey_in_the_folder_is_refused(case, tmp_path):
     ):  # fmt: skip
         with pytest.raises(rs.InputError, match=rf"holds another survey: .*{name}"):
             plan(other, folder, resume=True)
+    for changes in ({"visits": 2}, {"lost_in_collision": False}, {"order": "given"}, {"parked_obstacles": False}):
+        with pytest.raises(rs.InputError, match=f"holds another survey: {next(iter(changes))}"):
+            plan(case, folder, resume=True, **changes)
+    renamed = replace(small, focal_plane=replace(small.focal_plane, id=np.arange(len(small.focal_plane)) + 100))
+    ranked = rs.Catalog(sky.coord, visits=sky.visits, priority=np.arange(len(sky)))
+    for other, name in (((sky, tiling, renamed), "instrument"), ((ranked, tiling, small), "catalog")):
+        with pytest.raises(rs.InputError, match=f"holds another survey: .*{name}"):
+            plan(other, folder, resume=True)
     with pytest.raises(rs.InputError, match=r"rng differ \(rng was 0, and is 5\)"):
         plan(case, folder, resume=True, rng=5)
     (tmp_path / "papers").mkdir()
     (tmp_path / "papers" / "thesis.tex").touch()
     with pytest.raises(rs.InputError, match="papers holds something else"):
         plan(case, tmp_path / "papers")
+    assert os.listdir(tmp_path / "papers") == ["thesis.tex"]
     with pytest.raises(rs.InputError, match="is a file"):
         plan(case, tmp_path / "papers" / "thesis.tex")
     with pytest.raises(rs.InputError, match="the folder .*nowhere does not exist"):
@@ -225,9 +340,11 @@ def test_other_versions_of_the_software_are_told(case, tmp_path):
     (folder / "survey.json").write_text(request.replace(sys.version.split()[0], "3.0.0"))
     with pytest.warns(rs.RfpsurveyWarning, match="other versions of the software"):
         plan(case, folder, resume=True)
-    (folder / "survey.json").write_text("{")
-    with pytest.raises(rs.InputError, match=r"survey.json is damaged"):
-        plan(case, folder, resume=True)
+    assert (folder / "survey.json").read_text() == request
+    for text in ("{", "null", "[1]"):
+        (folder / "survey.json").write_text(text)
+        with pytest.raises(rs.InputError, match=r"survey.json is damaged"):
+            plan(case, folder, resume=True)
 
 
 def test_progress_is_one_line_with_a_rate(case, tmp_path, capsys):

@@ -23,11 +23,11 @@ IN_FLIGHT = 256
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
     """Plan the tiles, and write them if there is a path."""
-    with (
-        nullcontext()
-        if path is None
-        else Folder(path, request.identity(), len(request.tiling), resume=resume) as folder
-    ):
+    where = nullcontext()
+    if path is not None:
+        request.check_text()
+        where = Folder(path, request.identity(), len(request.tiling), resume=resume)
+    with where as folder:
         ledger = request.open_ledger()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
