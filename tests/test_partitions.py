@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey.survey import _source
@@ -79,13 +80,33 @@ def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
     assert all("_healpix_29" not in columns for _, columns in read)
 
 
+@pytest.mark.parametrize(("kept", "most"), [(10_000_000, 1), (1, 100)])
+def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, most):
+    read = []
+    parts = rs.PartitionedCatalog(folder, kept_rows=kept)
+    source = _source.Partitioned(parts)
+    real = rs.PartitionedCatalog._part
+    monkeypatch.setattr(rs.PartitionedCatalog, "_part", lambda self, k: (read.append(k), real(self, k))[1])
+    left = np.ones(len(source), dtype=np.uint8)
+    for _ in range(5):
+        for tile in TILES:
+            source.field(tile.cartesian.xyz.value, np.deg2rad(0.5), left)
+    times = np.bincount(read)[1:].max()  # the first is looked at for its kind of ids, too
+    assert times <= most
+    assert (times > 1) == (kept == 1)
+
+
 def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     parts = rs.PartitionedCatalog(folder)
     rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey")
     rs.plan_survey(rs.PartitionedCatalog(folder), TILES, small, folder=tmp_path / "survey", resume=True)
     other = rs.partition_catalog(sky[:-1], tmp_path / "other", order=4)
-    with pytest.raises(rs.InputError, match="another survey: catalog"):
-        rs.plan_survey(other, TILES, small, folder=tmp_path / "survey", resume=True)
+    upside_down = rs.PartitionedCatalog(folder, columns={"priority": "-priority"})
+    for catalog in (other, upside_down):
+        with pytest.raises(rs.InputError, match="another survey: catalog"):
+            rs.plan_survey(catalog, TILES, small, folder=tmp_path / "survey", resume=True)
+    with pytest.raises(rs.InputError, match=r"epoch differ \(epoch was None, and is 2026.5\)"):
+        rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey", resume=True, epoch=2026.5)
 
 
 def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
@@ -107,6 +128,52 @@ def test_proper_motions_and_epochs(small, tmp_path):
             assert a == b
             seen.append(a)
     assert seen == [0, 1, 1, 1, 0, 1]
+
+
+def test_epochs_of_partitions_may_differ(small, tmp_path):
+    """A slow star of this century in the first partition, and a fast one of 1800 in the last."""
+    for number, (ra, dec, epoch, speed) in enumerate([(45.0, 2.0, 2016.0, 0.0), (100.0, -60.0, 1800.0, 10_000.0)]):
+        name = {0: "Norder=4/Npix=0.parquet", 1: "Norder=4/Npix=2218.parquet"}[number]
+        write(
+            tmp_path / "sky" / name, ra=[ra], dec=[dec], pmra=[0.0], pmdec=[speed], ref_epoch=[epoch], id=[number],
+        )  # fmt: skip
+    with pytest.raises(rs.InputError, match="outside the pixel"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "sky"), TILES, small)
+    place = SkyCoord([45.0, 100.0] * u.deg, [2.0, -60.0] * u.deg)
+    parts = rs.partition_catalog(rs.Catalog(
+        SkyCoord(place.ra, place.dec, pm_ra_cosdec=[0, 0] * u.mas / u.yr, pm_dec=[0, 10_000] * u.mas / u.yr),
+        epoch=Time([2016.0, 1800.0], format="jyear"),
+    ), tmp_path / "parts", order=9)  # fmt: skip
+    tile = SkyCoord([100] * u.deg, [-60 + 226.5 * 10 / 3600] * u.deg)
+    for catalog in (parts, parts.read()):
+        assert rs.plan_survey(catalog, tile, small, epoch=2026.5).summary["n_assigned"] == 1
+
+
+def test_partitions_that_do_not_fit_together(small, tmp_path):
+    write(tmp_path / "columns" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0])
+    write(tmp_path / "columns" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], priority=[1.0])
+    with pytest.raises(rs.InputError, match=r"same columns, but priority differs"):
+        rs.PartitionedCatalog(tmp_path / "columns")
+    write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
+    write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
+    with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), SkyCoord([0] * u.deg, [0] * u.deg), small)
+    none = pa.array([], type=pa.string())
+    write(tmp_path / "empty" / "Norder=0" / "Npix=0.parquet", ra=np.array([]), dec=np.array([]), id=none)
+    with pytest.raises(rs.InputError, match="at least one target"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), TILES, small)
+    write(tmp_path / "empty" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
+    survey = rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), SkyCoord([0] * u.deg, [0] * u.deg), small)
+    assert survey.targets["target_id"].tolist() == ["a"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"columns": 5}, {"columns": "abc"}, {"units": "deg"}, {"frame": 5}, {"kept_rows": "x"}, {"kept_rows": 0}],
+)
+def test_bad_options(folder, options):
+    with pytest.raises(rs.InputError, match=f"{next(iter(options))} must be"):
+        rs.PartitionedCatalog(folder, **options)
 
 
 def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
@@ -154,6 +221,7 @@ def test_bad_folders(tmp_path, sky, folder, small):
         rs.partition_catalog(sky, folder)
     with pytest.raises(rs.InputError, match="at least one target"):
         rs.partition_catalog(sky[:0], tmp_path / "none")
-    with pytest.raises(rs.InputError, match="order must be"):
-        rs.partition_catalog(sky, tmp_path / "none", order=14)
+    for order in (14, -1, True, 2.5):
+        with pytest.raises(rs.InputError, match="order must be"):
+            rs.partition_catalog(sky, tmp_path / "none", order=order)
     assert not any(name.startswith(".") for name in os.listdir(tmp_path))

@@ -78,6 +78,16 @@ def test_completeness_rises_to_what_the_summary_says(survey):
         rs.plot_completeness(survey.tiles)
 
 
+def test_the_curve_follows_the_order_of_observing(small):
+    sky = rs.synthetic_catalog("poisson", CENTER, 2 * u.deg, density=200 / u.deg**2, rng=3)
+    table = QTable({"ra": [359.0, 359.5] * u.deg, "dec": [20, 21] * u.deg, "pass": [2, 1]})
+    survey = rs.plan_survey(sky, table, small)
+    curve = rs.plot_completeness(survey).get_lines()[0].get_ydata()
+    observed = survey.tiles["n_observed"]
+    assert observed[0] != observed[1]
+    assert curve[1] == observed[1] / len(sky)
+
+
 def test_twenty_thousand_tiles_are_one_collection():
     rng = np.random.default_rng(1)
     tiling = rs.Tiling.from_table(

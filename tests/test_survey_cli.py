@@ -53,6 +53,31 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "tiles                                        1" in out
 
 
+@pytest.mark.parametrize(
+    ("words", "name", "value"),
+    [
+        (["--kept"], "lost_in_collision", False), ([], "lost_in_collision", True),
+        (["--no-parked"], "parked_obstacles", False), (["--order", "given"], "order", "given"),
+        (["--visits", 3], "visits", 3), (["--pass", 2, "--pass", 1], "passes", [2, 1]),
+        (["--epoch", "2026.5"], "epoch", "2026.5"), (["--seed", 4], "rng", 4),
+        (["--allocator", "sdss"], "allocator", "sdss"), (["--require", "sky=5"], "requirements", ["sky=5"]),
+        (["--sky-separation", 10], "sky_separation", 10 * u.arcsec), (["--time-limit", 5], "time_limit", 5 * u.s),
+        (["--resume"], "resume", True), ([], "executor", None),
+    ],
+)  # fmt: skip
+def test_every_option_reaches_the_library(call, files, monkeypatch, words, name, value):
+    folder, _, _ = files
+    seen = {}
+
+    def plan_survey(*_, **options):
+        seen.update(options)
+        raise rs.InputError("enough")
+
+    monkeypatch.setattr(rs, "plan_survey", plan_survey)
+    call("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", *words, code=2)
+    assert seen[name] == value
+
+
 def test_a_folder_of_partitions(call, files, tmp_path):
     folder, sky, _ = files
     rs.partition_catalog(sky, tmp_path / "parts")

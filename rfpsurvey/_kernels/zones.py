@@ -51,8 +51,7 @@ def list_runs(key, n_zones, center, radius, runs):
             continue
         runs[n, 1] = np.searchsorted(key, zone + 1)
         runs[n + 1, 0] = np.searchsorted(key, zone)
-        # a run that meets itself must not count twice
-        runs[n + 1, 1] = min(np.searchsorted(key, zone + end - 1.0, side="right"), runs[n, 0])
+        runs[n + 1, 1] = np.searchsorted(key, zone + end - 1.0, side="right")
         n += 2
     return n
 
