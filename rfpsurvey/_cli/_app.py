@@ -20,8 +20,8 @@ from rfpsurvey.catalog import UNITS
 
 __all__ = [
     "app", "check_chart", "check_outputs", "finish", "finish_comparison", "finish_estimate", "finish_table",
-    "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs", "plan_options", "print_table",
-    "read_assignment", "read_targets", "targets_and_center", "to_mm", "units_of",
+    "finish_tiling", "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs", "plan_options",
+    "print_table", "read_assignment", "read_targets", "targets_and_center", "to_mm", "units_of", "write_figure",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -263,11 +263,23 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite
     if output is not None:
         tile.write(output, overwrite=overwrite)
     if plot is not None:
-        _draw(lambda: rs.plot_focal_plane(tile).figure, plot, overwrite=overwrite)
+        write_figure(lambda: rs.plot_focal_plane(tile).figure, plot, overwrite=overwrite)
     print_summary(tile)
     for path in (output, plot):
         if path is not None:
             print(f"wrote {path}")
+
+
+def finish_tiling(tiling: "rs.Tiling", output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
+    """Print how a tiling was made, and write and draw it where asked."""
+    for name, value in tiling.summary.items():
+        print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
+    if output is not None:
+        tiling.write(output, overwrite=overwrite)
+    if plot is not None:
+        write_figure(lambda: rs.plot_tiling(tiling).figure, plot, overwrite=overwrite)
+    for path in filter(None, (output, plot)):
+        print(f"wrote {path}")
 
 
 def finish_estimate(estimate, model: "rs.Instrument", output: Path | None, *, overwrite: bool) -> None:
@@ -313,10 +325,11 @@ def finish_table(table, draw, output: Path, plot: Path, *, overwrite: bool) -> N
     """Print a table of results, write it, and draw its chart."""
     print_table(table)
     write_table(table, output, overwrite=overwrite)
-    _draw(lambda: np.atleast_1d(draw(table))[0].figure, plot, overwrite=overwrite)
+    write_figure(lambda: np.atleast_1d(draw(table))[0].figure, plot, overwrite=overwrite)
     print(f"wrote {output}\nwrote {plot}")
 
 
-def _draw(make_figure, path: Path, *, overwrite: bool) -> None:
+def write_figure(make_figure, path: Path, *, overwrite: bool) -> None:
+    """Write the figure that a function makes."""
     with output_path(path, PICTURES, overwrite=overwrite) as temporary:
         make_figure().savefig(temporary, dpi=200, format=path.suffix[1:].lower())

@@ -8,7 +8,6 @@ from time import perf_counter
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
-from rfpsurvey._io import output_path
 from rfpsurvey.plot import draw_survey
 
 __all__ = ["options", "run", "targets_of", "workers"]
@@ -49,7 +48,7 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
             raise rs.InputError(f"--scheduler: no scheduler answers at {scheduler!r}: {error}") from error
         with client:
             yield client.get_executor()
-    elif number == 1:
+    elif number == 1 and not processes:
         yield None
     else:
         pool: Executor
@@ -92,6 +91,5 @@ def run(targets, tiles: Path | None, model: "rs.Instrument", executor, options: 
     survey = rs.plan_survey(targets, tiling, model, executor=executor, progress=True, **options)
     _print_survey(survey, perf_counter() - begin)
     if plot is not None:
-        with output_path(plot, _app.PICTURES, overwrite=True) as temporary:
-            draw_survey(survey).savefig(temporary, dpi=150, format=plot.suffix[1:].lower())
+        _app.write_figure(lambda: draw_survey(survey), plot, overwrite=True)
         print(f"wrote {plot}")

@@ -27,15 +27,10 @@ def tile(
     model = _app.load_instrument(instrument)
     if region is not None and catalog is not None:
         raise rs.InputError("give a catalog or --region, not both")
-    targets = _app.targets_and_center(catalog, None, model, seed, column, unit, frame)[0]
-    field = targets if region is None else rs.Region.parse(region)
+    if region is not None:
+        field = rs.Region.parse(region)
+    else:
+        field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame)
     options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
     tiling = rs.place_tiles(field, model, method=method, **options)
-    for name, value in tiling.summary.items():
-        print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
-    if output is not None:
-        tiling.write(output, overwrite=overwrite)
-    if plot is not None:
-        _app._draw(lambda: rs.plot_tiling(tiling).figure, plot, overwrite=overwrite)
-    for path in filter(None, (output, plot)):
-        print(f"wrote {path}")
+    _app.finish_tiling(tiling, output, plot, overwrite=overwrite)

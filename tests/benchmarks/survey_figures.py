@@ -72,6 +72,14 @@ def plan(targets, tiling, options, folder, *, progress=True):
     return survey, perf_counter() - begin
 
 
+def one_tile(allocator):
+    """Milliseconds of the stages of one tile of the same density, without a survey around them."""
+    sky = rs.synthetic_catalog("poisson", POLE, 1.7 * u.deg, density=1028 / u.deg**2, rng=1)
+    runs = [rs.plan_tile(sky, "desi", POLE, allocator=allocator).summary["seconds"] for _ in range(21)]
+    names = ("projection", "reach", "allocation", "arms", "collisions")
+    return {name: round(1e3 * float(np.median([run[name] for run in runs])), 2) for name in names}
+
+
 def scale(options):
     """Seconds against the number of tiles, and of targets."""
     tiling = desi_tiles()
@@ -110,6 +118,7 @@ def main():
     rs.plan_survey(few, POLE.reshape(1), "desi", allocator=options.allocator)  # compiles
     if options.scaling:
         return scale(options)
+    print(f"stages of a tile with all its targets, ms: {one_tile(options.allocator)}")
     tiling = desi_tiles(options.tiles)
     if options.partitions and options.partitions.exists():
         targets = rs.PartitionedCatalog(options.partitions)

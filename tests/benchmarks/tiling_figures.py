@@ -1,9 +1,8 @@
 """Figures of the page on tiling: how many tiles each method needs, and Blanton's setting.
 
-``RFPSURVEY_TEST_DATA=... python tests/benchmarks/tiling_figures.py``; about two and a half minutes on one core.
+``python tests/benchmarks/tiling_figures.py``; about two and a half minutes on one core.
 """
 
-import os
 import warnings
 from pathlib import Path
 from time import perf_counter
@@ -14,7 +13,7 @@ from astropy.coordinates import SkyCoord
 import rfpsurvey as rs
 from rfpsurvey.tiling import METHODS
 
-HERE = Path(__file__).parents[2] / "data" / "tycho2_anticenter_r8.ecsv.gz"
+DATA = Path(__file__).parents[2] / "data"
 GOALS = (0.9, 0.95, 0.99)
 SDSS = {"radius": 1.49 * u.deg, "min_separation": 55 * u.arcsec}
 
@@ -74,15 +73,14 @@ def report(name, tiling, seconds):
 
 if __name__ == "__main__":
     warnings.simplefilter("error")
-    anticenter = rs.Catalog.read(HERE)
+    anticenter = rs.Catalog.read(DATA / "tycho2_anticenter_r8.ecsv.gz")
     for method in METHODS:  # compile
         rs.place_tiles(anticenter[::50], "lamost", method=method, n_tiles=2)
     numbers_of_tiles("Tycho-2 anticenter, 8 deg", anticenter, 1000)
     one_pass("Tycho-2 anticenter, 8 deg", anticenter, 1000)
-    if os.environ.get("RFPSURVEY_TEST_DATA"):
-        spring = rs.Catalog.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "tycho2_spring_60x20.ecsv.gz")
-        numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 1000)
-        numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 250)
-        one_pass("Tycho-2 spring, 60 x 20 deg", spring, 1000)
+    spring = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
+    numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 1000)
+    numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 250)
+    one_pass("Tycho-2 spring, 60 x 20 deg", spring, 1000)
     for density, fibers in ((90, 640), (90, 592), (120, 640), (120, 592)):
         blanton(density, fibers)
