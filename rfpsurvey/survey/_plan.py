@@ -70,7 +70,7 @@ def plan_survey(
         Method of the allocation, see `allocate`.
     visits : int or array_like of int, shape (n_targets,), optional
         How often each target is wanted, 0 to 255 times, at most once a tile; by default as the catalog says, else once.
-        Rows of a `PartitionedCatalog` are those of its `read`.
+        Rows of a `PartitionedCatalog` are those of its ``read``.
     passes : list of int, optional
         Passes of the tiling to plan, in this order; all, ascending, by default.
     epoch : Time, str or float, optional
