@@ -17,8 +17,8 @@ from rfpsurvey.errors import InputError
 MOST_VISITS = 255
 
 __all__ = [
-    "to_direction", "to_flags", "to_generator", "to_labels", "to_mm", "to_plain", "to_points_mm", "to_radian",
-    "to_scalar", "to_spawner", "to_unit", "to_vectors", "to_visits",
+    "to_direction", "to_flags", "to_generator", "to_labels", "to_lonlat", "to_mm", "to_plain", "to_points_mm",
+    "to_radian", "to_scalar", "to_spawner", "to_unit", "to_vectors", "to_visits",
 ]  # fmt: skip
 
 
@@ -101,6 +101,12 @@ def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.n
         raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be brought to ICRS: {error}") from error
     xyz = icrs.represent_as(UnitSphericalRepresentation).to_cartesian().xyz.value
     return np.ascontiguousarray(np.atleast_2d(xyz.T), dtype=np.float64)
+
+
+def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return longitudes from -pi to pi and latitudes (radians) of vectors, shape (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
 def to_plain(column: object) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._kernels import sky
-from rfpsurvey._units import to_direction, to_mm, to_points_mm, to_radian, to_scalar, to_vectors
+from rfpsurvey._units import to_direction, to_lonlat, to_mm, to_points_mm, to_radian, to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["RadialMap", "TangentPlane"]
@@ -313,8 +313,8 @@ class TangentPlane:
                 sky.unproject_radial(part, self._basis, *radial._arguments, image)
             if rows is not None:
                 vectors[rows] = image
-        x, y, z = vectors.T
-        return SkyCoord(np.arctan2(y, x) * u.rad, np.arctan2(z, np.hypot(x, y)) * u.rad, frame="icrs")
+        lon, lat = to_lonlat(vectors)
+        return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")
 
     @property
     def _focal_length(self) -> float:

@@ -1,28 +1,15 @@
-import sys
 
 import astropy.units as u
 import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey import _cli
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process; returns exit code, output and errors."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["rfpsurvey", "tile", *map(str, arguments)])
-        try:
-            _cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        out = capsys.readouterr()
-        return code, out.out, out.err
-
-    return call
+def run(run):
+    """Run the command ``tile``."""
+    return lambda *words: run("tile", *words)
 
 
 def test_a_region(run, tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from scipy.spatial import cKDTree
 
-from rfpsurvey._units import to_generator, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.errors import InputError, check_choice
 
@@ -86,8 +86,7 @@ def synthetic_catalog(
     options = {"min_separation": min_separation, "cluster_size": cluster_size, "cluster_scale": cluster_scale}
     local = _MAKERS[kind](rng, cap, expected, **options)
     xyz = local @ _basis(center)
-    lon = np.arctan2(xyz[:, 1], xyz[:, 0])
-    lat = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
+    lon, lat = to_lonlat(xyz)
     meta = {"synthetic": kind, "radius_deg": float(np.rad2deg(cap))}
     return Catalog(SkyCoord(lon * u.rad, lat * u.rad, frame="icrs"), meta=meta)
 

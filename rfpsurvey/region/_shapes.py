@@ -5,6 +5,8 @@ Distances are from a direction to the nearest point of the region, 0 inside.
 
 import numpy as np
 
+from rfpsurvey._units import to_lonlat
+
 __all__ = [
     "angle", "arc", "box_area", "box_contains", "box_distance", "edges_cross", "from_lonlat", "polygon_area",
     "polygon_contains", "polygon_distance", "to_dec", "to_ra", "turned_area",
@@ -21,12 +23,12 @@ def from_lonlat(lon, lat) -> np.ndarray:
 
 def to_ra(vectors):
     """Return right ascension, 0 to 2 pi."""
-    return np.arctan2(vectors[..., 1], vectors[..., 0]) % (2 * np.pi)
+    return to_lonlat(vectors)[0] % (2 * np.pi)
 
 
 def to_dec(vectors):
     """Return declination."""
-    return np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1]))
+    return to_lonlat(vectors)[1]
 
 
 def angle(a, b):

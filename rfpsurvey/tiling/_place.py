@@ -17,7 +17,7 @@ from rfpsurvey.tiling._cover import cover_region
 from rfpsurvey.tiling._methods import COVERINGS, METHODS
 from rfpsurvey.tiling._problem import Ledger, Problem
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, neighbors_within
-from rfpsurvey.tiling._tiling import Tiling, place_of, to_lonlat
+from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
 
 __all__ = ["place_tiles"]
 
@@ -134,7 +134,7 @@ def place_tiles(
         allowed = allowed[np.isfinite(allowed).all(axis=1)]
         if len(allowed) == 0:
             raise InputError("centers must be at least one finite direction, got none")
-        allowed = allowed[np.sort(np.unique(place_of(*to_lonlat(allowed)), axis=0, return_index=True)[1])]
+        allowed = allowed[np.sort(np.unique(place_of(*to_ra_dec(allowed)), axis=0, return_index=True)[1])]
     summary = {"method": method, "n_tiles": 0, "passes": 0, "radius_deg": float(np.rad2deg(radius_rad))}
     if isinstance(field, Region):
         given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
@@ -248,7 +248,7 @@ def _account(ledger: Ledger, neighbors) -> dict:
 def _build(vectors, number, position_angle, summary, columns):
     """Return the tiling."""
     n = len(vectors)
-    ra, dec = to_lonlat(vectors)
+    ra, dec = to_ra_dec(vectors)
     table = QTable({
         "tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg,
         "position_angle": np.full(n, position_angle.to_value(u.deg)) * u.deg, "pass": np.array(number, dtype=np.int64),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling._tiling import place_of, to_lonlat
+from rfpsurvey.tiling._tiling import place_of, to_ra_dec
 
 __all__ = ["Ledger", "Problem"]
 
@@ -95,7 +95,7 @@ class Ledger:
         self.left[served] -= 1
         self._n_left -= len(served)
         if number is None:
-            key = tuple(place_of(*to_lonlat(center[None]))[0].tolist())
+            key = tuple(place_of(*to_ra_dec(center[None]))[0].tolist())
             number = self._at[key] = self._at.get(key, 0) + 1
         self.rows.append((center, number, len(near), len(served), self.completeness))
         return served

@@ -7,7 +7,7 @@ from astropy.coordinates import SkyCoord
 from rfpsurvey.allocation import allocate
 from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.tiling._tiling import to_lonlat
+from rfpsurvey.tiling._tiling import to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "neighbors_within"]
 
@@ -104,7 +104,7 @@ class FocalPlaneFibers:
 
     def __call__(self, center, near, ledger):
         """Return the positions that are served, of those in the field that still want a visit."""
-        ra, dec = to_lonlat(center[None])
+        ra, dec = to_ra_dec(center[None])
         plane = self.instrument.projection(SkyCoord(ra[0] * u.deg, dec[0] * u.deg), self.position_angle)
         needs = None if self.needs is None else self.needs[near]
         priority = None if self.priority is None else self.priority[near]

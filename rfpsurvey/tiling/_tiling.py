@@ -10,11 +10,11 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey import _healpix, _io
-from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["Tiling", "as_tiling", "place_of", "to_lonlat"]
+__all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
 COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
 # Usual names, compared without case, in order of preference.
@@ -256,10 +256,10 @@ def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
     return Tiling.from_table(QTable({"ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}))
 
 
-def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def to_ra_dec(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return right ascension and declination in degrees of unit vectors."""
-    x, y, z = vectors.T
-    return np.rad2deg(np.arctan2(y, x)) % 360, np.rad2deg(np.arctan2(z, np.hypot(x, y)))
+    lon, lat = to_lonlat(vectors)
+    return np.rad2deg(lon) % 360, np.rad2deg(lat)
 
 
 def place_of(ra, dec) -> np.ndarray:
