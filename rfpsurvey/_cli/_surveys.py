@@ -1,5 +1,6 @@
 """What the command ``survey`` needs: targets and tiles from files, workers, and a summary."""
 
+import signal
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -52,9 +53,17 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
         yield None
     else:
         pool: Executor
-        pool = ProcessPoolExecutor(number, get_context("spawn")) if processes else ThreadPoolExecutor(number)
+        if processes:
+            pool = ProcessPoolExecutor(number, get_context("spawn"), initializer=_leave_interrupts)
+        else:
+            pool = ThreadPoolExecutor(number)
         with pool:
             yield pool
+
+
+def _leave_interrupts() -> None:
+    """Leave Ctrl-C to the process that has the workers: it would wait forever for those that die of it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:
