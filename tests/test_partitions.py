@@ -115,6 +115,7 @@ def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
     same(rs.plan_survey(parts, TILES, small), rs.plan_survey(parts.read(), TILES, small))
 
 
+@pytest.mark.filterwarnings("ignore:no target was observed")
 def test_proper_motions_and_epochs(small, tmp_path):
     """A star as fast as Barnard's moves into the field, and out of it, and out of its partition."""
     moving = SkyCoord(TILES[0].ra, TILES[0].dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=10_300 * u.mas / u.yr)

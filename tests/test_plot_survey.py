@@ -7,6 +7,7 @@ from astropy.table import QTable
 from matplotlib.collections import PolyCollection
 
 import rfpsurvey as rs
+from rfpsurvey.plot._sky import _draw_sky
 
 CENTER = SkyCoord(359.5 * u.deg, 20 * u.deg)
 
@@ -35,19 +36,58 @@ def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
     assert {t.get_text() for t in ax.get_xticklabels()} <= {f"{x:g}" for x in np.arange(0, 360, 0.25)}
 
 
+def outlines(ax):
+    (drawn,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
+    return [path.vertices[:-1] for path in drawn.get_paths()], drawn.get_array()
+
+
 def test_wide_tilings_show_the_whole_sky():
-    tiling = rs.Tiling.from_table(QTable({"ra": [0, 120, 240] * u.deg, "dec": [0, 80, -30] * u.deg}))
-    ax = rs.plot_tiling(tiling, radius=3 * u.deg)
+    """Fields in the middle, across the edge of the map, and over a pole: their outlines are where they should be."""
+    tiling = rs.Tiling.from_table(QTable({"ra": [180, 0.5, 77, 300] * u.deg, "dec": [0, 30, 89, -30] * u.deg}))
+    radius = 3 * u.deg
+    ax = rs.plot_tiling(tiling, radius=radius, color="tile")
     assert ax.name == "aitoff"
-    (points,) = [c for c in ax.collections if len(c.get_offsets()) == 3]
-    lon, lat = np.array(points.get_offsets()).T
-    assert lat == pytest.approx(np.deg2rad([0, 80, -30]))
-    # the middle is at 180 deg, and east is to the left
-    assert lon[1] > 0 > lon[2]
-    assert abs(lon[0]) == pytest.approx(np.pi)
+    polygons, tile_of = _draw_sky(ax, tiling.coord, 3.0)
+    drawn, values = outlines(ax)
+    assert np.array_equal(values, tile_of)
+    for one, polygon in zip(drawn, polygons, strict=True):
+        assert len(one) == len(polygon)
+        pixels = (ax.transAffine + ax.transAxes).transform(one)
+        np.testing.assert_allclose(pixels, ax.transData.transform(polygon), atol=1e-6)
+    assert np.bincount(tile_of.astype(int)).tolist() == [1, 2, 1, 1]  # one is cut by the edge
+    for polygon, k in zip(polygons, tile_of.astype(int), strict=True):
+        x, y = polygon.T
+        assert np.abs(x).max() <= np.pi
+        rim = SkyCoord((np.pi - x) * u.rad, y * u.rad)
+        away = rim.separation(tiling.coord[k])
+        cut = (np.abs(x) == np.pi) | (np.abs(y) == np.pi / 2)
+        assert np.abs(away - radius)[~cut].max() < 1e-6 * u.deg
+        # what is cut off lies within the field
+        assert (away[cut] <= radius + 0.2 * u.deg).all()
+    # east is to the left of the middle at 180 deg
+    assert polygons[-1][:, 0].mean() < 0
     figure = matplotlib.figure.Figure()
     region = figure.subplots()
     assert rs.plot_tiling(tiling, ax=region) is region
+
+
+def test_fields_about_a_pole_keep_their_shape():
+    tiling = rs.Tiling.from_table(QTable({"ra": [0, 120, 240] * u.deg, "dec": [86, 86, 86] * u.deg}))
+    ax = rs.plot_tiling(tiling, radius=3 * u.deg)
+    assert ax.name == "rectilinear"
+    polygons, _ = outlines(ax)
+    middles = np.array([polygon.mean(axis=0) for polygon in polygons])
+    assert np.hypot(*middles.T) == pytest.approx([4, 4, 4], abs=0.05)
+    for polygon, middle in zip(polygons, middles, strict=True):
+        assert np.hypot(*(polygon - middle).T) == pytest.approx(3 * np.ones(len(polygon)), abs=0.05)
+    assert ax.get_aspect() == 1
+
+
+def test_the_scale_fits_the_values(survey):
+    tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
+    (scale,) = rs.plot_tiling(tiling).child_axes
+    assert [t.get_text() for t in scale.get_yticklabels()] == ["1", "2"]
+    assert not rs.plot_tiling(rs.Tiling(tiling.table[:2])).child_axes  # one value needs no scale
 
 
 def test_a_tiling_is_colored_by_pass_or_any_column(survey):

@@ -97,6 +97,7 @@ def test_visits_given_by_hand(sky, small):
     assert rs.plan_survey(sky, tiling, small, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
 
 
+@pytest.mark.filterwarnings("ignore:no target was observed")
 def test_what_became_of_each_target(small):
     """One positioner, and for each outcome a target that must have it."""
     one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
@@ -207,10 +208,10 @@ def test_blank_sky_has_its_position(small):
     sky = visits[visits["kind"] == "sky"]
     assert len(sky) == 3
     assert set(sky["target_row"]) == {-1}
-    where = SkyCoord(sky["ra_deg"] * u.deg, sky["dec_deg"] * u.deg)
+    where = SkyCoord(sky["ra"], sky["dec"])
     assert catalog.coord[:, None].separation(where).min() > 30 * u.arcsec
     others = visits[visits["kind"] == "science"]
-    where = SkyCoord(others["ra_deg"] * u.deg, others["dec_deg"] * u.deg)
+    where = SkyCoord(others["ra"], others["dec"])
     assert catalog.coord[others["target_row"]].separation(where).max() < 1e-6 * u.arcsec
 
 
@@ -220,7 +221,7 @@ def test_blank_sky_keeps_away_from_targets_that_nobody_wants(small):
     visits = rs.plan_survey(catalog, CENTER.reshape(1), small, **options).targets
     sky = visits[visits["kind"] == "sky"]
     assert len(sky) == 5
-    where = SkyCoord(sky["ra_deg"] * u.deg, sky["dec_deg"] * u.deg)
+    where = SkyCoord(sky["ra"], sky["dec"])
     assert catalog.coord[:, None].separation(where).min() > 100 * u.arcsec
 
 
@@ -299,10 +300,39 @@ def test_nothing_to_plan(sky, small):
 
 
 def test_what_is_told_is_told_once(sky, small):
-    for options, sentence in (({"sky_separation": 30 * u.arcsec}, "no requirement asks"), ({"epoch": 2026.5}, "epoch")):
+    twins = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 2)
+    wide = rs.place_tiles(rs.Region.cap(CENTER, 1 * u.deg), radius=1 * u.deg)
+    away = SkyCoord([CENTER.directional_offset_by(0 * u.deg, 30 * u.deg)])
+    for arguments, options, sentence in (
+        ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement asks"),
+        ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch changes nothing"),
+        ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
+        ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
+        ((twins, grid(1.2)), {}, "share their id"), ((sky, away), {}, "no target was observed"),
+        ((sky, wide), {}, "placed for fields of 1 deg, those of small have 0.4"),
+    ):  # fmt: skip
         with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
-            rs.plan_survey(sky, grid(1.2), small, **options)
+            rs.plan_survey(*arguments, small, **options)
         assert len(told) == 1
+    rs.plan_survey(sky, grid(1.2), small, requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec)
+
+
+def test_visits_say_where_they_are(sky, small):
+    visits = rs.plan_survey(sky, grid(1.2), small).targets
+    where = SkyCoord(visits["ra"], visits["dec"])
+    assert where.separation(sky.coord[visits["target_row"]]).max() < 1e-8 * u.arcsec
+
+
+def test_a_tile_of_a_survey_can_be_scored(presets):
+    """From the visits to poses of all arms, with the collisions that the survey counted."""
+    sdss = presets["sdss_apo"]
+    catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
+    fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
+    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), CENTER.reshape(1), sdss)
+    tile = rs.score_tile(survey.visits(0), sdss, center=CENTER, position_angle=0 * u.deg)
+    for name in ("n_assigned", "n_colliding", "n_colliding_pairs"):
+        assert tile.summary[name] == survey.tiles[name][0]
+    assert tile.summary["n_out_of_reach"] == 0
 
 
 def test_order_and_passes(sky, small):
@@ -341,6 +371,7 @@ def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
     assert results[0] == results[1] == results[2]
 
 
+@pytest.mark.filterwarnings("ignore:no target was observed")
 def test_targets_move_to_the_epoch(small):
     fast = SkyCoord(CENTER.ra, CENTER.dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=36e6 * u.mas / u.yr).reshape(1)
     catalog = rs.Catalog(fast, epoch=2000.0)

@@ -134,7 +134,7 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, tmp_path, undisturbed):
     (folder / "tiles" / "000" / ".123-000051.fits").write_bytes(b"half of a")
     with pytest.raises(rs.InputError, match=r"is not finished \(36 tiles are there\): continue it"):
         rs.Survey.read(folder)
-    with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is damaged \(No such file or directory\)"):
+    with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is missing"):
         plan(case, folder, resume=True)
     assert content(folder) == undisturbed
 

@@ -1,4 +1,3 @@
-
 import astropy.units as u
 import pytest
 from astropy.table import QTable

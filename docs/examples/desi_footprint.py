@@ -34,4 +34,4 @@ def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.S
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(*sys.argv[1:]) if sys.argv[1:] else sys.exit(__doc__)

@@ -1,15 +1,18 @@
 """LAMOST over the Tycho-2 stars of a spring block: tiles where the stars are, then a survey of them.
 
-python docs/examples/lamost_spring.py data/tycho2_spring_60x20.ecsv.gz
+python docs/examples/lamost_spring.py [CATALOG]
 """
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import rfpsurvey as rs
 
+DATA = Path(__file__).parents[2] / "data" / "tycho2_spring_60x20.ecsv.gz"
 
-def main(path: str) -> rs.Survey:
+
+def main(path: str | Path = DATA) -> rs.Survey:
     """Place tiles where the stars of a catalog are, and plan them."""
     stars = rs.Catalog.read(path)
     tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.9)

@@ -1,9 +1,10 @@
 """SDSS-V over the Tycho-2 stars around the Galactic anticenter: bright stars first, two visits each, no collisions.
 
-python docs/examples/sdssv_anticenter.py data/tycho2_anticenter_r8.ecsv.gz
+python docs/examples/sdssv_anticenter.py [CATALOG]
 """
 
 import sys
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -11,8 +12,10 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 
+DATA = Path(__file__).parents[2] / "data" / "tycho2_anticenter_r8.ecsv.gz"
 
-def main(path: str, passes: int = 6) -> rs.Survey:
+
+def main(path: str | Path = DATA, passes: int = 6) -> rs.Survey:
     """Plan several passes over a catalog with priorities."""
     table = QTable.read(path, format="ascii.ecsv")
     magnitude = table["vt_mag"].to_value(u.mag)

@@ -127,7 +127,8 @@ def targets_and_center(path, center, model, seed, column, unit, frame):
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
     names, units = parse_pairs(column, "--column"), parse_pairs(unit, "--unit")
-    targets = rs.Catalog.read(path, columns=names, units=units, frame=frame)
+    options = {"columns": names, "units": units, "frame": frame}
+    targets = rs.PartitionedCatalog(path, **options).read() if path.is_dir() else rs.Catalog.read(path, **options)
     if field is None and len(targets) == 0:
         field = parse_center(DEFAULT_CENTER)
     elif field is None:
@@ -273,7 +274,8 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, *, overwrite
 def finish_tiling(tiling: "rs.Tiling", output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
     """Print how a tiling was made, and write and draw it where asked."""
     for name, value in tiling.summary.items():
-        print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
+        if value != "":
+            print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
     if output is not None:
         tiling.write(output, overwrite=overwrite)
     if plot is not None:

@@ -1,6 +1,7 @@
 """What the command ``survey`` needs: targets and tiles from files, workers, and a summary."""
 
 import signal
+import sys
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -12,6 +13,8 @@ from rfpsurvey._cli import _app
 from rfpsurvey.plot import draw_survey
 
 __all__ = ["options", "run", "targets_of", "workers"]
+
+MANY = 0.05  # collision rate
 
 
 def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str):
@@ -74,15 +77,18 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
         "tiles": s["n_tiles"], "  rounds": s["n_rounds"], "targets wanted": s["n_targets"],
         "visits wanted": s["n_visits_wanted"], "  observed": s["n_visits_observed"], "completeness": s["completeness"],
         "  targets complete": s["completeness_targets"], "fibers assigned": s["n_assigned"],
-        "  of all": s["fiber_use"], "positioners in collision": s["n_colliding"],
+        "  to science": s["n_science"], "  of all": s["fiber_use"], "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"], "tiles' requirements not met": s["n_unmet"],
     }  # fmt: skip
     for label, value in labels.items():
-        if value or not label.startswith("tiles'"):
+        if value or not label.startswith("requirements"):
             print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     for outcome, number in s["outcomes"].items():
         print(f"{'targets ' + outcome:<34}{number:>12}")
+    print("after each pass:")
     _app.print_table(survey.completeness)
+    if s["collision_rate"] > MANY:
+        print("many arms collide: --allocator repair or optimal leave no collision")
     print(f"{seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms a tile")
 
 
@@ -97,8 +103,17 @@ def run(targets, tiles: Path | None, model: "rs.Instrument", executor, options: 
     """Plan a survey, print what came out, and draw it where asked."""
     tiling = _read_tiles(tiles, targets, model)
     begin = perf_counter()
-    survey = rs.plan_survey(targets, tiling, model, executor=executor, progress=True, **options)
+    try:
+        survey = rs.plan_survey(targets, tiling, model, executor=executor, progress=True, **options)
+    except KeyboardInterrupt:
+        there = (
+            "what was written stays: continue with --resume" if options["folder"] else "without --folder nothing stays"
+        )
+        print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
+        raise
     _print_survey(survey, perf_counter() - begin)
+    if survey.folder is not None:
+        print(f"wrote {survey.folder}")
     if plot is not None:
         _app.write_figure(lambda: draw_survey(survey), plot, overwrite=True)
         print(f"wrote {plot}")

@@ -14,6 +14,7 @@ def tile(
     completeness: _options.CompletenessOption = None,
     fibers: _options.FibersOption = None,
     n_tiles: _options.NTilesOption = None,
+    visits: _options.VisitsOption = None,
     seed: _options.SeedOption = 0,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
@@ -32,5 +33,6 @@ def tile(
     else:
         field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame)
     options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
+    options["visits"] = visits
     tiling = rs.place_tiles(field, model, method=method, **options)
     _app.finish_tiling(tiling, output, plot, overwrite=overwrite)

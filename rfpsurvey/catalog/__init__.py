@@ -1,9 +1,9 @@
 """Targets: real catalogs from files and tables, and synthetic ones."""
 
-from rfpsurvey.catalog._catalog import Catalog, as_catalog
+from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
 from rfpsurvey.catalog._index import SkyIndex
-from rfpsurvey.catalog._partitions import PartitionedCatalog, partition_catalog
+from rfpsurvey.catalog._partitions import PartitionedCatalog, as_catalog, partition_catalog
 from rfpsurvey.catalog._synthetic import synthetic_catalog
 from rfpsurvey.catalog._time import to_time
 

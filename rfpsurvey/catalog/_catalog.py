@@ -21,7 +21,7 @@ from rfpsurvey.catalog._index import half_chord_squared
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 
-__all__ = ["Catalog", "as_catalog"]
+__all__ = ["Catalog"]
 
 KINDS = ("science", "standard", "sky")
 _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
@@ -157,6 +157,8 @@ class Catalog:
     @cached_property
     def _has_twins(self) -> bool:
         """Whether two targets have the same id."""
+        if self.id.dtype.kind == "i" and (self.id[1:] > self.id[:-1]).all():
+            return False
         return len(np.unique(self.id)) < len(self)
 
     @cached_property
@@ -371,10 +373,3 @@ class Catalog:
         mask = np.empty(len(self), dtype=bool)
         sky.within(self._vectors, to_vectors(center, "center", one=True)[0], half_chord_squared(radius_rad), mask)
         return np.flatnonzero(mask)
-
-
-def as_catalog(catalog: Catalog | SkyCoord | Table) -> Catalog:
-    """Return a catalog from itself, from coordinates or from a table."""
-    if isinstance(catalog, Catalog):
-        return catalog
-    return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)

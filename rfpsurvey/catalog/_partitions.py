@@ -12,11 +12,11 @@ from astropy.table import Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
-from rfpsurvey.catalog._catalog import Catalog, as_catalog
+from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.errors import InputError
 
-__all__ = ["PartitionedCatalog", "partition_catalog"]
+__all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
 PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
 PROPERTIES = ("hats.properties", "properties")
@@ -279,6 +279,17 @@ def partition_catalog(
             f"hats_col_ra=ra\nhats_col_dec=dec\nhats_order={order}\nhats_npix_suffix=.parquet\n"
         )
     return PartitionedCatalog(folder)
+
+
+def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Catalog:
+    """Return a catalog from itself, from coordinates, a table or all partitions."""
+    if isinstance(catalog, PartitionedCatalog):
+        return catalog.read()
+    if isinstance(catalog, str | os.PathLike):
+        raise InputError(f"the catalog must be read first: Catalog.read({str(catalog)!r})")
+    if isinstance(catalog, Catalog):
+        return catalog
+    return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)
 
 
 def _mean_rows(vectors, order) -> float:

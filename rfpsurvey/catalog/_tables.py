@@ -68,6 +68,9 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     bad = np.abs(lat) > 90 * u.deg
     if bad.any():
         raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
+    far = np.abs(lon) > 360 * u.deg
+    if far.any():
+        raise InputError(f"column {names[0]!r} must lie between -360 and 360 deg, got {lon[far][0]}")
     try:
         return SkyCoord(lon, lat, frame=frame, **motion)
     except ValueError as error:

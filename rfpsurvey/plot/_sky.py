@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_survey", "plot_completeness", "plot_tiling"]
 
 CORNERS = 36
+MOST_STEPS = 12
 WIDE = 60.0  # deg about the middle: beyond it, the whole sky
 POLAR = 75.0
 
@@ -74,12 +75,15 @@ def plot_tiling(
     if ax is None:
         figure = Figure(figsize=(8, 4.5) if wide else (7, 5.5), layout="constrained")
         ax = figure.add_subplot(projection="aitoff" if wide else None)
-    draw = _draw_sky if ax.name == "aitoff" else _draw_region
-    drawn = draw(ax, centers, np.asarray(table[color], dtype=float), radius, middle)
-    if color == "completeness":
-        drawn.set_clim(0, 1)
-    ax.figure.colorbar(drawn, ax=ax, label=color.replace("_", " "), shrink=0.8)
-    ax.set_title(f"{len(table)} tiles")
+    if ax.name == "aitoff":
+        polygons, tile_of = _draw_sky(ax, centers, radius)
+    elif np.abs(centers.dec.deg).max() + radius > POLAR:
+        polygons, tile_of = _draw_offsets(ax, centers, radius, middle)
+    else:
+        polygons, tile_of = _draw_region(ax, centers, radius, middle)
+    values = np.asarray(table[color], dtype=float)
+    _color(ax, polygons, values[tile_of], np.unique(values[np.isfinite(values)]), color)
+    ax.set_title(f"{len(table)} tiles", pad=14 if ax.name == "aitoff" else None)
     return ax
 
 
@@ -136,7 +140,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None) -> "Axes":
         ax.annotate(
             f"pass {number}", (end, 0.01), rotation=90, ha="right", va="bottom", fontsize="x-small", color="0.4"
         )
-    ax.set_xlim(0, len(tiles))
+    ax.set_xlim(0, 1.03 * len(tiles))
     ax.set_ylim(0, 1.02)
     ax.set_xlabel("tiles")
     ax.set_ylabel("completeness")
@@ -170,36 +174,89 @@ def _view(centers: SkyCoord, radius: float):
         return centers[0], True
     middle = SkyCoord(mean, frame="icrs").spherical
     middle = SkyCoord(middle.lon, middle.lat)
-    return middle, bool(centers.separation(middle).max().deg > WIDE or np.abs(centers.dec.deg).max() + radius > POLAR)
+    return middle, bool(centers.separation(middle).max().deg + radius > WIDE)
 
 
-def _draw_region(ax, centers, values, radius, middle):
-    """Draw circles as polygons."""
-    from matplotlib.collections import PolyCollection
-
+def _rims(centers: SkyCoord, radius: float) -> SkyCoord:
+    """Points on the edge of each field, shape (n, CORNERS)."""
     angles = np.linspace(0, 360, CORNERS, endpoint=False) * u.deg
-    rims = centers[:, None].directional_offset_by(angles[None, :], radius * u.deg)
+    return centers[:, None].directional_offset_by(angles[None, :], radius * u.deg)
+
+
+def _draw_region(ax, centers, radius, middle):
+    """Return outlines in right ascension and declination, and the tile of each."""
+    rims = _rims(centers, radius)
     lon = (rims.ra - middle.ra).wrap_at(180 * u.deg).deg + middle.ra.deg
-    circles = PolyCollection(
-        np.stack([lon, rims.dec.deg], axis=2), array=values, cmap="viridis", alpha=0.6, ec="0.3", lw=0.5
-    )
-    ax.add_collection(circles)
-    ax.autoscale_view()
-    ax.set_aspect(1 / max(np.cos(middle.dec.rad), 0.05))
-    ax.xaxis.set_inverted(True)
+    ax.set_aspect(1 / np.cos(middle.dec.rad))
     ax.xaxis.set_major_formatter(lambda lon, _: f"{lon % 360:g}")
     ax.set_xlabel("right ascension [deg]")
     ax.set_ylabel("declination [deg]")
-    return circles
+    return list(np.stack([lon, rims.dec.deg], axis=2)), np.arange(len(centers))
 
 
-def _draw_sky(ax, centers, values, radius, _):
-    """Draw points as large as fields are in the middle of the map; the middle is at 180 deg."""
-    lon = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
-    # an Aitoff map is as wide as its axes: 360 deg
-    size = max(2 * radius / 360 * 72 * ax.figure.get_figwidth() * ax.get_position().width, 1.0)
-    points = ax.scatter(lon, centers.dec.rad, s=size**2, c=values, cmap="viridis", alpha=0.7, lw=0)
+def _draw_offsets(ax, centers, radius, middle):
+    """Return outlines about a field near a pole: distance from the middle true, and the tile of each."""
+    rims = _rims(centers, radius)
+    distance, angle = middle.separation(rims).deg, middle.position_angle(rims).rad
+    ax.set_aspect(1)
+    where = f"{middle.ra.deg:.1f} {middle.dec.deg:+.1f}"
+    ax.set_xlabel(f"east of {where} [deg]")
+    ax.set_ylabel(f"north of {where} [deg]")
+    return list(np.stack([distance * np.sin(angle), distance * np.cos(angle)], axis=2)), np.arange(len(centers))
+
+
+def _draw_sky(ax, centers, radius):
+    """Return outlines on a map of the whole sky, 180 deg in the middle, cut at its edge, and the tile of each."""
+    rims = _rims(centers, radius)
+    # x on the map, to the left with right ascension, unwrapped about the center of each field
+    middle = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
+    turn = (centers.ra[:, None] - rims.ra).wrap_at(180 * u.deg).rad
+    polar = np.abs(centers.dec.deg) + radius >= 90
+    polygons, tile_of = [], []
+    for k in range(len(centers)):
+        x, y = middle[k] + turn[k], rims.dec.rad[k]
+        if polar[k]:  # a field with a pole in it spans all right ascensions
+            x = (x + np.pi) % (2 * np.pi) - np.pi
+            order, pole = np.argsort(x), np.copysign(np.pi / 2, centers.dec.rad[k])
+            x = np.concatenate([[-np.pi, -np.pi], x[order], [np.pi, np.pi]])
+            y = np.concatenate([[pole, y[order[0]]], y[order], [y[order[-1]], pole]])
+        for shift in (0, -2 * np.pi, 2 * np.pi):
+            if (x + shift).min() < np.pi and (x + shift).max() > -np.pi:
+                polygons.append(np.column_stack([np.clip(x + shift, -np.pi, np.pi), y]))
+                tile_of.append(k)
+            if polar[k]:
+                break
     hours = np.arange(30, 360, 60)
     ax.set_xticks(np.deg2rad(180 - hours), [f"{h}°" for h in hours], fontsize="small")
+    ax.set_yticks(np.deg2rad(np.arange(-60, 61, 30)))
     ax.grid(color="0.85", lw=0.5)
-    return points
+    return polygons, np.array(tile_of)
+
+
+def _color(ax, polygons, values, levels, name):
+    """Fill outlines by value, with a scale beside the axes: steps for a few whole numbers, none for one."""
+    from matplotlib import colormaps
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import BoundaryNorm
+
+    sky = ax.name == "aitoff"
+    steps = 1 < len(levels) <= MOST_STEPS and (levels == np.rint(levels)).all()
+    style = {"alpha": 0.6, "ec": "face" if sky else "0.3", "lw": 0.2 if sky else 0.5}
+    if steps:
+        edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
+        style["norm"] = BoundaryNorm(edges, 256)
+    if sky:  # projected here: the axes would put thousands of points on every edge
+        polygons = [ax.transProjection.transform(polygon) for polygon in polygons]
+        style["transform"] = ax.transAffine + ax.transAxes
+    drawn = PolyCollection(polygons, array=values, cmap=colormaps["viridis"], **style)
+    ax.add_collection(drawn, autolim=not sky)
+    if not sky:
+        ax.autoscale_view()
+        ax.xaxis.set_inverted(True)
+    if name == "completeness":
+        drawn.set_clim(0, 1)
+    if len(levels) > 1 or name == "completeness":
+        place = ax.inset_axes([1.04, 0.1, 0.025, 0.8] if sky else [1.02, 0, 0.025, 1])
+        scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))
+        if steps:
+            scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])

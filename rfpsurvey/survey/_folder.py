@@ -169,6 +169,8 @@ def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> b
     """Return the content of a file of a survey, if it is what was written."""
     try:
         content = (path / name).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path / name} is missing") from None
     except OSError as error:
         raise InputError(f"{path / name} is damaged ({error.strerror or error})") from None
     if (len(content), hashlib.sha256(content).hexdigest()) != known.get(name):

@@ -145,9 +145,30 @@ def plan_survey(
         order=check_choice(order, ORDERS, "order"), epoch=None if epoch is None else str(epoch),
         lost_in_collision=bool(lost_in_collision),
     )  # fmt: skip
+    _warn_of_lacks(request)
     survey = run(request, folder, executor, progress, resume=resume)
+    if request.visits.any() and not survey.summary["n_visits_observed"]:
+        warnings.warn("no target was observed: are the tiles where the targets are?", RfpsurveyWarning, stacklevel=2)
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
     return survey
+
+
+def _warn_of_lacks(request) -> None:
+    """Tell what would go wrong in every tile."""
+    if request.source.has_twins:
+        warnings.warn("some targets share their id with another", RfpsurveyWarning, stacklevel=3)
+    asked = {one.what: one for one in request.options["requirements"] if one.minimum}
+    if "sky_separation" in request.options:
+        asked.pop("sky", None)
+    there = {"science"}
+    for name in ("kind", "category") if asked else ():
+        column = request.source.by_slot(name)
+        there |= set() if column is None else set(np.unique(column).tolist())
+    for what, one in asked.items():
+        if what not in there:
+            hint = "; sky_separation would find blank sky" if what == "sky" else ""
+            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint}"
+            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
 
 
 def _options(instrument, allocator, requirements, sky_separation, objective, time_limit, start, parked_obstacles):

@@ -29,7 +29,8 @@ class Ticker:
     def _write(self, done, now):
         rate = self._new / max(now - self._begin, 1e-9)
         left = (self._total - done) / rate if rate else 0.0
-        text = f"{done} of {self._total} tiles, {rate:.1f} tiles/s, {_clock(left)} left"
+        kept = f" ({done - self._new} of them were there)" if done > self._new else ""
+        text = f"{done} of {self._total} tiles{kept}, {rate:.1f} tiles/s, {_clock(left)} left"
         self._open = done < self._total
         print(f"\r{text:<70}", end="" if self._open else "\n", file=sys.stderr, flush=True)
 

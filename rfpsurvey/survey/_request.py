@@ -1,6 +1,7 @@
 """What a survey is asked to do, checked, and how to tell it from another."""
 
 import json
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -8,7 +9,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_visits
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.survey._ledger import Ledger
 from rfpsurvey.survey._order import make_rounds
@@ -18,6 +19,8 @@ from rfpsurvey.tile import versions
 from rfpsurvey.tiling import Tiling
 
 __all__ = ["Request", "make_request"]
+
+FIELDS_DIFFER = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +112,14 @@ class Request:
         columns = ("ra", "dec", "position_angle", "pass")
         tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
         names = np.asarray(self.tiling.table["tile"]).astype(str)
-        return {
-            "catalog": self.source.digest(), "visits": digest(self.visits), "tiles": digest(*tiles, names),
-            "instrument": self.instrument._provenance()["digest"], **self.parameters, "software": versions(),
-        }  # fmt: skip
+        about = {
+            "catalog": (f"{len(self.source)} targets", self.source.digest()),
+            "visits": (f"{int(self.visits.sum())} visits", digest(self.visits)),
+            "tiles": (f"{len(self.tiling)} tiles", digest(*tiles, names)),
+            "instrument": (self.instrument.name, self.instrument._provenance()["digest"]),
+        }
+        about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
+        return {**about, **self.parameters, "software": versions()}
 
 
 def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, *, visits, passes, **others) -> Request:
@@ -131,6 +138,12 @@ def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, 
         raise InputError("the tiling must have at least one tile, got none")
     place = np.array([passes.index(p) for p in number[rows].tolist()])
     tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
+    made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)
+    if made_for is not None and abs(made_for / radius - 1) > FIELDS_DIFFER:
+        text = (
+            f"the tiles were placed for fields of {made_for:.4g} deg, those of {instrument.name} have {radius:.4g} deg"
+        )
+        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
     wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
     if visits is not None and np.ndim(visits):
         wanted = source.to_slots(wanted)

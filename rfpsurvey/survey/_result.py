@@ -41,6 +41,7 @@ def _summary(request, ledger, counts, n_usable) -> dict:
         "outcomes": {name: int(n) for name, n in zip(OUTCOMES, fates, strict=True) if n},
         "n_fibers": n_usable * len(request.tiling),
         "n_assigned": total["n_assigned"],
+        "n_science": total["n_science"],
         "fiber_use": total["n_assigned"] / max(n_usable * len(request.tiling), 1),
         "n_colliding": total["n_colliding"],
         "n_colliding_pairs": total["n_colliding_pairs"],

@@ -31,7 +31,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         ledger = request.open_ledger()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
-        counts = {name: np.zeros(n, dtype=np.int64) for name in (*COUNTS.values(), "n_observed")}
+        counts = {name: np.zeros(n, dtype=np.int64) for name, _ in (*COUNTS.values(), ("n_observed", ""))}
         finished = 0
         with Ticker(progress, n) as ticker:
             for k, tiles in enumerate(request.rounds):
@@ -123,5 +123,5 @@ def _read(folder, tile, job) -> Done | None:
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
         folder.distrust(tile, "it was planned when other targets were left")
         return None
-    counts = {name: cards[card] for card, name in COUNTS.items()}
+    counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)

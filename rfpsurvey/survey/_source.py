@@ -74,6 +74,11 @@ class InMemory:
         return values[self._index.order]
 
     @property
+    def has_twins(self) -> bool:
+        """Whether two targets have the same id."""
+        return self._catalog._has_twins
+
+    @property
     def has_text_ids(self) -> bool:
         """Whether ids are text."""
         return self._catalog.id.dtype.kind == "U"
@@ -160,6 +165,9 @@ class Partitioned:
         return values
 
     by_row = to_slots
+
+    has_twins = False
+    """Not looked for: it would take all ids at once."""
 
     @property
     def has_text_ids(self) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import astropy.units as u
 import numpy as np
 from astropy.table import QTable, vstack
 
@@ -26,10 +27,10 @@ class Survey:
     tiles : QTable
         A row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``, ``pass``,
         ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets still wanted), ``n_reachable``,
-        ``n_assigned``, ``n_observed`` (visits that count), ``n_colliding``, ``n_counted`` (positioners with a
-        target or in the way), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements),
-        ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field over those
-        wanted; NaN without targets). Its ``meta`` holds ``summary`` and ``provenance``.
+        ``n_assigned``, ``n_science`` (of these), ``n_colliding``, ``n_counted`` (positioners with a target or in the
+        way), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements), ``n_observed`` (visits that
+        count), ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field
+        over those wanted; NaN without targets). Its ``meta`` holds ``summary`` and ``provenance``.
     completeness : QTable
         A row for each pass and class of priority (``all``: all of them), after that pass: ``n_targets``, ``n_wanted``
         and ``n_observed`` (visits), ``n_complete`` (targets observed as often as wanted), ``completeness``
@@ -66,8 +67,9 @@ class Survey:
     def targets(self) -> QTable:
         """All visits, a row for each target, tile and positioner; of a large survey, take `visits` tile by tile.
 
-        Columns ``tile``, ``target_id``, ``target_row`` (in the catalog), ``positioner``, ``in_collision``, ``observed``
-        (it counts), and, where they are known, ``kind``, ``ra_deg``, ``dec_deg``.
+        Columns ``tile``, ``target_id``, ``target_row`` (in the catalog, -1 for blank sky), ``positioner``, ``ra``,
+        ``dec``, ``in_collision``, ``observed`` (it counts), ``fiber_type`` where there are several, ``kind`` where the
+        catalog has kinds or blank sky was looked for.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -107,7 +109,7 @@ class Survey:
             rows = _io.read_fits_bytes(read_verified(self.folder, part_name(k), self._known))[0]
         table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
         for name in rows.dtype.names:
-            table[name] = rows[name]
+            table[name] = rows[name] * u.deg if name in ("ra", "dec") else rows[name]
         return table
 
     def __repr__(self):

@@ -9,19 +9,26 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._io import fits_bytes
+from rfpsurvey._units import to_lonlat
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.survey._source import Field
 from rfpsurvey.tile import run_stages
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 
-# Header cards of a part, and what they count.
+# Header cards of a part: what they count, and how they say so.
 N_FIELD = "NFIELD"
 COUNTS = {
-    N_FIELD: "n_in_field", "NREACH": "n_reachable", "NASSIGN": "n_assigned", "NCOLLIDE": "n_colliding",
-    "NCOUNTED": "n_counted", "NPAIRS": "n_colliding_pairs", "NOBSTACL": "n_obstacle_collisions",
-    "NUNMET": "n_unmet",
-}  # fmt: skip
+    N_FIELD: ("n_in_field", "targets in the field, still wanted"),
+    "NREACH": ("n_reachable", "of these, in reach of a positioner"),
+    "NASSIGN": ("n_assigned", "positioners with a target"),
+    "NSCIENCE": ("n_science", "of these, with a science target"),
+    "NCOLLIDE": ("n_colliding", "positioners in collision"),
+    "NCOUNTED": ("n_counted", "positioners with a target or in the way"),
+    "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
+    "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
+    "NUNMET": ("n_unmet", "requirements not met"),
+}
 
 
 class Model:
@@ -87,25 +94,28 @@ def work(job: Job) -> Done:
     target = allocation.target_of_positioner[own]
     given = target < allocation.n_given
     colliding = report.in_collision[own]
+    ra, dec = _directions(field, target, given, allocation, projection)
     columns = {
         "target_id": _pick(field.id, target, given),
         "target_row": _pick(field.row, target, given),
         "positioner": plane.id[own],
+        "ra": ra,
+        "dec": dec,
         "in_collision": colliding,
         "observed": ~colliding if lost_in_collision else np.ones(len(own), dtype=bool),
     }
+    if plane.fiber_types != ("",):
+        columns["fiber_type"] = allocation.fiber_type[own]
+    kind = np.full(len(own), "science")
     if field.kind is not None or "sky_separation" in options:
-        kind = np.full(len(field.row), "science") if field.kind is None else field.kind
-        columns["kind"] = np.where(given, _pick(kind, target, given), "sky")
-    if "sky_separation" in options:  # positions that the catalog does not have
-        types = None if allocation.wanted is None else allocation.wanted[target]
-        where = projection.to_sky(allocation.xy[target], types)
-        columns["ra_deg"], columns["dec_deg"] = where.ra.deg, where.dec.deg
+        kind = kind if field.kind is None else _pick(field.kind, target, given)
+        columns["kind"] = kind = np.where(given, kind, "sky")
     visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
     counts = {
         "n_in_field": len(field.row),
         "n_reachable": allocation.n_reachable,
         "n_assigned": len(own),
+        "n_science": int((kind == "science").sum()),
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),
@@ -113,7 +123,8 @@ def work(job: Job) -> Done:
         "n_unmet": len(allocation.unmet),
     }
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
-    cards.update((card, counts[name]) for card, name in COUNTS.items())
+    cards.update((card, (counts[name], words)) for card, (name, words) in COUNTS.items())
+    cards.update((f"TUNIT{list(columns).index(name) + 1}", "deg") for name in ("ra", "dec"))
     part, visits = (fits_bytes(visits, cards), None) if job.as_file else (None, visits)
     return Done(part, visits, np.where(given, target, -1), columns["observed"], allocation.in_reach, counts)
 
@@ -131,6 +142,17 @@ def _project(job: Job):
     center = SkyCoord(job.ra_deg * u.deg, job.dec_deg * u.deg)
     projection = instrument.projection(center, job.position_angle_deg * u.deg)
     return projection, projection._project(field.vectors, needs), needs
+
+
+def _directions(field, target, given, allocation, projection):
+    """Return right ascension and declination (deg) of the targets, and of sky positions that were found."""
+    lon, lat = np.empty(len(target)), np.empty(len(target))
+    lon[given], lat[given] = to_lonlat(field.vectors[target[given]])
+    if not given.all():
+        blank = target[~given]
+        where = projection.to_sky(allocation.xy[blank], None if allocation.wanted is None else allocation.wanted[blank])
+        lon[~given], lat[~given] = where.ra.rad, where.dec.rad
+    return np.rad2deg(lon) % 360, np.rad2deg(lat)
 
 
 def _pick(values: np.ndarray, target: np.ndarray, given: np.ndarray) -> np.ndarray:

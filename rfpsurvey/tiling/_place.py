@@ -135,7 +135,13 @@ def place_tiles(
         if len(allowed) == 0:
             raise InputError("centers must be at least one finite direction, got none")
         allowed = allowed[np.sort(np.unique(place_of(*to_ra_dec(allowed)), axis=0, return_index=True)[1])]
-    summary = {"method": method, "n_tiles": 0, "passes": 0, "radius_deg": float(np.rad2deg(radius_rad))}
+    summary = {
+        "method": method,
+        "instrument": "" if model is None else model.name,
+        "n_tiles": 0,
+        "passes": 0,
+        "radius_deg": float(np.rad2deg(radius_rad)),
+    }
     if isinstance(field, Region):
         given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
                  "fibers": fibers, "min_separation": min_separation}  # fmt: skip
