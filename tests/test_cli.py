@@ -218,7 +218,7 @@ def test_a_closed_pipe_loses_no_file(tmp_path):
         (["--pa", "1e17"], "rotation must be one finite value above -3600 deg"),
         (["--plot", "{folder}/x.png.gz"], "must end in .png or .pdf or .svg"),
         (["--output", "{folder}/x.ecsv.bz2"], "must end in .fits or .ecsv"),
-        (["{folder}/dir.fits"], "this is a folder"),
+        (["{folder}/dir.fits"], "is a folder without partitions"),
         (["--instrument", "LAMOST"], "Did you mean 'lamost'"),
     ],
 )

@@ -199,7 +199,7 @@ def test_bad_folders(tmp_path, sky, folder, small):
     with pytest.raises(rs.InputError, match="there is no such folder"):
         rs.PartitionedCatalog(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(rs.InputError, match="holds no partitions"):
+    with pytest.raises(rs.InputError, match="is a folder without partitions"):
         rs.PartitionedCatalog(tmp_path / "empty")
     write(tmp_path / "overlap" / "Norder=0" / "Npix=0.parquet", ra=[1.0], dec=[1.0])
     write(tmp_path / "overlap" / "Norder=1" / "Npix=3.parquet", ra=[1.0], dec=[1.0])

@@ -84,7 +84,8 @@ class PartitionedCatalog:
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
         if not self._files:
-            raise InputError(f"{self.folder} holds no partitions, files such as Norder=5/Dir=0/Npix=77.parquet")
+            files = "files such as Norder=5/Dir=0/Npix=77.parquet"
+            raise InputError(f"{self.folder} is a folder without partitions, {files}")
         given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
