@@ -45,6 +45,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert lines["observed"] == [str(expected["n_visits_observed"])]
     assert lines["targets on no tile"] == [str(expected["outcomes"]["on no tile"])]
     assert "3 of 3 tiles" in err
+    assert "not met" not in out  # nothing was required
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]

@@ -78,7 +78,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
         "visits wanted": s["n_visits_wanted"], "  observed": s["n_visits_observed"], "completeness": s["completeness"],
         "  targets complete": s["completeness_targets"], "fibers assigned": s["n_assigned"],
         "  to science": s["n_science"], "  of all": s["fiber_use"], "positioners in collision": s["n_colliding"],
-        "  collision rate": s["collision_rate"], "tiles' requirements not met": s["n_unmet"],
+        "  collision rate": s["collision_rate"], "requirements not met, all tiles": s["n_unmet"],
     }  # fmt: skip
     for label, value in labels.items():
         if value or not label.startswith("requirements"):
