@@ -124,19 +124,24 @@ def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite
 
 
 @contextmanager
-def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
-    """Give a temporary name beside ``path``, renamed to it when all went well."""
-    path = check_output(path, endings, overwrite=overwrite)
+def _in_place_of(path: Path):
+    """Give a temporary name beside ``path``, renamed to it when all went well, and gone in any case."""
     temporary = path.with_name(f".{os.getpid()}-{path.name}")
     try:
-        try:
-            yield temporary
-            os.replace(temporary, path)
-        except OSError as error:
-            raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        with suppress(FileNotFoundError):
-            temporary.unlink()
+        with suppress(OSError):
+            shutil.rmtree(temporary) if temporary.is_dir() else temporary.unlink()
+
+
+@contextmanager
+def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
+    """Give a temporary name beside ``path``, renamed to it when all went well."""
+    with _in_place_of(check_output(path, endings, overwrite=overwrite)) as temporary:
+        yield temporary
 
 
 @contextmanager
@@ -147,15 +152,9 @@ def temporary_folder(path: str | os.PathLike):
         raise InputError(f"{path} exists; give a folder that does not")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
-    temporary = path.with_name(f".{os.getpid()}-{path.name}")
-    try:
+    with _in_place_of(path) as temporary:
         temporary.mkdir()
         yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def table_bytes(table: QTable, name: str) -> bytes:
@@ -178,18 +177,11 @@ def _with_meta(table, cards):
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
     """Write a file that appears whole or not at all; with ``sync``, also if the power fails."""
-    temporary = path.with_name(f".{os.getpid()}-{path.name}")
-    try:
+    with _in_place_of(path) as temporary:
         temporary.write_bytes(content)
         if sync:
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:

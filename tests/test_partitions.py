@@ -96,6 +96,15 @@ def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, mo
     assert (times > 1) == (kept == 1)
 
 
+def test_tiles_are_placed_on_all_partitions(folder):
+    parts = rs.PartitionedCatalog(folder)
+    options = {"radius": 3 * u.deg, "fibers": 500, "method": "mean_shift"}
+    one, other = (rs.place_tiles(catalog, **options).table for catalog in (parts, parts.read()))
+    assert len(one) > 3
+    for name in one.colnames:
+        np.testing.assert_array_equal(one[name], other[name])
+
+
 def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     parts = rs.PartitionedCatalog(folder)
     rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey")

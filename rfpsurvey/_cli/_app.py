@@ -16,12 +16,13 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import WRITABLE, check_output, output_path, read_table, write_table
-from rfpsurvey.catalog import UNITS
+from rfpsurvey.catalog import UNITS, as_catalog
 
 __all__ = [
     "app", "check_chart", "check_outputs", "finish", "finish_comparison", "finish_estimate", "finish_table",
     "finish_tiling", "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs", "plan_options",
-    "print_table", "read_assignment", "read_targets", "targets_and_center", "to_mm", "units_of", "write_figure",
+    "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm", "units_of",
+    "write_figure",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -120,15 +121,19 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
     return instrument
 
 
+def read_catalog(path: Path, column, unit, frame: str):
+    """Return the catalog of a file, or of a folder of partitions."""
+    read = rs.PartitionedCatalog if path.is_dir() else rs.Catalog.read
+    return read(path, columns=parse_pairs(column, "--column"), units=parse_pairs(unit, "--unit"), frame=frame)
+
+
 def targets_and_center(path, center, model, seed, column, unit, frame):
     """Return the catalog of a file, or a synthetic one, and the field center."""
     field = None if center is None else parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
-    names, units = parse_pairs(column, "--column"), parse_pairs(unit, "--unit")
-    options = {"columns": names, "units": units, "frame": frame}
-    targets = rs.PartitionedCatalog(path, **options).read() if path.is_dir() else rs.Catalog.read(path, **options)
+    targets = as_catalog(read_catalog(path, column, unit, frame))
     if field is None and len(targets) == 0:
         field = parse_center(DEFAULT_CENTER)
     elif field is None:

@@ -6,7 +6,11 @@ from typing import Annotated
 import typer
 
 CatalogArgument = Annotated[
-    Path | None, typer.Argument(help="FITS, ECSV, CSV, VOTable or Parquet. None: a synthetic Poisson catalog.")
+    Path | None,
+    typer.Argument(
+        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        "catalog."
+    ),
 ]
 CenterOption = Annotated[str | None, typer.Option(help="Field center, ICRS. None: the middle of the catalog.")]
 PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.")]

@@ -19,14 +19,12 @@ MANY = 0.05  # collision rate
 
 def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str):
     """Return the catalog of a file or of a folder of partitions, or a synthetic one that is wider than a field."""
-    names, units = _app.parse_pairs(column, "--column"), _app.parse_pairs(unit, "--unit")
     if path is None:
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
-    read = rs.PartitionedCatalog if path.is_dir() else rs.Catalog.read
-    return read(path, columns=names, units=units, frame=frame)
+    return _app.read_catalog(path, column, unit, frame)
 
 
 def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):

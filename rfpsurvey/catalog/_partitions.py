@@ -63,6 +63,10 @@ class PartitionedCatalog:
     ------
     InputError
         If pyarrow or a column is missing, the folder has no such files, pixels overlap, or a file cannot be read.
+
+    See Also
+    --------
+    partition_catalog : Makes such a folder.
     """
 
     folder: Path
@@ -248,6 +252,18 @@ def partition_catalog(
     ------
     InputError
         If the catalog is empty, the folder exists, the order is impossible, or pyarrow is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> stars = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 5 * u.deg, n_targets=1000, rng=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     parts = rs.partition_catalog(stars, f"{folder}/stars", order=3)
+    ...     print(len(parts), len(parts.read()))
+    1000 1000
     """
     parquet, catalog = _parquet(), as_catalog(catalog)
     import pyarrow as pa

@@ -27,7 +27,10 @@ POLAR = 75.0
 def plot_tiling(
     tiles: Tiling | Survey, *, color: str | None = None, radius: u.Quantity | None = None, ax: "Axes | None" = None
 ) -> "Axes":
-    """Draw tiles on the sky: as circles in right ascension and declination, or the whole sky where they are far apart.
+    """Draw tiles on the sky.
+
+    In right ascension and declination; near a pole in distances from their middle; as a map of the whole sky where they
+    are more than 60 deg away from their middle.
 
     Parameters
     ----------
@@ -48,7 +51,7 @@ def plot_tiling(
     Raises
     ------
     InputError
-        If there are no tiles, or no such column of numbers.
+        If there are no tiles, no such column of numbers, or the radius is impossible.
 
     Examples
     --------

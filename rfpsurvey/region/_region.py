@@ -322,14 +322,6 @@ class Region:
         sides = [(lon, low), (lon, high), (begin, lat), (begin + width, lat)]
         return np.vstack([_shapes.from_lonlat(*side) for side in sides])
 
-    def _sample(self, nside: int) -> np.ndarray:
-        """Return the centers of the HEALPix pixels whose centers are inside, shape (n, 3)."""
-        if self.kind == "healpix" and nside >= self.nside:
-            finer = (nside // self.nside) ** 2
-            return _healpix.centers(nside, (self.values[:, None] * finer + np.arange(finer)).ravel())
-        points = _healpix.centers(nside, _healpix.pixels_near(nside, self._distance, 0.0))
-        return points[self._contains(points)]
-
 
 def _two(values, name, low, high):
     """Return two angles in degrees."""

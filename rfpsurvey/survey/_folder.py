@@ -8,7 +8,7 @@ import hashlib
 import json
 import re
 import warnings
-from contextlib import suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -21,7 +21,7 @@ __all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
 REQUEST, INDEX, LOCK = "survey.json", "index.csv", "lock"
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 HEADER = "file,bytes,sha256\n"
-LINE = re.compile(r"((?:tiles/\d{3,}/(\d{6,})\.fits)|[a-z]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
+LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
 TEMPORARY = re.compile(r"\.\d+-(survey\.json|index\.csv|[a-z]+\.fits|completeness\.ecsv|\d{6,}\.fits)")
 
 
@@ -50,17 +50,16 @@ class Folder:
         self._known: dict[str, tuple[int, str]] = {}
 
     def __enter__(self):
-        try:
+        with self._told():
             self.path.mkdir(exist_ok=True)
             if not self._begun:
                 self._refuse_others()
             self._lock = FileLock(self.path / LOCK)
-            self._lock.acquire(timeout=0)
-        except Timeout:
-            text = f"{self.path}: another run is at work in this folder; wait for it, or take another"
-            raise InputError(text) from None
-        except OSError as error:
-            raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
+            try:
+                self._lock.acquire(timeout=0)
+            except Timeout:
+                text = f"{self.path}: another run is at work in this folder; wait for it, or take another"
+                raise InputError(text) from None
         try:
             self._open()
         except BaseException:
@@ -87,7 +86,7 @@ class Folder:
         if self._begun:
             self._compare(_load(self.path / REQUEST))
             known, n_strange = _read_index(self.path)
-            self._known = {name: entry for name, entry in known.items() if name in TABLES or _tile_of(name) < self._n}
+            self._known = {name: entry for name, entry in known.items() if _belongs(name, self._n)}
             if n_strange or len(self._known) < len(known):
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
                 warnings.warn(text, RfpsurveyWarning, stacklevel=5)
@@ -99,8 +98,7 @@ class Folder:
         self._write_index(self._known.items())
 
     def _write_index(self, entries):
-        lines = [f"{name},{size},{digest}\n" for name, (size, digest) in entries]
-        write_bytes(self.path / INDEX, "".join([HEADER, *lines]).encode())
+        write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
 
     def _compare(self, before: dict):
         """Refuse to continue another survey than the one that was begun."""
@@ -135,28 +133,22 @@ class Folder:
     def put_part(self, tile: int, content: bytes) -> None:
         """Write the part of a tile."""
         name = part_name(tile)
-        if tile % 1000 == 0 or not (self.path / name).parent.is_dir():
-            with suppress(FileExistsError):
-                self._try(lambda: (self.path / name).parent.mkdir(parents=True))
+        with self._told():
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file, and then its line of the index."""
         write_bytes(self.path / name, content)
         self._known[name] = len(content), hashlib.sha256(content).hexdigest()
-        line = f"{name},{len(content)},{self._known[name][1]}\n"
+        with self._told(), (self.path / INDEX).open("a") as file:
+            file.write(_line(name, self._known[name]))
 
-        def append():
-            with (self.path / INDEX).open("a") as file:
-                file.write(line)
-
-        self._try(append)
-
-    def _try(self, write):
+    @contextmanager
+    def _told(self):
+        """Turn errors of the system into a sentence."""
         try:
-            write()
-        except FileExistsError:
-            raise
+            yield
         except OSError as error:
             raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
 
@@ -191,14 +183,19 @@ def _read_index(path: Path):
         return {}, 0
     lines = text.splitlines(keepends=True)[1:]
     found = [LINE.fullmatch(line) for line in lines]
-    known = {match[1]: (int(match[3]), match[4]) for match in found if match}
+    known = {match[1]: (int(match[2]), match[3]) for match in found if match}
     return known, sum(match is None for match in found[:-1])
 
 
-def _tile_of(name: str) -> int:
-    """Return the tile (by row) of a part; one that no survey has for any other file."""
-    row = int(Path(name).stem) if name.startswith("tiles/") else -1
-    return row if row >= 0 and name == part_name(row) else 10**18
+def _line(name: str, entry: tuple[int, str]) -> str:
+    """Return the line of the index for a file."""
+    return f"{name},{entry[0]},{entry[1]}\n"
+
+
+def _belongs(name: str, n_tiles: int) -> bool:
+    """Tell whether a survey of so many tiles has such a file."""
+    stem = Path(name).stem
+    return name in TABLES or (stem.isdigit() and int(stem) < n_tiles and name == part_name(int(stem)))
 
 
 def part_name(tile: int) -> str:

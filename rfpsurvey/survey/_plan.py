@@ -108,6 +108,13 @@ def plan_survey(
     concurrent.futures.BrokenExecutor
         If a worker process died, and the executor does not replace it. Tiles that are written stay.
 
+    Warns
+    -----
+    RfpsurveyWarning
+        If no target was observed, targets share ids, nothing in the catalog meets a requirement, an option changes
+        nothing, or tiles were placed for fields of another size; on resuming, if the software is another, or files are
+        damaged.
+
     See Also
     --------
     plan_tile : One tile.

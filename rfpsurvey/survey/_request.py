@@ -98,9 +98,8 @@ class Request:
             columns["target"] = self.source.ids()
         for what, names in columns.items():
             names = np.asarray(names)
-            bad = (
-                [n for n in names.tolist() if not (n.isascii() and n.isprintable())] if names.dtype.kind == "U" else []
-            )
+            text = names.tolist() if names.dtype.kind == "U" else []
+            bad = [name for name in text if not (name.isascii() and name.isprintable())]
             if bad:
                 raise InputError(
                     f"FITS files hold printable ASCII text only, but {len(bad)} {what} ids are other, such as "
@@ -128,11 +127,12 @@ def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, 
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     number = np.asarray(tiling.table["pass"])
     asked = np.unique(number) if passes is None else np.atleast_1d(passes)
-    strange = [p for p in asked.tolist() if p not in number.tolist()]
+    known = np.unique(number).tolist()
+    strange = [p for p in asked.tolist() if p not in known]
     passes = asked.tolist() if strange else asked.astype(int).tolist()
     if strange or len(set(passes)) < len(passes):
-        known = ", ".join(str(p) for p in np.unique(number)[:12])
-        raise InputError(f"passes must be different passes of the tiling ({known}), got {passes}")
+        listed = ", ".join(str(p) for p in known[:12])
+        raise InputError(f"passes must be different passes of the tiling ({listed}), got {passes}")
     rows = np.flatnonzero(np.isin(number, passes))
     if len(rows) == 0:
         raise InputError("the tiling must have at least one tile, got none")

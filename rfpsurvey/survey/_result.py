@@ -8,7 +8,7 @@ from rfpsurvey.survey._ledger import OUTCOMES, Ledger
 __all__ = ["completeness_table", "outcome_table", "tile_table"]
 
 
-def tile_table(request, ledger: Ledger, round_of: np.ndarray, counts: dict) -> QTable:
+def tile_table(request, ledger: Ledger, round_of: np.ndarray, counts: dict, outcomes: QTable) -> QTable:
     """Return a row for each tile, with the summary and the provenance of the survey."""
     table = QTable(request.tiling.table[["tile", "ra", "dec", "position_angle", "pass"]])
     table["round"] = round_of
@@ -20,14 +20,14 @@ def tile_table(request, ledger: Ledger, round_of: np.ndarray, counts: dict) -> Q
     centers, near = request.tiling._vectors, request.source.sum_near
     wanted, done = (near(centers, request.radius_rad, visits) for visits in (ledger.wanted, ledger.done()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
-    table.meta = {"summary": _summary(request, ledger, counts, n_usable), "provenance": request.provenance}
+    fates = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
+    table.meta = {"summary": _summary(request, ledger, counts, fates, n_usable), "provenance": request.provenance}
     return table
 
 
-def _summary(request, ledger, counts, n_usable) -> dict:
+def _summary(request, ledger, counts, fates, n_usable) -> dict:
     wanted, observed = int(ledger.n_wanted.sum()), int(ledger.n_observed.sum())
     targets, complete = int(ledger.n_targets.sum()), int(ledger.n_complete.sum())
-    fates = np.bincount(ledger.outcomes(), minlength=len(OUTCOMES))
     total = {name: int(values.sum()) for name, values in counts.items()}
     return {
         "n_tiles": len(request.tiling),

@@ -46,10 +46,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                         counts[name][tile] = value
                     finished += 1
                     ticker.step(finished, new=fresh)
-        tables = (
-            tile_table(request, ledger, round_of, counts), completeness_table(request, ledger),
-            outcome_table(request, ledger),
-        )  # fmt: skip
+        outcomes = outcome_table(request, ledger)
+        tables = tile_table(request, ledger, round_of, counts, outcomes), completeness_table(request, ledger), outcomes
         if folder is None:
             return Survey(*tables, parts=tuple(parts))
         for name, table in zip(TABLES, tables, strict=True):
@@ -81,10 +79,9 @@ def _plan_round(request, tiles, ledger, folder, executor) -> Iterator:
 
 def _begin(job, executor):
     """Do the work, or hand it out."""
-    if executor is None:
-        with _told(job):
-            return work(job)
     with _told(job):
+        if executor is None:
+            return work(job)
         # the slots of targets concern nobody else
         return executor.submit(work, job._replace(field=job.field._replace(slot=None)))
 

@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
-from rfpsurvey.catalog import Catalog, SkyIndex, as_catalog
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region
@@ -25,7 +25,7 @@ log = logging.getLogger("rfpsurvey")
 
 
 def place_tiles(
-    field: Catalog | SkyCoord | Table | Region,
+    field: Catalog | PartitionedCatalog | SkyCoord | Table | Region,
     instrument: Instrument | str | None = None,
     *,
     method: str = "hexagonal",
@@ -49,8 +49,8 @@ def place_tiles(
 
     Parameters
     ----------
-    field : Catalog, SkyCoord, Table or Region
-        The targets, or a region to cover (``hexagonal`` and ``spiral``).
+    field : Catalog, PartitionedCatalog, SkyCoord, Table or Region
+        The targets (partitions are read as a whole), or a region to cover (``hexagonal`` and ``spiral``).
     instrument : Instrument or str, optional
         Gives the radius of the field and the number of fibers; not needed where both are given.
     method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss"}, optional
@@ -146,7 +146,7 @@ def place_tiles(
         given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
                  "fibers": fibers, "min_separation": min_separation}  # fmt: skip
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
-    if not isinstance(field, Catalog | SkyCoord | Table):
+    if not isinstance(field, Catalog | PartitionedCatalog | SkyCoord | Table):
         raise InputError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)

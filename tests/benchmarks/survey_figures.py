@@ -81,6 +81,17 @@ def one_tile(allocator):
     return {name: round(1e3 * float(np.median([run[name] for run in runs])), 2) for name in names}
 
 
+def field_ms(targets, tiling):
+    """Milliseconds to find the targets of a field among all."""
+    index, radius = SkyIndex(targets._vectors), FOOTPRINT.to_value(u.rad)
+    times = []
+    for center in tiling._vectors[:1000]:
+        begin = perf_counter()
+        index.near(center, radius)
+        times.append(perf_counter() - begin)
+    return 1e3 * float(np.median(times))
+
+
 def scale(options):
     """Seconds against the number of tiles, and of targets."""
     tiling = desi_tiles()
@@ -136,6 +147,8 @@ def main():
     print(f"peak memory {peak_gb():.2f} GB, {size / 1e9:.2f} GB written")
     survey.completeness.pprint_all()
     print(json.dumps(survey.summary, indent=1))
+    if isinstance(targets, rs.Catalog):
+        print(f"finding the targets of a field: {field_ms(targets, tiling):.2f} ms")
     if options.plot:
         rs.plot_completeness(survey).figure.savefig(options.plot, dpi=150)
     if options.folder is None:
