@@ -1,0 +1,35 @@
+"""How much of a focal plane is in reach, and of how many positioners."""
+
+import numpy as np
+from scipy.spatial import ConvexHull, Delaunay, QhullError
+
+from rfpsurvey._units import to_generator
+from rfpsurvey.errors import InputError
+
+__all__ = ["find_coverage", "footprint_of"]
+
+
+def footprint_of(plane) -> ConvexHull:
+    """Return the convex hull of the centers in mm."""
+    try:
+        return ConvexHull(plane._xy_mm)
+    except (QhullError, ValueError):
+        raise InputError(f"a footprint needs three centers that are not on a line, got {len(plane)} centers") from None
+
+
+def find_coverage(plane, n_points, rng) -> np.ndarray:
+    """Return the parts of the footprint that exactly 0, 1, 2, ... positioners reach.
+
+    A random point in each cell of a square grid: regular points would beat with the lattice of the positioners.
+    """
+    if isinstance(n_points, bool) or not isinstance(n_points, int | np.integer) or not 1 <= n_points <= 2**26:
+        raise InputError(f"n_points must be a whole number from 1 to {2**26}, got {n_points!r}")
+    hull = footprint_of(plane)
+    corners = hull.points[hull.vertices]
+    n = int(np.ceil(np.sqrt(n_points)))
+    cells = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2)
+    points = corners.min(axis=0) + (cells + to_generator(rng).random((n * n, 2))) / n * np.ptp(corners, axis=0)
+    inside = points[Delaunay(corners).find_simplex(points) >= 0]
+    if len(inside) == 0:
+        raise InputError(f"n_points must be large enough for a point in the footprint, got {n_points}")
+    return np.bincount(np.diff(plane._reach(inside).indptr)) / len(inside)
