@@ -14,11 +14,13 @@ from rfpsurvey.benchmark import (
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.compare import compare_allocators
+from rfpsurvey.design import design_sensitivities, explore_designs
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
 from rfpsurvey.plot import (
     plot_completeness,
+    plot_designs,
     plot_focal_plane,
     plot_probability_accuracy,
     plot_speed_accuracy,
@@ -74,6 +76,8 @@ __all__ = [
     "collision_probability",
     "compare_allocators",
     "count_collisions",
+    "design_sensitivities",
+    "explore_designs",
     "find_collisions",
     "fit_polynomial",
     "partition_catalog",
@@ -81,6 +85,7 @@ __all__ = [
     "plan_survey",
     "plan_tile",
     "plot_completeness",
+    "plot_designs",
     "plot_focal_plane",
     "plot_probability_accuracy",
     "plot_speed_accuracy",
