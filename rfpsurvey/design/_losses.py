@@ -12,12 +12,14 @@ from rfpsurvey.probability import collision_probability, surrogate_probability
 from rfpsurvey.probability._surrogate import AXES, interior_risk, outside_box
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest"]
+__all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 
 N_POINTS = 256
 """Of a quadrature: its relative error is about 0.002."""
 SURROGATE_ERROR = 5e-4
-"""Root mean square error of the surrogate in its box."""
+"""Root mean square error of the surrogate in its box, and less; ``tests/benchmarks/design_figures.py`` measures it."""
+SURE = 0.01
+"""Where the surrogate finds less, its error is too large a part of that."""
 CORE = 5.0
 """Positioners so far from the middle of a patch, in pitches, or nearer count: 91 of them."""
 
@@ -46,7 +48,7 @@ class Skies(NamedTuple):
     """Of a search, in seconds."""
 
 
-def surrogate(lattice: Lattice, skies: Skies) -> Loss:
+def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
     """Interpolate among quadratures."""
     l1, ratio, distance = lattice.shape
     value = surrogate_probability(l1 * u.mm, l1 * ratio * u.mm, 1 * u.mm, distance * u.mm)
@@ -92,10 +94,15 @@ ESTIMANDS = {
 
 def cheapest(estimand: str, lattice: Lattice) -> str:
     """Return the cheapest method that is good enough for a design."""
-    if estimand == "independent":
-        outside = any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
-        return "quadrature" if outside else "surrogate"
-    return {"allocated": "conditional", "collision_free": "optimal"}[estimand]
+    if estimand != "independent":
+        return {"allocated": "conditional", "collision_free": "optimal"}[estimand]
+    sure = in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
+    return "surrogate" if sure else "quadrature"
+
+
+def in_box(lattice: Lattice) -> bool:
+    """Say whether the surrogate answers for a design."""
+    return not any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
 
 
 def _compare(lattice, skies, method, options):

@@ -44,5 +44,6 @@ def to_rows(table: QTable) -> np.ndarray:
     """Return the rows of a table that `to_table` made."""
     rows = np.zeros(len(table), ROW)
     for name in ROW.names:
-        rows[name] = getattr(table[name], "value", table[name])
+        values = getattr(table[name], "value", table[name])
+        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values  # text that is empty
     return rows

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpsurvey.design._lattice import make_lattice
-from rfpsurvey.design._losses import METHODS, Skies, cheapest
+from rfpsurvey.design._losses import METHODS, Skies, cheapest, in_box
 from rfpsurvey.design._rows import blank
 
 __all__ = ["Task"]
@@ -46,7 +46,7 @@ class Task:
         each = self.targets * (lattice.cell if self.by_area else 1.0)
         row["targets"], row["empty"] = each, np.exp(-each * lattice.multiplicity)
         method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
-        if self.method == "surrogate" and cheapest("independent", lattice) != "surrogate":
+        if method == "surrogate" and not in_box(lattice):
             row["reason"] = "outside the box of the surrogate"
             return
         found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))

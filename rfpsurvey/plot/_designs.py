@@ -58,7 +58,8 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table does not come from `explore_designs`, a column is missing, or a design to mark has another estimand.
+        If a table does not come from `explore_designs`, a column is missing, or designs to mark answer another
+        question.
 
     Examples
     --------
@@ -73,8 +74,8 @@ def plot_designs(
     for one in (table, *(mark or {}).values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each in mark, must be what explore_designs returns")
-        if set(one["estimand"]) != set(table["estimand"]):
-            raise InputError(f"designs to mark must have the estimand {table['estimand'][0]!r}, as the others")
+        if _question(one) != _question(table):
+            raise InputError(f"mark must answer the same question as table: {_question(one)}, not {_question(table)}")
     objectives = list(table.meta["objectives"])
     x, y = (o if name is None else name for name, o in zip((x, y), objectives, strict=True))
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
@@ -102,6 +103,13 @@ def plot_designs(
     return ax
 
 
+def _question(table):
+    """Return what the losses of a table are, in words."""
+    asked = table.meta["request"]
+    targets = f", {asked['targets']:g} targets a {'mm^2' if asked['by_area'] else 'positioner'}"
+    return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)
+
+
 def _plain(table, name):
     return np.asarray(getattr(table[name], "value", table[name]), dtype=float)
 
@@ -113,5 +121,5 @@ def _parameter(table):
 
 def _label(table, name):
     text, unit = LABELS.get(name, name.replace("_", " ")), getattr(table[name], "unit", None)
-    of = f" ({table['estimand'][0].replace('_', ' ')})" if name in ("loss", "usable", "usable_per_area") else ""
+    of = f" ({_question(table).replace('_', ' ')})" if name in ("loss", "usable", "usable_per_area") else ""
     return f"{text}{of}" + (f" [{unit:unicode}]" if unit else "")
