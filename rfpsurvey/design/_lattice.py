@@ -72,6 +72,7 @@ class Lattice:
         x = (np.arange(n_lines) + 0.5) / (2 * n_lines)
         top = x / np.sqrt(3)
         centers = _centers(int(np.ceil(outer)))
+        centers = centers[np.hypot(*centers.T) < outer + 1 / np.sqrt(3)]  # nothing in the triangle is farther out
         away = x[:, None] - centers[:, 0]
         edges, steps = [], []
         for r, sign in ((outer, 1), (inner, -1)):

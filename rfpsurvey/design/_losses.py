@@ -132,7 +132,7 @@ def _over_skies(lattice, skies, look, grain):
     total, n = assigned.sum(), skies.number
     if total == 0:
         return Loss(0.0, np.nan, np.nan)
-    loss = lost.sum() / total
+    loss = max(lost.sum() / total, 0.0)  # two plans may differ in who is idle, also across the edge of the middle
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
     if lattice.collision_type > 1:
         error = max(error, grain / total)
