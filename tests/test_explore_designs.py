@@ -15,6 +15,7 @@ from oracles import annuli_coverage
 from rfpsurvey.design import _books
 from rfpsurvey.design._front import on_front
 from rfpsurvey.design._losses import METHODS
+from rfpsurvey.design._work import Task
 
 MM = u.mm
 LAMOST = {"l1": 8.25 * MM, "ratio": 1.0, "pitch": 25.6 * MM, "clearance": 2.25 * MM}
@@ -72,17 +73,26 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
         assert row["usable"] == 1 - row["loss"]
 
 
-def test_allocated_losses_are_those_of_the_middle_of_a_large_array():
-    row = explore(estimand="allocated", n_skies=60, targets_per_positioner=4)[0]
+@pytest.mark.parametrize("each", [0.5, 4])
+def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
+    """One configuration of each sky; parked arms stand in the way, but lose no target."""
+    row = explore(estimand="allocated", n_skies=100, targets_per_positioner=each)[0]
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=9, pitch=25.6 * MM)
-    radius = 9 * 25.6 + 16.5
-    n = 4 * np.pi * radius**2 / (np.sqrt(3) / 2 * 25.6**2)
-    options = {"targets": "poisson", "n_targets": n, "target_radius": radius * MM, "max_iterations": 60, "rng": 1}
-    risk = rs.collision_probability(plane, **options).per_positioner
     middle = np.hypot(*plane.xy.to_value("mm").T) < 6 * 25.6
-    assert row["loss"] == pytest.approx(risk[middle].mean(), abs=5 * row["loss_error"])
-    assert 0 < row["loss_error"] < 0.003
+    radius = 9 * 25.6 + 16.5
+    lost = np.zeros((300, 2))
+    for counts in lost:
+        n = rng.poisson(each * np.pi * radius**2 / (np.sqrt(3) / 2 * 25.6**2))
+        r, alpha = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+        plan = rs.allocate(np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM, plane, rng=rng)
+        assigned = middle & (plan.target_of_positioner >= 0)
+        counts[:] = assigned.sum(), rs.find_collisions(plane, plan).in_collision[assigned].sum()
+    truth = lost[:, 1].sum() / lost[:, 0].sum()
+    error = (lost[:, 1] / lost[:, 0]).std() / np.sqrt(len(lost))
+    assert row["loss"] == pytest.approx(truth, abs=4 * np.hypot(row["loss_error"], error))
+    assert 0 < row["loss_error"] < 0.006
+    assert row["assigned"] == pytest.approx(lost[:, 0].mean() / middle.sum(), abs=0.02)
 
 
 def test_collision_free_losses_are_counted_in_two_plans(monkeypatch):
@@ -154,6 +164,15 @@ def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front(
         assert np.isnan(explore(ratio=3.2, method="surrogate")["loss"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="no fiber has a target"):
         assert np.isnan(explore(estimand="allocated", targets_per_positioner=1e-9)["loss"][0])
+
+
+def test_each_design_has_random_numbers_of_its_own():
+    """Of its number in the scan, not of what else is done in the same task."""
+    task = Task("allocated", "conditional", 0.0, 2.0, False, 2, 1.0, 5)
+    same = np.tile([8.25, 1.0, 25.6, 2.25], (4, 1))
+    rows = task(0, same)
+    assert len(set(rows["loss"])) == 4
+    assert (task(2, same[2:]) == rows[2:]).all()
 
 
 def test_nothing_depends_on_the_executor():

@@ -1,6 +1,7 @@
 """The paper's box of designs: coverage against independent losses, the front, and arms that are there."""
 
 import astropy.units as u
+import matplotlib.pyplot as plt
 
 import rfpsurvey as rs
 
@@ -11,7 +12,5 @@ mark = {
     name: rs.explore_designs(l1=l1 * u.mm, ratio=l2 / l1, pitch=pitch * u.mm, clearance=2.25 * u.mm)
     for name, (l1, l2, pitch) in arms.items()
 }
-import matplotlib.pyplot as plt
-
 figure, ax = plt.subplots(figsize=(7.5, 5), layout="constrained")
 rs.plot_designs(table, mark=mark, ax=ax)

@@ -7,7 +7,7 @@ import numpy as np
 import rfpsurvey as rs
 from rfpsurvey.plot._style import MARKERS, SERIES
 
-scan = {"l1": 8.25 * u.mm, "ratio": np.linspace(1, 2, 11), "pitch": 25.6 * u.mm, "clearance": 2.25 * u.mm}
+scan = {"l1": 8.25 * u.mm, "ratio": np.linspace(1, 2, 6), "pitch": 25.6 * u.mm, "clearance": 2.25 * u.mm}
 questions = [("independent", None), ("allocated", 4), ("allocated", 1), ("collision_free", 1), ("collision_free", 2)]
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
 for k, (estimand, each) in enumerate(questions):
