@@ -13,7 +13,7 @@ from rfpsurvey.benchmark import (
 )  # fmt: skip
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
-from rfpsurvey.compare import compare_allocators
+from rfpsurvey.compare import compare_allocators, compare_instruments
 from rfpsurvey.design import design_sensitivities, explore_designs
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
@@ -22,6 +22,7 @@ from rfpsurvey.plot import (
     plot_completeness,
     plot_designs,
     plot_focal_plane,
+    plot_instruments,
     plot_probability_accuracy,
     plot_speed_accuracy,
     plot_tiling,
@@ -75,6 +76,7 @@ __all__ = [
     "benchmark_probability",
     "collision_probability",
     "compare_allocators",
+    "compare_instruments",
     "count_collisions",
     "design_sensitivities",
     "explore_designs",
@@ -87,6 +89,7 @@ __all__ = [
     "plot_completeness",
     "plot_designs",
     "plot_focal_plane",
+    "plot_instruments",
     "plot_probability_accuracy",
     "plot_speed_accuracy",
     "plot_tiling",
