@@ -95,7 +95,7 @@ def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, 
     assert row["assigned"] == pytest.approx(lost[:, 0].mean() / middle.sum(), abs=0.02)
 
 
-def test_collision_free_losses_are_counted_in_two_plans(monkeypatch):
+def test_collision_free_losses_are_counted_in_two_plans():
     """The best plan that avoids collisions, the best one that does not: for a design in which nobody can touch both are
     the same; repair loses at least as much as the optimum."""
     far = explore(pitch=38 * MM, estimand="collision_free", targets_per_positioner=1)[0]
@@ -111,6 +111,15 @@ def test_collision_free_losses_are_counted_in_two_plans(monkeypatch):
     assert best["assigned"] == mended["assigned"]
     assert 0 < best["loss"] < mended["loss"]
     assert best["usable"] == pytest.approx(best["assigned"] * (1 - best["loss"]))
+
+
+def test_searches_that_are_cut_short_are_counted():
+    design = {"l1": 14 * MM, "ratio": 1.6, "estimand": "collision_free", "targets_per_positioner": 1, "n_skies": 2}
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="cut searches for 1 of 1 designs short: their loss is at most so large"
+    ):
+        row = explore(**design, time_limit=1 * u.ms)[0]
+    assert row["n_unproven"] == 2
 
 
 def test_errors_are_the_scatter_between_scans():
@@ -162,6 +171,8 @@ def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front(
         assert np.isnan(explore(ratio=20)["coverage"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="outside the box of the surrogate"):
         assert np.isnan(explore(ratio=3.2, method="surrogate")["loss"][0])
+    with pytest.warns(rs.RfpsurveyWarning, match="more than 1000 targets a positioner"):
+        assert np.isnan(explore(target_density=2 / MM**2)["loss"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="no fiber has a target"):
         assert np.isnan(explore(estimand="allocated", targets_per_positioner=1e-9)["loss"][0])
 

@@ -13,7 +13,7 @@ from rfpsurvey.design._books import Books
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._losses import ESTIMANDS, METHODS
 from rfpsurvey.design._rows import FIGURES, to_table
-from rfpsurvey.design._work import Task
+from rfpsurvey.design._work import MOST_TARGETS, Task
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.probability._run import Progress
 
@@ -192,8 +192,8 @@ def _targets(each, density):
     if density is not None:
         return to_scalar(density, u.mm**-2, "target_density", low=0, high=1e3), True
     number = EACH if each is None else each
-    if isinstance(number, bool) or not isinstance(number, int | float | np.number) or not 0 < number <= 1000:
-        raise InputError(f"targets_per_positioner must be a number above 0 and up to 1000, got {each!r}")
+    if isinstance(number, bool) or not isinstance(number, int | float | np.number) or not 0 < number <= MOST_TARGETS:
+        raise InputError(f"targets_per_positioner must be a number above 0 and up to {MOST_TARGETS:g}, got {each!r}")
     return float(number), False
 
 

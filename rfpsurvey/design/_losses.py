@@ -73,12 +73,12 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
 
 def optimal(lattice: Lattice, skies: Skies) -> Loss:
     """Compare the best plan without a collision with the best one that does not look at collisions."""
-    return _compare(lattice, skies, "optimal", {"time_limit": skies.time_limit * u.s})
+    return _compare(lattice, skies, "optimal")
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
     """Compare a plan by LAMOST's rule, mended, with the best one that does not look at collisions."""
-    return _compare(lattice, skies, "repair", {})
+    return _compare(lattice, skies, "repair")
 
 
 METHODS = {
@@ -105,13 +105,14 @@ def in_box(lattice: Lattice) -> bool:
     return not any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
 
 
-def _compare(lattice, skies, method, options):
+def _compare(lattice, skies, method):
     """Count the fibers that a plan without collisions leaves idle."""
+    limit = skies.time_limit * u.s
 
     def look(points, plane, core):
-        plans = allocate(points, plane, method="sdss"), allocate(points, plane, method=method, **options)
-        blind, found = (int((p.target_of_positioner[core] >= 0).sum()) for p in plans)
-        return blind, blind - found, method == "optimal" and plans[1].gap > 0
+        plans = {name: allocate(points, plane, method=name, time_limit=limit) for name in ("sdss", method)}
+        blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
+        return blind, blind - found, any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
 
     return _over_skies(lattice, skies, look, 1.0)
 

@@ -8,7 +8,9 @@ from rfpsurvey.design._lattice import make_lattice
 from rfpsurvey.design._losses import METHODS, Skies, cheapest, in_box
 from rfpsurvey.design._rows import blank
 
-__all__ = ["Task"]
+__all__ = ["MOST_TARGETS", "Task"]
+
+MOST_TARGETS = 1000.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,9 @@ class Task:
         row["coverage"] = 1 - row["reach_0"]
         each = self.targets * (lattice.cell if self.by_area else 1.0)
         row["targets"], row["empty"] = each, np.exp(-each * lattice.multiplicity)
+        if each > MOST_TARGETS:
+            row["reason"] = f"there are more than {MOST_TARGETS:g} targets a positioner"
+            return
         method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
         if method == "surrogate" and not in_box(lattice):
             row["reason"] = "outside the box of the surrogate"
