@@ -1,5 +1,6 @@
 """``rfpsurvey instruments``."""
 
+import warnings
 from typing import Annotated
 
 import typer
@@ -22,7 +23,11 @@ def instruments(
     if name is None:
         print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
         for known in rs.available_instruments():
-            model = rs.Instrument.preset(known)
+            try:
+                model = rs.Instrument.preset(known)
+            except rs.InputError as error:  # one that a package adds must not hide the others
+                warnings.warn(str(error), rs.RfpsurveyWarning, stacklevel=1)
+                continue
             kind, field = (
                 model.focal_plane.collision_type,
                 f"{2 * model.field_radius.to_value('deg'):.3f} deg",
