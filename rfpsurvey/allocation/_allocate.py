@@ -171,7 +171,8 @@ def allocate(
             warnings.warn(text, RfpsurveyWarning, stacklevel=2)
         others = np.empty((0, 2)) if avoid is None else to_points_mm(avoid, "avoid")
         problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0), others)
-    choice = solve(replace(problem, start=partial(_as_choice, start, problem, n, reach.covered)))
+    problem = replace(problem, start=partial(_as_choice, start, problem, n, reach.covered))
+    choice = solve(problem)
     found = _finish(problem, choice, n)
     end = perf_counter()
     return Allocation(

@@ -155,14 +155,11 @@ def _view(problem: Problem) -> AllocationProblem:
 def _checked(problem: Problem, given: object) -> np.ndarray:
     """Return the target of each positioner, if it can be that."""
     n, n_targets = len(problem.plane), len(problem.points)
-    try:
-        target_of = to_plain(given)
-    except (TypeError, ValueError):
-        target_of = np.empty(0)
+    target_of = _plain(given)
     if target_of.shape != (n,) or target_of.dtype.kind not in "iu":
         raise InputError(
             f"an allocator must return whole numbers of the shape ({n},), the target of each positioner or -1, or a "
-            f"tuple of these and the elbows; got {type(given).__name__} of the shape {np.shape(given)}"
+            f"tuple of these and the elbows; got {type(given).__name__} of the shape {target_of.shape}"
         )
     strange = target_of[(target_of < -1) | (target_of >= n_targets)]
     if len(strange):
@@ -187,10 +184,7 @@ def _checked(problem: Problem, given: object) -> np.ndarray:
 def _sides(problem: Problem, target_of: np.ndarray, elbows: object) -> np.ndarray:
     """Return the elbows as +1 (right) and -1 (left), if the positioners allow them at their targets."""
     plane, own = problem.plane, np.flatnonzero(target_of >= 0)
-    try:
-        names = to_plain(elbows)
-    except (TypeError, ValueError):
-        names = np.empty(0)
+    names = _plain(elbows)
     if names.shape != target_of.shape or not np.isin(names[own], ELBOWS).all():
         raise InputError(
             f"elbows must be 'right' or 'left' for each positioner with a target, shape ({len(plane)},), got {elbows!r}"
@@ -205,6 +199,14 @@ def _sides(problem: Problem, target_of: np.ndarray, elbows: object) -> np.ndarra
         first = own[~allowed][0]
         raise InputError(f"positioner {first} (by row) cannot have the elbow {str(names[first])!r} at its target")
     return side
+
+
+def _plain(given: object) -> np.ndarray:
+    """Return an array from what may be none, which then has no column."""
+    try:
+        return to_plain(given)
+    except (TypeError, ValueError):
+        return np.empty((0, 0))
 
 
 def _usual_sides(problem: Problem, target_of: np.ndarray) -> np.ndarray:
