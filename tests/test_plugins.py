@@ -387,6 +387,18 @@ def test_comparisons_take_both(small, hers):
     )
 
 
+def test_instruments_are_compared_without_those_that_fail(hers, install, monkeypatch):
+    install("bad", "import not_there", instruments={"bad": "f"})
+    monkeypatch.setattr("rfpsurvey.instrument._instrument._shipped", dict)
+    toy = EXAMPLE / "rfpsurvey_example" / "toy.toml"
+    install("mine", f"toy = {str(toy)!r}", instruments={"toy": "toy"})
+    with pytest.warns(rs.RfpsurveyWarning, match="the instrument 'bad' of bad 1.0"):
+        table = rs.compare_instruments(allocators=["begin", begin_optimal], n_realizations=1)
+    assert table["instrument"].tolist() == ["toy", "toy"]
+    assert table["allocator"].tolist() == ["begin", f"{__name__}.begin_optimal"]
+    assert table.meta["software"]["hers"] == "1.0"
+
+
 # methods of collision probability
 
 

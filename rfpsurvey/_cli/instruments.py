@@ -1,12 +1,11 @@
 """``rfpsurvey instruments``."""
 
-import warnings
 from typing import Annotated
 
 import typer
 
-import rfpsurvey as rs
 from rfpsurvey._cli import _app
+from rfpsurvey.instrument import every_instrument
 
 EXAMPLES = """\b
 Examples:
@@ -22,12 +21,7 @@ def instruments(
     """List the instruments, or show one with the source of every figure."""
     if name is None:
         print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
-        for known in rs.available_instruments():
-            try:
-                model = rs.Instrument.preset(known)
-            except rs.InputError as error:  # one that a package adds must not hide the others
-                warnings.warn(str(error), rs.RfpsurveyWarning, stacklevel=1)
-                continue
+        for known, model in every_instrument().items():
             kind, field = (
                 model.focal_plane.collision_type,
                 f"{2 * model.field_radius.to_value('deg'):.3f} deg",

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -14,12 +15,12 @@ from astropy.table import Table
 
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.projection import RadialMap, TangentPlane
 
-__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments"]
+__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
 
 GROUP = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
@@ -232,11 +233,15 @@ class Instrument:
 
 
 def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return an instrument from itself or from the name of a preset."""
+    """Return an instrument from itself, from the name of a preset or from the path of a TOML file."""
+    if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and instrument.endswith(".toml")):
+        return Instrument.read(instrument)
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):
-        raise InputError(f"instrument must be an Instrument or the name of a preset, got {instrument!r}")
+        raise InputError(
+            f"instrument must be an Instrument, the name of a preset or the path of a TOML file, got {instrument!r}"
+        )
     return instrument
 
 
@@ -267,6 +272,17 @@ def available_instruments() -> list[str]:
     True
     """
     return sorted({*plugin_names(GROUP), *_shipped()})
+
+
+def every_instrument() -> dict[str, Instrument]:
+    """Return all that are known by their names, and warn of those that packages add and that cannot be made."""
+    found = {}
+    for name in available_instruments():
+        try:
+            found[name] = Instrument.preset(name)
+        except InputError as error:
+            warnings.warn(str(error), RfpsurveyWarning, stacklevel=3)
+    return found
 
 
 def _shipped() -> dict[str, Path]:

@@ -10,11 +10,12 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 from rfpsurvey._plugins import name_of
-from rfpsurvey.allocation import METHODS, find_method
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
+from rfpsurvey.errors import RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.tile import Tile, plan_tile
+from rfpsurvey.tile import plan_tile
 
 __all__ = ["compare_allocators"]
 
@@ -73,17 +74,10 @@ def compare_allocators(
     >>> table["colliding"][1]
     np.int64(0)
     """
-    one = isinstance(allocators, str) or callable(allocators)
-    methods = list(METHODS) if allocators is None else [allocators] if one else list(allocators)
-    if "allocator" in options:
-        raise InputError("the methods to compare are given by allocators, not by allocator")
-    if not methods:
-        raise InputError("allocators must name at least one method, got none")
-    for method in methods:
-        find_method(method)
+    methods = allocators_of(METHODS if allocators is None else allocators, options)
     instrument = as_instrument(instrument)
     tiles = {}
-    for method in dict.fromkeys(["sdss", *methods]):
+    for method in dict.fromkeys([BLIND, *methods]):
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
@@ -91,7 +85,7 @@ def compare_allocators(
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **options)
         log.info("planned by %s: %s", name_of(method), tiles[method])
-    blind = _on_kind(tiles["sdss"], "science")
+    blind = on_kind(tiles[BLIND], "science")
     rows = [_row(name_of(method), tiles[method], blind) for method in methods]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
     provenance = tiles[methods[0]].provenance
@@ -105,16 +99,12 @@ def compare_allocators(
     return table
 
 
-def _on_kind(tile: Tile, kind: str) -> int:
-    return int(np.count_nonzero(tile.table["kind"] == kind))
-
-
 def _row(name, tile, blind):
     """Figures of one plan."""
     summary, table = tile.summary, tile.table
     aims = {aim: value for aim, value, _ in summary["aims"]}
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
-    row = {"allocator": name, **{kind: _on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
+    row = {"allocator": name, **{kind: on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
     classes = [aim for aim in aims if aim.startswith("priority ")]
     if len(classes) <= MOST_CLASSES:
         row.update({aim.replace(" ", "_"): int(aims[aim]) for aim in classes})
