@@ -305,7 +305,7 @@ def finish_estimate(estimate, model: "rs.Instrument", output: Path | None, *, ov
         "seconds": f"{estimate.seconds:.3f}",
     }
     for label, value in lines.items():
-        if value != "":
+        if value not in ("", "nan"):
             print(f"{label:<34}{value}")
     meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
     print(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
