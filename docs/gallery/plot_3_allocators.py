@@ -2,7 +2,7 @@
 Allocators side by side
 =======================
 
-What each method makes of the same crowded field of MOONS: science fibers that can be used, and those lost to collisions.
+What each method makes of the same crowded field of MOONS: science fibers that can be used, and those that collide.
 """
 
 import astropy.units as u
