@@ -26,7 +26,7 @@ html_theme = "pydata_sphinx_theme"
 html_theme_options = {"navbar_center": [], "navbar_end": ["theme-switcher"], "show_nav_level": 1}
 html_sidebars = {"**": ["contents.html"]}
 html_math_renderer = "mathml"
-math_number_all = False
+math_eqref_format = "Eq. {number}"
 html_favicon = None
 html_title = f"rfpsurvey {version}"
 html_static_path = ["_static"]
@@ -46,11 +46,11 @@ sphinx_gallery_conf = {
     "filename_pattern": r"/plot_",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
+    "capture_repr": (),
     "default_thumb_file": str(Path(__file__).parent / "examples/images/sphx_glr_plot_8_survey_001.png"),
     "download_all_examples": False,
     "show_signature": False,
     "min_reported_time": 1e9,
-    "plot_gallery": "True",
 }
 # names of other packages, which only the network could resolve
 nitpick_ignore_regex = [
