@@ -8,7 +8,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._style import MARKERS, SERIES
+from rfpsurvey.plot._style import MARKERS, SEQUENTIAL, SERIES
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
 
@@ -210,6 +210,8 @@ def _draw_offsets(ax, centers, radius, middle):
 
 def _draw_sky(ax, centers, radius):
     """Return outlines on a map of the whole sky, 180 deg in the middle, cut at its edge, and the tile of each."""
+    from matplotlib.patheffects import Normal, Stroke
+
     rims = _rims(centers, radius)
     # x on the map, to the left with right ascension, unwrapped about the center of each field
     middle = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
@@ -231,6 +233,9 @@ def _draw_sky(ax, centers, radius):
                 break
     hours = np.arange(30, 360, 60)
     ax.set_xticks(np.deg2rad(180 - hours), [f"{h}°" for h in hours], fontsize="small")
+    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # labels stand on tiles
+    for label in ax.get_xticklabels():
+        label.set_path_effects(halo)
     ax.set_yticks(np.deg2rad(np.arange(-60, 61, 30)))
     ax.grid(color="0.85", lw=0.5)
     return polygons, np.array(tile_of)
@@ -238,7 +243,6 @@ def _draw_sky(ax, centers, radius):
 
 def _color(ax, polygons, values, levels, name):
     """Fill outlines by value, with a scale beside the axes: steps for a few whole numbers, none for one."""
-    from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import BoundaryNorm
 
@@ -251,13 +255,15 @@ def _color(ax, polygons, values, levels, name):
     if sky:  # projected here: the axes would put thousands of points on every edge
         polygons = [ax.transProjection.transform(polygon) for polygon in polygons]
         style["transform"] = ax.transAffine + ax.transAxes
-    drawn = PolyCollection(polygons, array=values, cmap=colormaps["viridis"], **style)
+    drawn = PolyCollection(polygons, array=values, cmap=SEQUENTIAL, **style)
     ax.add_collection(drawn, autolim=not sky)
     if not sky:
         ax.autoscale_view()
         ax.xaxis.set_inverted(True)
     if name == "completeness":
         drawn.set_clim(0, 1)
+    elif len(levels) == 1:
+        drawn.set_clim(levels[0] - 1, levels[0] + 1)  # the middle of the scale, neither dark nor pale
     if len(levels) > 1 or name == "completeness":
         place = ax.inset_axes([1.04, 0.1, 0.025, 0.8] if sky else [1.02, 0, 0.025, 1])
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))

@@ -7,6 +7,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError
+from rfpsurvey.plot._axes import check_columns
 from rfpsurvey.plot._style import IDLE, MARKERS, SERIES
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     """
     from matplotlib.figure import Figure
 
-    _check_table(table, {"method", "n_points", "time", "misclassified", "max_error"}, "benchmark_collisions")
+    check_columns(table, {"method", "n_points", "time", "misclassified", "max_error"}, "benchmark_collisions")
     if axes is None:
         axes = tuple(Figure(figsize=(7.5, 7), layout="constrained").subplots(2, sharex=True))
     if len(axes) != 2:
@@ -110,7 +111,7 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
     """
     from matplotlib.figure import Figure
 
-    _check_table(table, {"method", "effort", "time", "error", "estimand"}, "benchmark_probability")
+    check_columns(table, {"method", "effort", "time", "error", "estimand"}, "benchmark_probability")
     if ax is None:
         ax = Figure(figsize=(7.5, 5.5), layout="constrained").add_subplot()
     for k, method in enumerate(dict.fromkeys(table["method"])):
@@ -130,12 +131,3 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
     ax.set_title(f"{table.meta.get('instrument', '')}: labels are iterations, realizations or points")
     ax.legend(fontsize="small")
     return ax
-
-
-def _check_table(table, columns, maker):
-    """Refuse what the function of that name did not make."""
-    if not isinstance(table, QTable):
-        raise InputError(f"table must be a QTable, got {type(table).__name__}")
-    missing = columns - set(table.colnames)
-    if missing:
-        raise InputError(f"table must come from {maker}, but it has no {', '.join(sorted(missing))}")
