@@ -105,5 +105,5 @@ def values_of(table: QTable, name: str) -> np.ndarray:
 def labeled(table: QTable, name: str) -> str:
     """Return the label of a column, with its unit."""
     unit = getattr(table[name], "unit", None)
-    words = name.replace("_", " ")
+    words = {"ratio": "arm ratio"}.get(name, name.replace("_", " "))
     return f"{words} [{unit}]" if unit is not None and str(unit) else words

@@ -37,8 +37,8 @@ def _small(tables):
         columns = {"simulation": "value", "simulation_low": "low", "simulation_high": "high", "formula": "closed_form"}
         curves = QTable([part[name] for name in (x, *columns.values())], names=[x, *columns])
         plot_probability(curves, x, values=["simulation", "formula"], ax=above)
-        for name in columns:
-            curves[name] = _scaled(curves[name], like=curves[name.split("_")[0]])
+        for name, own in columns.items():
+            curves[name] = _scaled(part[own], like=part["closed_form" if name == "formula" else "value"])
         plot_probability(curves, x, values=["simulation", "formula"], ax=below)
         above.set_title(f"scan of {scan}")
         below.get_legend().remove()
@@ -61,7 +61,8 @@ def _large(tables):
     for k, way in enumerate(("range_200", "covered")):
         label = way.replace("_", " ")
         axes[0].plot(table[way], table["closed_form_corrected"], MARKERS[k], color=SERIES[k], label=label)
-    axes[0].plot([0, 1], [0, 1], color="0.6", lw=0.8)
+    most = 1.05 * max(table["range_200"].max(), table["covered"].max())
+    axes[0].plot([0, most], [0, most], color="0.6", lw=0.8)
     axes[0].set_xlabel("simulation (conditional)")
     axes[0].set_ylabel("formula")
     axes[0].legend()
@@ -75,8 +76,11 @@ def _poisson(tables):
     """Draw the relative difference of every reading of Poisson targets over ratio and pitch."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
-    figure, axes = _figure(1, len(readings), size=(4 * len(readings), 4))
-    for ax, reading in zip(axes, readings, strict=True):
+    rows = -(-len(readings) // 3)
+    figure, axes = _figure(rows, 3, size=(14, 4.2 * rows))
+    for ax in axes.flat[len(readings) :]:
+        ax.remove()
+    for ax, reading in zip(axes.flat, readings, strict=False):
         plot_residuals(table, "uniform", reading, ax=ax)
     return figure
 

@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._axes import check_columns
+from rfpsurvey.plot._axes import check_columns, new_axes
 from rfpsurvey.plot._style import IDLE, MARKERS, SERIES
 
 if TYPE_CHECKING:
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 
-def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = None) -> "tuple[Axes, Axes]":
+def plot_speed_accuracy(
+    table: QTable, *, axes: "tuple[Axes, Axes] | None" = None, **kwargs: object
+) -> "tuple[Axes, Axes]":
     """Draw the time of a tile against errors, a point for each method and number of points.
 
     Parameters
@@ -25,6 +27,8 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
         What `benchmark_collisions` returns.
     axes : tuple of matplotlib.axes.Axes, optional
         Where to draw misclassified pairs, and the largest error of a distance; a new figure by default.
+    **kwargs
+        Passed to ``plot`` of each method, for example ``markersize``.
 
     Returns
     -------
@@ -64,7 +68,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
             y = np.where(values[rows] > 0, values[rows], floor)
             style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
             style["markerfacecolor"] = style["color"] if k == 0 else "none"  # let others shine through
-            ax.plot(time[rows], y, **style)
+            ax.plot(time[rows], y, **{**style, **kwargs})
             for row, height in zip(rows, y, strict=True):
                 if points[row] is not np.ma.masked:
                     where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
@@ -82,7 +86,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     return axes
 
 
-def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Axes":
+def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
     """Draw the error of collision probabilities against the time they take, a line for each method.
 
     Parameters
@@ -91,6 +95,8 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
         What `benchmark_probability` returns.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
+    **kwargs
+        Passed to ``loglog`` of each method, for example ``markersize``.
 
     Returns
     -------
@@ -109,19 +115,15 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
     >>> rs.plot_probability_accuracy(table).get_xlabel()
     'time [ms]'
     """
-    from matplotlib.figure import Figure
-
     check_columns(table, {"method", "effort", "time", "error", "estimand"}, "benchmark_probability")
-    if ax is None:
-        ax = Figure(figsize=(7.5, 5.5), layout="constrained").add_subplot()
+    ax = new_axes(7.5, 5.5) if ax is None else ax
     for k, method in enumerate(dict.fromkeys(table["method"])):
         rows = table[table["method"] == method]
         formula = not np.asarray(rows["effort"]).any()
         color = SERIES[k % len(SERIES)]
-        ax.loglog(
-            rows["time"].to_value(u.ms), rows["error"], color=color, marker=MARKERS[k % 8], linestyle=":",
-            markerfacecolor="none" if formula else color, label=f"{method} ({rows['estimand'][0]})",
-        )  # fmt: skip
+        style = {"color": color, "marker": MARKERS[k % 8], "linestyle": ":"}
+        style |= {"markerfacecolor": "none" if formula else color, "label": f"{method} ({rows['estimand'][0]})"}
+        ax.loglog(rows["time"].to_value(u.ms), rows["error"], **{**style, **kwargs})
         for row in rows:
             if not formula:
                 where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
