@@ -259,6 +259,10 @@ def _color(ax, polygons, values, levels, name, kwargs):
     if steps:
         edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
         style["norm"] = BoundaryNorm(edges, 256)
+    if name == "completeness":
+        style["clim"] = (0, 1)
+    elif len(levels) == 1:
+        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the middle of the scale, neither dark nor pale
     if sky:  # projected here: the axes would put thousands of points on every edge
         polygons = [ax.transProjection.transform(polygon) for polygon in polygons]
         style["transform"] = ax.transAffine + ax.transAxes
@@ -267,10 +271,6 @@ def _color(ax, polygons, values, levels, name, kwargs):
     if not sky:
         ax.autoscale_view()
         ax.xaxis.set_inverted(True)
-    if name == "completeness":
-        drawn.set_clim(0, 1)
-    elif len(levels) == 1:
-        drawn.set_clim(levels[0] - 1, levels[0] + 1)  # the middle of the scale, neither dark nor pale
     if len(levels) > 1 or name == "completeness":
         place = ax.inset_axes([1.04, 0.1, 0.025, 0.8] if sky else [1.02, 0, 0.025, 1])
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))
