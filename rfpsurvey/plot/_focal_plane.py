@@ -104,9 +104,13 @@ def plot_focal_plane(
     scene = _of_tile(thing) if isinstance(thing, Tile) else _of_plane(thing)
     arms, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
     ax = focal_plane_axes(ax, scene.centers, scene.outer, region)
-    handles = [*_draw_groups(ax, scene, color), *_draw_patrol_areas(ax, scene, patrol), *_draw_obstacles(ax, scene)]
+    handles = [
+        *_draw_groups(ax, scene, color),
+        *_draw_patrol_areas(ax, scene, color, patrol),
+        *_draw_obstacles(ax, scene),
+    ]
     handles += [*_draw_arms(ax, scene, arms), *_draw_marks(ax, scene)]
-    ax.set_title(scene.title)
+    ax.set_title(scene.title + (f", by {color.replace('_', ' ')}" if color else ""))
     legend_below(ax, handles, columns=4)
     return ax
 
@@ -148,7 +152,7 @@ def _of_plane(thing):
 
 
 def _draw_groups(ax, scene, color):
-    """Fill the patrol areas of each group of positioners, and yield legend entries."""
+    """Fill the patrol areas of each group of positioners, write its name there or yield a legend entry."""
     from matplotlib.patches import Patch
 
     if color is None:
@@ -163,22 +167,26 @@ def _draw_groups(ax, scene, color):
         rows = values == name
         add_circles(ax, scene.centers[rows], 0.5 * scene.outer[rows], zorder=0.9, edgecolors="white", **style)
         middle = scene.centers[rows].mean(axis=0)
-        if rows[np.argmin(np.hypot(*(scene.centers - middle).T))] and len(names) > 2:  # it lies together
+        together = len(names) > 2 and rows[np.argmin(np.hypot(*(scene.centers - middle).T))]
+        if together and ax.viewLim.contains(*middle):
             label = ax.text(*middle, str(name), ha="center", va="center", weight="bold", zorder=7, clip_on=True)
             label.set_bbox({"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.5})
+            continue
         yield Patch(edgecolor="white", label=f"{color.replace('_', ' ')} {name}".strip(), **style)
 
 
-def _draw_patrol_areas(ax, scene, kwargs):
+def _draw_patrol_areas(ax, scene, color, kwargs):
     """Draw both edges of each patrol area, and yield legend entries."""
     from matplotlib.lines import Line2D
 
     free = scene.with_target | (scene.status == "usable")
     entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-    for rows, edge, label in ((free, PATROL, "patrol area"), (~free, IDLE, "patrol area, no target")):
+    usual = IDLE if color else PATROL  # a blue edge would tint what is filled
+    for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
         if not rows.any():
             continue
-        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.5, "zorder": 1, **kwargs}
+        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if color else 0.5, "zorder": 1}
+        style |= kwargs
         add_circles(ax, scene.centers[rows], scene.outer[rows], **style)
         if scene.inner[rows].any():
             add_circles(ax, scene.centers[rows], scene.inner[rows], **{**style, "linestyles": ":"})

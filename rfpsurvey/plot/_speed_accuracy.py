@@ -76,7 +76,8 @@ def plot_speed_accuracy(
         ax.set_yscale("log")
         ax.set_xscale("log")
         ax.set_ylabel(label)
-        ax.set_ylim(bottom=floor / 2)
+        top = seen.max(initial=10 * floor)
+        ax.set_ylim(floor / 2, top * (top / floor) ** 0.1)  # room for labels above the highest point
         ax.axhspan(floor / 2, 2 * floor, color=IDLE, alpha=0.2, linewidth=0)
         ax.text(0.99, floor, "none", transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize="small")
     axes[0].legend(fontsize="small", ncols=2)
