@@ -143,6 +143,8 @@ def test_a_focal_plane_without_a_tile_shows_what_cannot_move(small):
     central, _ = artists(ax, LineCollection, IDLE)
     elbow = plane.xy.value[5] + 8.25 * np.array([np.cos(np.pi / 6), 0.5])
     np.testing.assert_allclose(central.get_segments()[0], [plane.xy.value[5], elbow])
+    shade = artists(ax, PolyCollection, IDLE)[0].get_paths()[0].vertices
+    assert np.linalg.norm(shade - elbow, axis=1).min() == pytest.approx(2.25)
 
 
 def test_groups_are_disks_and_words_in_the_legend(presets):

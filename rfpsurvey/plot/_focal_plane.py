@@ -17,7 +17,7 @@ from rfpsurvey.tile import Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_focal_plane"]
+__all__ = ["capsules", "plot_focal_plane"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
 """Status to the marker and the words that stand for it."""
@@ -224,7 +224,7 @@ def _draw_arms(ax, scene, kwargs):
         shade = {"facecolors": to_rgba(color, 0.2), "edgecolors": "none"}
         if color is COLLISION:
             shade |= {"edgecolors": color, "linewidths": 0.8, "hatch": HATCH}
-        ax.add_collection(PolyCollection(_capsules(scene.bodies[rows], scene.half), zorder=zorder - 0.5, **shade))
+        ax.add_collection(PolyCollection(capsules(scene.bodies[rows], scene.half), zorder=zorder - 0.5, **shade))
         add_circles(ax, scene.tips[rows], 0.06 * scene.outer[rows], facecolors=color, zorder=zorder)
         if color is COLLISION:
             yield Patch(facecolor=to_rgba(color, 0.2), edgecolor=color, hatch=HATCH, label=label)
@@ -241,7 +241,7 @@ def _draw_marks(ax, scene):
             yield ax.scatter(*points.T, s=16, marker=marker, linewidths=1.0, zorder=6, label=label, **style)
 
 
-def _capsules(bodies, radius):
+def capsules(bodies, radius):
     """Outlines of all points within ``radius`` of each segment, shape (n, 18, 2)."""
     a, b = bodies[:, None, :2], bodies[:, None, 2:]
     along = np.arctan2(*(bodies[:, 2:] - bodies[:, :2]).T[::-1])
