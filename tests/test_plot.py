@@ -180,4 +180,5 @@ def test_probabilities_are_lines_of_methods():
     np.testing.assert_array_equal(quadrature.get_xydata(), [[2, 0.01], [4, 0.005]])
     assert [t.get_text() for t in ax.texts] == ["64", "128"]
     assert ax.get_title().startswith("mine")
-    assert rs.plot_probability_accuracy(table, ax=ax) is ax
+    assert rs.plot_probability_accuracy(table, ax=ax, markersize=9) is ax
+    assert ax.get_lines()[-1].get_markersize() == 9

@@ -19,7 +19,7 @@ __all__ = [
     "values_of",
 ]  # fmt: skip
 
-WIDTH = 8.0  # inches
+WIDTH = 7.0  # inches: a page
 
 
 def new_axes(width: float = 7.0, height: float = 4.8) -> "Axes":
