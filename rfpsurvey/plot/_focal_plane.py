@@ -97,7 +97,7 @@ def plot_focal_plane(
     >>> ax.get_xlabel()
     'x (east at position angle 0) [mm]'
     >>> rs.plot_focal_plane("sdss_apo", color="fiber_type").get_title()
-    'sdss_apo: 500 positioners, 46 obstacles'
+    'sdss_apo: 500 positioners, 46 obstacles, by fiber type'
     """
     if color not in (None, *GROUPS):
         raise InputError(f"color must be {' or '.join(GROUPS)}, got {color!r}")
