@@ -19,11 +19,16 @@ from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
 from rfpsurvey.plot import (
+    plot_allocators,
+    plot_collision_map,
     plot_completeness,
+    plot_coverage,
     plot_designs,
     plot_focal_plane,
     plot_instruments,
+    plot_probability,
     plot_probability_accuracy,
+    plot_residuals,
     plot_speed_accuracy,
     plot_tiling,
 )  # fmt: skip
@@ -89,11 +94,16 @@ __all__ = [
     "place_tiles",
     "plan_survey",
     "plan_tile",
+    "plot_allocators",
+    "plot_collision_map",
     "plot_completeness",
+    "plot_coverage",
     "plot_designs",
     "plot_focal_plane",
     "plot_instruments",
+    "plot_probability",
     "plot_probability_accuracy",
+    "plot_residuals",
     "plot_speed_accuracy",
     "plot_tiling",
     "reproduce",

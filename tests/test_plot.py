@@ -1,14 +1,18 @@
+from dataclasses import replace
+
 import astropy.units as u
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import shapely
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.collections import EllipseCollection, LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
-from rfpsurvey.plot._style import ARM, COLLISION, IDLE, OBSTACLE
+from rfpsurvey.plot._style import ARM, COLLISION, IDLE, OBSTACLE, PATROL
 
 CENTER = SkyCoord(95, 23, unit="deg")
 
@@ -70,10 +74,99 @@ def test_axes_region_and_style_can_be_given(tile):
     assert rs.plot_focal_plane(tile, ax=ax, region=[[-50, -40], [50, 40]] * u.mm, alpha=0.5) is ax
     assert ax.get_xlim() == (-50, 50)
     assert ax.get_ylim() == (-40, 40)
-    with pytest.raises(rs.InputError, match="tile must be a Tile"):
-        rs.plot_focal_plane("tile")
-    with pytest.raises(rs.InputError, match="region must be two finite corners"):
-        rs.plot_focal_plane(tile, region=[1, 2] * u.mm)
+    arms = [c for c in artists(ax, LineCollection, COLLISION) if c.get_linewidths()[0] > 2]
+    assert [c.get_alpha() for c in arms] == [0.5]
+
+
+@pytest.mark.parametrize(
+    ("thing", "options", "message"),
+    [
+        ("tile", {}, "unknown instrument 'tile'"),
+        (3, {}, "thing must be a Tile, a FocalPlane, an Instrument or its name, got int"),
+        ("sdss_apo", {"region": [1, 2] * u.mm}, "region must be two finite corners"),
+        ("sdss_apo", {"region": [[1, 2], [1, 3]] * u.mm}, "region must be two finite corners"),
+        ("sdss_apo", {"color": "status"}, "color must be spectrograph or fiber_type"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(thing, options, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.plot_focal_plane(thing, **options)
+
+
+def test_collisions_show_without_color(tile):
+    ax = rs.plot_focal_plane(tile)
+    for color, hatched in ((COLLISION, True), (ARM, False)):
+        (shade,) = artists(ax, PolyCollection, color)
+        assert bool(shade.get_hatch()) == hatched
+    widths = [artists(ax, LineCollection, color)[1].get_linewidths()[0] for color in (COLLISION, ARM)]
+    assert widths[0] > 2 * widths[1]
+
+
+def test_shades_are_all_points_within_half_the_safe_distance(tile):
+    ax = rs.plot_focal_plane(tile)
+    rows = tile.table["in_collision"]
+    for path, row in zip(artists(ax, PolyCollection, COLLISION)[0].get_paths(), tile.table[rows], strict=True):
+        segment = shapely.LineString([(row[f"{e}_x"].value, row[f"{e}_y"].value) for e in ("elbow", "arm")])
+        around = segment.buffer(4.0782 / 2, quad_segs=64)
+        assert shapely.Polygon(path.vertices).symmetric_difference(around).area < 0.02 * around.area
+
+
+def test_only_fiber_tips_are_shaded_where_only_they_collide(small):
+    unit = replace(small.focal_plane.positioner, arm_model="fiber_tip")
+    plane = replace(small.focal_plane, positioner=unit)
+    tile = rs.plan_tile(
+        rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=200, rng=1), replace(small, focal_plane=plane),
+        CENTER,
+    )  # fmt: skip
+    t = tile.table[(tile.table["status"] == "assigned") & ~tile.table["in_collision"]]
+    bodies = np.array([p.vertices[:-1] for p in artists(rs.plot_focal_plane(tile), PolyCollection, ARM)[0].get_paths()])
+    tips = np.column_stack([t["tip_x"], t["tip_y"]]).value
+    np.testing.assert_allclose(np.linalg.norm(bodies - tips[:, None], axis=2), 2.25)
+
+
+def test_a_focal_plane_without_a_tile_shows_what_cannot_move(small):
+    n = len(small.focal_plane)
+    stuck = np.full((n, 2), np.nan)
+    stuck[5] = 30, 90
+    disabled = np.arange(n) == 7
+    circles = [[12.8, 7.4, 1.5]] * u.mm
+    plane = replace(small.focal_plane, stuck=stuck * u.deg, disabled=disabled, obstacles=circles)
+    ax = rs.plot_focal_plane(plane, linewidths=3)
+    assert ax.get_title() == "37 positioners, 1 obstacles"
+    free, not_free = (
+        next(c for c in artists(ax, EllipseCollection, color) if c.get_linewidths()[0] == 3) for color in (PATROL, IDLE)
+    )
+    assert (len(free.get_offsets()), len(not_free.get_offsets())) == (35, 2)
+    marks = {c.get_label(): c.get_offsets() for c in ax.collections if isinstance(c, PathCollection)}
+    np.testing.assert_array_equal(marks["stuck"], plane.xy.value[[5]])
+    np.testing.assert_array_equal(marks["disabled"], plane.xy.value[[7]])
+    central, _ = artists(ax, LineCollection, IDLE)
+    elbow = plane.xy.value[5] + 8.25 * np.array([np.cos(np.pi / 6), 0.5])
+    np.testing.assert_allclose(central.get_segments()[0], [plane.xy.value[5], elbow])
+    shade = artists(ax, PolyCollection, IDLE)[0].get_paths()[0].vertices
+    assert np.linalg.norm(shade - elbow, axis=1).min() == pytest.approx(2.25)
+
+
+def test_groups_are_disks_and_words_in_the_legend(presets):
+    ax = rs.plot_focal_plane(presets["sdss_apo"], color="fiber_type")
+    sizes = {len(c.get_offsets()) for c in ax.collections}
+    assert {202, 298} <= sizes
+    assert {"fiber type BOSS", "fiber type BOSS+APOGEE"} <= {t.get_text() for t in ax.get_legend().get_texts()}
+    ax = rs.plot_focal_plane(presets["lamost"], color="spectrograph")
+    assert {t.get_text() for t in ax.texts} == {str(k) for k in range(16)}
+    plane = replace(presets["sdss_apo"].focal_plane, spectrograph=np.arange(500))
+    with pytest.raises(rs.InputError, match="spectrograph must have at most 24 values"):
+        rs.plot_focal_plane(plane, color="spectrograph")
+
+
+def test_thousands_of_positioners_are_few_artists_and_the_legend_hides_none(presets):
+    for ax in (rs.plot_focal_plane(presets["desi"]), rs.plot_coverage(presets["desi"], n_pixels=50)):
+        assert len(ax.collections) + len(ax.lines) + len(ax.images) < 20
+        ax.figure.draw_without_rendering()
+        box, labels = ax.get_legend().get_window_extent(), ax.xaxis.label.get_window_extent()
+        assert 0 < box.y0 < box.y1 <= labels.y0
+        assert 0 < box.x0 < box.x1 < ax.figure.bbox.x1
+    assert not plt.get_fignums()
 
 
 def test_probabilities_are_lines_of_methods():
@@ -87,4 +180,5 @@ def test_probabilities_are_lines_of_methods():
     np.testing.assert_array_equal(quadrature.get_xydata(), [[2, 0.01], [4, 0.005]])
     assert [t.get_text() for t in ax.texts] == ["64", "128"]
     assert ax.get_title().startswith("mine")
-    assert rs.plot_probability_accuracy(table, ax=ax) is ax
+    assert rs.plot_probability_accuracy(table, ax=ax, markersize=9) is ax
+    assert ax.get_lines()[-1].get_markersize() == 9

@@ -102,6 +102,14 @@ def test_a_tiling_is_colored_by_pass_or_any_column(survey):
         rs.plot_tiling(rs.Tiling(tiling.table[:0]))
 
 
+def test_style_can_be_given_and_one_value_is_neither_dark_nor_pale(survey):
+    fields = rs.plot_tiling(survey, color="n_observed", cmap="cividis", clim=(0, 500)).collections[0]
+    assert (fields.get_cmap().name, fields.get_clim()) == ("cividis", (0, 500))
+    one = rs.plot_tiling(rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"][:2])).collections[0]
+    np.testing.assert_allclose(one.norm(one.get_array()), 0.5)
+    assert rs.plot_completeness(survey, linewidth=4).get_lines()[0].get_linewidth() == 4
+
+
 def test_completeness_rises_to_what_the_summary_says(survey):
     ax = rs.plot_completeness(survey)
     lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rfpsurvey._kernels import collisions, reference
-from rfpsurvey.plot._focal_plane import _capsule
+from rfpsurvey.plot._focal_plane import capsules
 
 SEPARATION, N_POINTS = 5.0782, 3
 PAIRS = {
@@ -24,8 +24,9 @@ for ax, (name, (first, second)) in zip(axes.flat, PAIRS.items(), strict=True):
     ends = np.sqrt(collisions.endpoints_squared(*pair.ravel()))
     exact = np.sqrt(collisions.segments_squared(*pair.ravel()))
     sampled = np.sqrt(reference.sampled_squared(pair.T.copy(), 0, 1, N_POINTS))
-    for (x0, y0, x1, y1), color in zip(pair, ("#0072B2", "#E69F00"), strict=True):
-        ax.fill(*_capsule(np.array([x0, y0]), np.array([x1, y1]), SEPARATION / 2).T, color=color, alpha=0.2, lw=0)
+    shades = capsules(pair, SEPARATION / 2)
+    for (x0, y0, x1, y1), shade, color in zip(pair, shades, ("#0072B2", "#E69F00"), strict=True):
+        ax.fill(*shade.T, color=color, alpha=0.2, lw=0)
         ax.plot([x0, x1], [y0, y1], color=color, lw=2, solid_capstyle="round")
         t = np.linspace(0, 1, N_POINTS)
         ax.plot(x0 + t * (x1 - x0), y0 + t * (y1 - y0), "o", color=color, ms=4)

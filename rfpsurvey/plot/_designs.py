@@ -6,7 +6,8 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.plot._style import COLLISION
+from rfpsurvey.plot._axes import new_axes, values_of
+from rfpsurvey.plot._style import COLLISION, SEQUENTIAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,8 +70,6 @@ def plot_designs(
     >>> rs.plot_designs(table).get_ylabel()
     'fibers lost to collisions (independent)'
     """
-    from matplotlib.figure import Figure
-
     for one in (table, *(mark or {}).values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each in mark, must be what explore_designs returns")
@@ -82,10 +81,13 @@ def plot_designs(
     color = _parameter(table) if color is None else color
     for name in (x, y, color):
         check_choice(name, numbers, "column of designs")
-    if ax is None:
-        ax = Figure(figsize=(7, 5), layout="constrained").add_subplot()
-    front, values, (across, up) = np.asarray(table["pareto"]), _plain(table, color), (_plain(table, n) for n in (x, y))
-    style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": "viridis", "s": 14, "linewidths": 0}
+    ax = new_axes() if ax is None else ax
+    front, values, (across, up) = (
+        np.asarray(table["pareto"]),
+        values_of(table, color),
+        (values_of(table, n) for n in (x, y)),
+    )
+    style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": SEQUENTIAL, "s": 14, "linewidths": 0}
     style |= {"alpha": 0.35, **kwargs}
     ax.scatter(across, up, c=values, **style)
     if {x, y} == set(objectives):
@@ -94,9 +96,11 @@ def plot_designs(
     style |= {"s": 3 * style["s"], "linewidths": 0.8, "edgecolors": "black", "alpha": 1.0, "zorder": 3}
     points = ax.scatter(across[front], up[front], c=values[front], **style)
     for name, one in (mark or {}).items():
-        ax.scatter(_plain(one, x), _plain(one, y), marker="*", s=140, color=COLLISION, edgecolors="white", zorder=4)
+        ax.scatter(
+            values_of(one, x), values_of(one, y), marker="*", s=140, color=COLLISION, edgecolors="white", zorder=4
+        )
         where = {"textcoords": "offset points", "xytext": (7, 5), "fontsize": "small", "zorder": 5}
-        ax.annotate(name, (_plain(one, x)[0], _plain(one, y)[0]), **where)
+        ax.annotate(name, (values_of(one, x)[0], values_of(one, y)[0]), **where)
     ax.set_xlabel(_label(table, x))
     ax.set_ylabel(_label(table, y))
     ax.figure.colorbar(points, ax=ax, label=_label(table, color))
@@ -110,13 +114,9 @@ def _question(table):
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)
 
 
-def _plain(table, name):
-    return np.asarray(getattr(table[name], "value", table[name]), dtype=float)
-
-
 def _parameter(table):
     """Return the parameter that has most values."""
-    return max(("ratio", "pitch", "l1", "clearance"), key=lambda name: len(np.unique(_plain(table, name))))
+    return max(("ratio", "pitch", "l1", "clearance"), key=lambda name: len(np.unique(values_of(table, name))))
 
 
 def _label(table, name):

@@ -1,38 +1,80 @@
-"""The focal plane of a tile."""
+"""Positioners, their arms, and what is in their way."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_mm
+from rfpsurvey.collision import place_arms
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._style import ARM, COLLISION, IDLE, OBSTACLE, PATROL
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, named_plane
+from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OUTLINE, PATROL, SERIES
 from rfpsurvey.tile import Tile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_focal_plane"]
+__all__ = ["capsules", "plot_focal_plane"]
+
+MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
+"""Status to the marker and the words that stand for it."""
+GROUPS = ("spectrograph", "fiber_type")
+MOST_GROUPS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What is drawn, in mm; arms that are not there are NaN."""
+
+    title: str
+    centers: np.ndarray
+    inner: np.ndarray
+    outer: np.ndarray
+    elbows: np.ndarray
+    tips: np.ndarray
+    bodies: np.ndarray
+    """What can collide, rows (x0, y0, x1, y1)."""
+    half: float
+    status: np.ndarray
+    colliding: np.ndarray
+    obstacles: np.ndarray
+    groups: dict[str, np.ndarray]
+
+    @property
+    def with_target(self):
+        return np.isin(self.status, ("assigned", "out_of_reach"))
 
 
 def plot_focal_plane(
-    tile: Tile, *, ax: "Axes | None" = None, region: u.Quantity | None = None, **kwargs: object
+    thing: Tile | FocalPlane | Instrument | str,
+    *,
+    ax: "Axes | None" = None,
+    region: u.Quantity | None = None,
+    color: str | None = None,
+    **kwargs: object,
 ) -> "Axes":
-    """Draw the focal plane of a tile: patrol areas, arms, collisions in red, unassigned positioners in gray.
+    """Draw a focal plane: patrol areas and obstacles and, of a tile, arms and collisions.
 
-    The shade around an arm is half the safe distance wide, to scale: two arms collide where their shades overlap.
+    The shade around an arm is half the safe distance wide, to scale: two arms collide where their shades overlap. Arms
+    in collision are thick, with a hatched shade; arms without a target are dashed. Marks on centers show units that are
+    disabled, stuck, or whose target is out of reach.
 
     Parameters
     ----------
-    tile : Tile
-        What to draw.
+    thing : Tile, FocalPlane, Instrument or str
+        What to draw; a str is the name of a preset. Without a tile, the only arms are those that cannot move.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new square figure by default.
+        Where to draw; a new figure by default. The legend stands below the axes: a figure of your own has room for it
+        with ``layout="constrained"``.
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; all by default.
+    color : {"spectrograph", "fiber_type"}, optional
+        Fill patrol areas by this column.
     **kwargs
-        Passed to the collection of arms, for example ``alpha``.
+        Passed to the collections of arms or, without a tile, to that of patrol areas; for example ``alpha``.
 
     Returns
     -------
@@ -42,7 +84,7 @@ def plot_focal_plane(
     Raises
     ------
     InputError
-        If ``tile`` is not a Tile or ``region`` has another shape.
+        If ``thing`` or ``color`` is something else, or ``region`` has another shape.
 
     Examples
     --------
@@ -54,94 +96,155 @@ def plot_focal_plane(
     >>> ax = rs.plot_focal_plane(rs.plan_tile(sky, "sdss_apo", center))
     >>> ax.get_xlabel()
     'x (east at position angle 0) [mm]'
+    >>> rs.plot_focal_plane("sdss_apo", color="fiber_type").get_title()
+    'sdss_apo: 500 positioners, 46 obstacles, by fiber type'
     """
-    from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
+    if color not in (None, *GROUPS):
+        raise InputError(f"color must be {' or '.join(GROUPS)}, got {color!r}")
+    scene = _of_tile(thing) if isinstance(thing, Tile) else _of_plane(thing)
+    arms, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
+    ax = focal_plane_axes(ax, scene.centers, scene.outer, region)
+    handles = [
+        *_draw_groups(ax, scene, color),
+        *_draw_patrol_areas(ax, scene, color, patrol),
+        *_draw_obstacles(ax, scene),
+    ]
+    handles += [*_draw_arms(ax, scene, arms), *_draw_marks(ax, scene)]
+    ax.set_title(scene.title + (f", by {color.replace('_', ' ')}" if color else ""))
+    legend_below(ax, handles, columns=4)
+    return ax
 
-    if not isinstance(tile, Tile):
-        raise InputError(f"tile must be a Tile, got {type(tile).__name__}")
-    if ax is None:
-        ax = Figure(figsize=(9, 9), layout="constrained").add_subplot()
-    table, geometry = tile.table, tile.table.meta["geometry"]
+
+def _of_tile(tile):
+    table, geometry, summary = tile.table, tile.table.meta["geometry"], tile.summary
     centers, elbows, tips, ends = (
         np.column_stack([table[f"{name}x"].to_value(u.mm), table[f"{name}y"].to_value(u.mm)])
         for name in ("", "elbow_", "tip_", "arm_")
     )
-    assigned = np.isin(table["status"], ("assigned", "out_of_reach"))
-    colliding = np.asarray(table["in_collision"])
-    present = np.isfinite(tips).all(axis=1)
+    starts = tips if geometry.get("arm_model") == "fiber_tip" else elbows
+    counts = f"{summary['n_assigned']} of {summary['n_positioners']} assigned, {summary['n_colliding']} in collision"
+    title = f"{tile.provenance['instrument']['name']}: {counts}"
+    return _Scene(
+        title,
+        centers, *(np.broadcast_to(geometry[f"{e}_radius_mm"], len(table)) for e in ("inner", "outer")), elbows, tips,
+        np.hstack([starts, ends]), geometry["min_separation_mm"] / 2, np.asarray(table["status"]),
+        np.asarray(table["in_collision"]), np.array(geometry["obstacles_mm"]).reshape(-1, 3),
+        {group: np.asarray(table[group]) for group in GROUPS},
+    )  # fmt: skip
 
-    def circles(points, radius, **style):
-        size = np.broadcast_to(2 * np.asarray(radius, dtype=float), len(points))
-        ax.add_collection(
-            EllipseCollection(size, size, 0, units="xy", offsets=points, offset_transform=ax.transData, **style)
-        )
 
-    handles = []
-    patrol = {"facecolors": "none", "linewidths": 0.4}
-    outer, inner = (np.broadcast_to(geometry[f"{e}_radius_mm"], len(table)) for e in ("outer", "inner"))
-    for rows, color, label in (
-        (assigned, PATROL, "patrol area"),
-        (~assigned, IDLE, "patrol area, no target"),
-    ):
-        circles(centers[rows], outer[rows], edgecolors=color, zorder=1, **patrol)
-        if rows.any():
-            handles.append(
-                Line2D([], [], color=color, marker="o", markerfacecolor="none", linestyle="none", label=label)
-            )
-        if inner.any():
-            circles(centers[rows], inner[rows], edgecolors=color, zorder=1, linestyles=":", **patrol)
-    obstacles = np.array(geometry["obstacles_mm"]).reshape(-1, 3)
-    if len(obstacles):
-        circles(obstacles[:, :2], obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
-        handles.append(Line2D([], [], color=OBSTACLE, marker="o", linestyle="none", label="obstacle"))
-    half = geometry["min_separation_mm"] / 2
-    groups = (
-        (present & ~assigned & ~colliding, IDLE, "arm, no target", 3),
-        (present & assigned & ~colliding, ARM, "arm", 4),
-        (present & colliding, COLLISION, "arm in collision", 5),
-    )
-    for rows, color, label, zorder in groups:
+def _of_plane(thing):
+    if not isinstance(thing, Tile | FocalPlane | Instrument | str):
+        raise InputError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {type(thing).__name__}")
+    name, plane = named_plane(thing)
+    name = f"{name}: " if name else ""
+    n, obstacles = len(plane), len(plane._obstacles_mm)
+    posed = place_arms(plane, np.full((n, 2), np.nan) * u.mm, parked_obstacles=False)
+    status = np.where(plane.disabled, "disabled", "usable")
+    status[plane._is_stuck] = "stuck"
+    spectrograph = plane.spectrograph if plane.spectrograph.ndim == 1 else plane.spectrograph[:, 0]
+    return _Scene(
+        f"{name}{n} positioners" + (f", {obstacles} obstacles" if obstacles else ""),
+        plane._xy_mm, plane._inner_mm, plane._outer_mm, posed.elbow, posed.tip, posed.segments,
+        plane.positioner._separation_mm / 2, status, np.zeros(n, bool), plane._obstacles_mm,
+        {"spectrograph": spectrograph, "fiber_type": plane.fiber_type},
+    )  # fmt: skip
+
+
+def _draw_groups(ax, scene, color):
+    """Fill the patrol areas of each group of positioners, write its name there or yield a legend entry."""
+    from matplotlib.patches import Patch
+
+    if color is None:
+        return
+    values = scene.groups[color]
+    names = np.unique(values)
+    if len(names) > MOST_GROUPS:
+        raise InputError(f"{color} must have at most {MOST_GROUPS} values to be told apart, got {len(names)}")
+    for k, name in enumerate(names):
+        # hatches tell apart what shares a color
+        style = {"facecolor": SERIES[k % 8], "alpha": 0.45, "hatch": (None, "////", "....")[k // 8], "linewidth": 0}
+        rows = values == name
+        add_circles(ax, scene.centers[rows], 0.5 * scene.outer[rows], zorder=0.9, edgecolors="white", **style)
+        middle = scene.centers[rows].mean(axis=0)
+        together = len(names) > 2 and rows[np.argmin(np.hypot(*(scene.centers - middle).T))]
+        if together and ax.viewLim.contains(*middle):
+            label = ax.text(*middle, str(name), ha="center", va="center", weight="bold", zorder=7, clip_on=True)
+            label.set_bbox({"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.5})
+            continue
+        yield Patch(edgecolor="white", label=f"{color.replace('_', ' ')} {name}".strip(), **style)
+
+
+def _draw_patrol_areas(ax, scene, color, kwargs):
+    """Draw both edges of each patrol area, and yield legend entries."""
+    from matplotlib.lines import Line2D
+
+    free = scene.with_target | (scene.status == "usable")
+    entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+    usual = IDLE if color else PATROL  # a blue edge would tint what is filled
+    for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
         if not rows.any():
             continue
-        central = np.stack([centers[rows], elbows[rows]], axis=1)
-        ax.add_collection(LineCollection(central, colors=color, linewidths=0.4, alpha=0.5, zorder=zorder))
-        arms = np.stack([elbows[rows], tips[rows]], axis=1)
-        style = {"linewidths": 1.0, "capstyle": "round", **kwargs}
-        ax.add_collection(LineCollection(arms, colors=color, zorder=zorder, **style))
-        # the space that an arm keeps free, to scale
-        bodies = [_capsule(a, b, half) for a, b in zip(elbows[rows], ends[rows], strict=True)]
-        ax.add_collection(PolyCollection(bodies, facecolors=color, edgecolors="none", alpha=0.2, zorder=zorder - 0.5))
-        handles.append(Line2D([], [], color=color, label=label))
-        circles(tips[rows], 0.06 * outer[rows], facecolors=color, zorder=zorder)
-    _frame(ax, centers, outer.max(), region)
-    summary = tile.summary
-    ax.set_title(
-        f"{tile.provenance['instrument']['name']}: {summary['n_assigned']} of {summary['n_positioners']} assigned, "
-        f"{summary['n_colliding']} in collision"
+        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if color else 0.5, "zorder": 1}
+        style |= kwargs
+        add_circles(ax, scene.centers[rows], scene.outer[rows], **style)
+        if scene.inner[rows].any():
+            add_circles(ax, scene.centers[rows], scene.inner[rows], **{**style, "linestyles": ":"})
+        yield Line2D([], [], color=edge, label=label, **entry)
+
+
+def _draw_obstacles(ax, scene):
+    from matplotlib.lines import Line2D
+
+    if len(scene.obstacles):
+        add_circles(ax, scene.obstacles[:, :2], scene.obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
+        yield Line2D([], [], color=OBSTACLE, marker="o", linestyle="none", label="obstacle")
+
+
+def _draw_arms(ax, scene, kwargs):
+    """Draw both arms of each positioner and the space around the one that can collide, and yield legend entries."""
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.colors import to_rgba
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    present, target = np.isfinite(scene.tips).all(axis=1), scene.with_target
+    groups = (
+        (present & ~target & ~scene.colliding, IDLE, "arm, no target", 3, {"linewidths": 1.0, "linestyles": "--"}),
+        (present & target & ~scene.colliding, ARM, "arm", 4, {"linewidths": 1.0, "capstyle": "round"}),
+        (present & scene.colliding, COLLISION, "arm in collision", 5, {"linewidths": 2.2, "capstyle": "round"}),
     )
-    ax.legend(handles=handles, loc="upper right", fontsize="small", framealpha=0.9)
-    return ax
+    for rows, color, label, zorder, style in groups:
+        if not rows.any():
+            continue
+        central = np.stack([scene.centers[rows], scene.elbows[rows]], axis=1)
+        ax.add_collection(LineCollection(central, colors=color, linewidths=0.4, alpha=0.5, zorder=zorder))
+        arms = np.stack([scene.elbows[rows], scene.tips[rows]], axis=1)
+        ax.add_collection(LineCollection(arms, colors=color, zorder=zorder, **{**style, **kwargs}))
+        shade = {"facecolors": to_rgba(color, 0.2), "edgecolors": "none"}
+        if color is COLLISION:
+            shade |= {"edgecolors": color, "linewidths": 0.8, "hatch": HATCH}
+        ax.add_collection(PolyCollection(capsules(scene.bodies[rows], scene.half), zorder=zorder - 0.5, **shade))
+        add_circles(ax, scene.tips[rows], 0.06 * scene.outer[rows], facecolors=color, zorder=zorder)
+        if color is COLLISION:
+            yield Patch(facecolor=to_rgba(color, 0.2), edgecolor=color, hatch=HATCH, label=label)
+        else:
+            yield Line2D([], [], color=color, linestyle=style.get("linestyles", "-"), label=label)
 
 
-def _capsule(a, b, radius):
-    """Outline of all points within ``radius`` of the segment from a to b."""
-    angle = np.arctan2(*(b - a)[::-1]) + np.linspace(-np.pi / 2, np.pi / 2, 9)
-    arc = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.vstack([b + arc, a - arc])
+def _draw_marks(ax, scene):
+    """Mark positioners that are out of the ordinary, and yield legend entries."""
+    for status, (marker, label) in MARKS.items():
+        points = scene.centers[scene.status == status]
+        if len(points):
+            style = {"facecolors": OUTLINE} if marker == "x" else {"facecolors": "none", "edgecolors": OUTLINE}
+            yield ax.scatter(*points.T, s=16, marker=marker, linewidths=1.0, zorder=6, label=label, **style)
 
 
-def _frame(ax, centers, outer, region):
-    if region is None:
-        low, high = centers.min(axis=0) - 1.1 * outer, centers.max(axis=0) + 1.1 * outer
-    else:
-        corners = to_mm(region, "region")
-        if corners.shape != (2, 2) or not np.isfinite(corners).all():
-            raise InputError(f"region must be two finite corners ((x0, y0), (x1, y1)), got {region}")
-        low, high = corners.min(axis=0), corners.max(axis=0)
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
-    ax.set_aspect("equal")
-    ax.set_xlabel("x (east at position angle 0) [mm]")
-    ax.set_ylabel("y (north at position angle 0) [mm]")
+def capsules(bodies, radius):
+    """Outlines of all points within ``radius`` of each segment, shape (n, 18, 2)."""
+    a, b = bodies[:, None, :2], bodies[:, None, 2:]
+    along = np.arctan2(*(bodies[:, 2:] - bodies[:, :2]).T[::-1])
+    angle = along[:, None] + np.linspace(-np.pi / 2, np.pi / 2, 9)
+    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.concatenate([b + arc, a - arc], axis=1)

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.plot._speed_accuracy import _check_table
-from rfpsurvey.plot._style import ARM, COLLISION, IDLE
+from rfpsurvey.plot._axes import check_columns, legend_below, new_axes
+from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, LEVELS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,18 +48,20 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     >>> rs.plot_instruments(table).get_xlabel()
     'part of the positioners'
     """
-    from matplotlib.figure import Figure
-
-    _check_table(table, COLUMNS, "compare_instruments")
-    if ax is None:
-        ax = Figure(figsize=(7.5, 0.9 + 0.36 * len(table)), layout="constrained").add_subplot()
+    check_columns(table, COLUMNS, "compare_instruments")
+    ax = new_axes(7.0, 1.3 + 0.36 * len(table)) if ax is None else ax
     number, assigned, usable = (np.asarray(table[name], float) for name in ("positioners", "assigned", "usable"))
     y, labels = _places(table)
     style = {"height": 0.8, "linewidth": 0.5, "edgecolor": "white", **kwargs}
-    ax.barh(y, usable / number, color=ARM, label="on a target", **style)
-    ax.barh(y, (assigned - usable) / number, left=usable / number, color=COLLISION, hatch="////",
-            label="on a target, in collision", **style)  # fmt: skip
-    ax.barh(y, 1 - assigned / number, left=assigned / number, color=IDLE, alpha=0.4, label="no target", **style)
+    pieces = (
+        (usable, "on a target", {"color": ARM}),
+        (assigned - usable, "on a target, in collision", {"color": COLLISION, "hatch": HATCH}),
+        (number - assigned, "no target", {"color": IDLE, "alpha": 0.4}),
+    )
+    left, handles = np.zeros(len(table)), []
+    for sizes, label, colors in pieces:
+        handles.append(ax.barh(y, sizes / number, left=left / number, label=label, **{**style, **colors}))
+        left = left + sizes
     for height, lost in zip(y, table["loss"], strict=True):
         if np.isfinite(lost):
             ax.annotate(
@@ -70,7 +72,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     ax.set_ylim(y.min() - 0.6, 0.6)
     ax.set_xlim(0, 1)
     ax.set_xlabel("part of the positioners")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.45, 1), ncols=3, fontsize="small", frameon=False)
+    legend_below(ax, handles)
     return ax
 
 
@@ -79,7 +81,7 @@ def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
     from matplotlib.figure import Figure
 
     figure = Figure(layout="constrained") if figure is None else figure
-    figure.set_size_inches(13, 1.3 + 0.34 * len(table))
+    figure.set_size_inches(13, 1.6 + 0.34 * len(table))
     left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1.7, 1))
     right.sharey(middle)
     _draw_reach(table, left)
@@ -93,19 +95,17 @@ def _draw_reach(table, ax):
     """Draw which part of the footprint one, two and more positioners reach."""
     rows = np.sort(np.unique(np.asarray(table["instrument"]), return_index=True)[1])
     y = -np.arange(len(rows), dtype=float)
-    left = np.zeros(len(rows))
-    shades = ("#ffffff", "#cfe3f1", "#6aa7cf", "#12456e")  # from light to dark, also in print
-    for name, color, label in zip(REACH, shades, ("none", "1", "2", "3 or more"), strict=True):
+    left, handles = np.zeros(len(rows)), []
+    for name, color, label in zip(REACH, LEVELS[::2], ("none", "1", "2", "3 or more"), strict=True):
         part = np.asarray(table[name][rows], float)
-        ax.barh(y, part, left=left, color=color, edgecolor="0.5", linewidth=0.5, height=0.7, label=label)
+        style = {"color": color, "edgecolor": "0.5", "linewidth": 0.5, "height": 0.7, "label": label}
+        handles.append(ax.barh(y, part, left=left, **style))
         left += part
     ax.set_yticks(y, [str(table["instrument"][row]) for row in rows])
     ax.set_xlim(0, 1)
     ax.set_xlabel("part of the footprint")
-    ax.legend(
-        title="positioners that reach it", loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4, fontsize="small",
-        title_fontsize="small", frameon=False, columnspacing=1.0, handlelength=1.2,
-    )  # fmt: skip
+    title = {"title": "positioners that reach it", "title_fontsize": "small"}
+    legend_below(ax, handles, columns=4, columnspacing=1.0, handlelength=1.2, **title)
 
 
 def _draw_probability(table, ax):

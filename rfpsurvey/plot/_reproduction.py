@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey.plot._probability import plot_probability, plot_residuals
 from rfpsurvey.plot._speed_accuracy import plot_speed_accuracy
-from rfpsurvey.plot._style import ARM, COLLISION, MARKERS, SERIES
+from rfpsurvey.plot._style import ARM, MARKERS, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,22 +33,25 @@ def _small(tables):
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = _figure(2, len(scans), size=(4 * len(scans), 6.5))
     for above, below, scan in zip(*axes, scans, strict=True):
-        part = table[table["scan"] == scan]
-        x = part["ratio"] if scan == "ratio" else part["pitch"].to_value(u.mm)
-        for values, color, label in ((part["value"], ARM, "simulation"), (part["closed_form"], COLLISION, "formula")):
-            above.plot(x, values, "o-", color=color, label=label)
-            below.plot(x, _scaled(values), "o-", color=color)
+        part, x = table[table["scan"] == scan], "ratio" if scan == "ratio" else "pitch"
+        columns = {"simulation": "value", "simulation_low": "low", "simulation_high": "high", "formula": "closed_form"}
+        curves = QTable([part[name] for name in (x, *columns.values())], names=[x, *columns])
+        plot_probability(curves, x, values=["simulation", "formula"], ax=above)
+        for name, own in columns.items():
+            curves[name] = _scaled(part[own], like=part["closed_form" if name == "formula" else "value"])
+        plot_probability(curves, x, values=["simulation", "formula"], ax=below)
         above.set_title(f"scan of {scan}")
-        below.set_xlabel("arm ratio" if scan == "ratio" else "pitch [mm]")
+        below.get_legend().remove()
+        for ax in (above, below):
+            ax.set_ylabel("")
     axes[0, 0].set_ylabel("collision probability")
     axes[1, 0].set_ylabel("scaled to 0 and 1")
-    axes[0, 0].legend()
     return figure
 
 
-def _scaled(values):
-    values = np.asarray(values)
-    return (values - values.min()) / (values.max() - values.min())
+def _scaled(values, like=None):
+    values, like = np.asarray(values), np.asarray(values if like is None else like)
+    return (values - like.min()) / (like.max() - like.min())
 
 
 def _large(tables):
@@ -58,12 +61,14 @@ def _large(tables):
     for k, way in enumerate(("range_200", "covered")):
         label = way.replace("_", " ")
         axes[0].plot(table[way], table["closed_form_corrected"], MARKERS[k], color=SERIES[k], label=label)
-    axes[0].plot([0, 1], [0, 1], color="0.6", lw=0.8)
+    most = 1.05 * max(table["range_200"].max(), table["covered"].max())
+    axes[0].plot([0, most], [0, most], color="0.6", lw=0.8)
     axes[0].set_xlabel("simulation (conditional)")
     axes[0].set_ylabel("formula")
     axes[0].legend()
-    away = _scaled(table["closed_form_corrected"]) - _scaled(table["covered"])
-    _map(figure, axes[1], table, away, "formula - simulation, both scaled")
+    scaled = table["ratio", "pitch"]
+    scaled["formula"], scaled["simulation"] = _scaled(table["closed_form_corrected"]), _scaled(table["covered"])
+    plot_residuals(scaled, "formula", "simulation", ax=axes[1]).set_title("both scaled to 0 and 1", fontsize="medium")
     return figure
 
 
@@ -71,20 +76,13 @@ def _poisson(tables):
     """Draw the relative difference of every reading of Poisson targets over ratio and pitch."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
-    figure, axes = _figure(1, len(readings), size=(4 * len(readings), 4))
-    for ax, reading in zip(axes, readings, strict=True):
-        _map(figure, ax, table, np.asarray(table["uniform"]) - np.asarray(table[reading]), "uniform - this")
-        ax.set_title(reading, fontsize="small")
+    rows = -(-len(readings) // 3)
+    figure, axes = _figure(rows, 3, size=(14, 4.2 * rows))
+    for ax in axes.flat[len(readings) :]:
+        ax.remove()
+    for ax, reading in zip(axes.flat, readings, strict=False):
+        plot_residuals(table, "uniform", reading, ax=ax)
     return figure
-
-
-def _map(figure, ax, table, values, label):
-    most = np.nanmax(np.abs(values)) or 1.0
-    style = {"cmap": "RdBu_r", "vmin": -most, "vmax": most, "edgecolors": "0.5", "linewidths": 0.4}
-    points = ax.scatter(table["ratio"], table["pitch"].to_value(u.mm), c=values, **style)
-    figure.colorbar(points, ax=ax, label=label)
-    ax.set_xlabel("arm ratio")
-    ax.set_ylabel("pitch [mm]")
 
 
 def _surrogate(tables):

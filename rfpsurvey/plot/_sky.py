@@ -8,7 +8,8 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._style import MARKERS, SERIES
+from rfpsurvey.plot._axes import new_axes
+from rfpsurvey.plot._style import MARKERS, SEQUENTIAL, SERIES
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
 
@@ -25,7 +26,12 @@ POLAR = 75.0
 
 
 def plot_tiling(
-    tiles: Tiling | Survey, *, color: str | None = None, radius: u.Quantity | None = None, ax: "Axes | None" = None
+    tiles: Tiling | Survey,
+    *,
+    color: str | None = None,
+    radius: u.Quantity | None = None,
+    ax: "Axes | None" = None,
+    **kwargs: object,
 ) -> "Axes":
     """Draw tiles on the sky.
 
@@ -42,6 +48,8 @@ def plot_tiling(
         Radius of a field; by default that of the survey, or the one that the tiling was made for, else 1 deg.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default. Axes of the projection ``aitoff`` show the whole sky.
+    **kwargs
+        Passed to the collection of fields, for example ``cmap`` or ``alpha``.
 
     Returns
     -------
@@ -85,12 +93,12 @@ def plot_tiling(
     else:
         polygons, tile_of = _draw_region(ax, centers, radius, middle)
     values = np.asarray(table[color], dtype=float)
-    _color(ax, polygons, values[tile_of], np.unique(values[np.isfinite(values)]), color)
+    _color(ax, polygons, values[tile_of], np.unique(values[np.isfinite(values)]), color, kwargs)
     ax.set_title(f"{len(table)} tiles", pad=14 if ax.name == "aitoff" else None)
     return ax
 
 
-def plot_completeness(survey: Survey, *, ax: "Axes | None" = None) -> "Axes":
+def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
     """Draw the completeness of a survey against the number of tiles, and that of each priority after each pass.
 
     Parameters
@@ -99,6 +107,8 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None) -> "Axes":
         What to draw.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
+    **kwargs
+        Passed to ``plot`` of the line of all visits, for example ``linewidth``.
 
     Returns
     -------
@@ -120,16 +130,13 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None) -> "Axes":
     >>> rs.plot_completeness(survey).get_xlabel()
     'tiles'
     """
-    from matplotlib.figure import Figure
-
     if not isinstance(survey, Survey):
         raise InputError(f"survey must be a Survey, got {type(survey).__name__}")
-    if ax is None:
-        ax = Figure(figsize=(7, 4.5), layout="constrained").subplots()
+    ax = new_axes(7, 4.5) if ax is None else ax
     tiles, after = survey.tiles, survey.completeness
     order = np.lexsort((np.arange(len(tiles)), tiles["round"]))
     share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_wanted"], 1)
-    ax.plot(np.arange(len(tiles) + 1), np.append(0, share), color="k", label="all visits")
+    ax.plot(np.arange(len(tiles) + 1), np.append(0, share), **{"color": "k", "label": "all visits", **kwargs})
     classes = [name for name in dict.fromkeys(after["priority"]) if name != "all"]
     for k, name in enumerate(classes):
         rows = after["priority"] == name
@@ -210,6 +217,8 @@ def _draw_offsets(ax, centers, radius, middle):
 
 def _draw_sky(ax, centers, radius):
     """Return outlines on a map of the whole sky, 180 deg in the middle, cut at its edge, and the tile of each."""
+    from matplotlib.patheffects import Normal, Stroke
+
     rims = _rims(centers, radius)
     # x on the map, to the left with right ascension, unwrapped about the center of each field
     middle = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
@@ -231,14 +240,16 @@ def _draw_sky(ax, centers, radius):
                 break
     hours = np.arange(30, 360, 60)
     ax.set_xticks(np.deg2rad(180 - hours), [f"{h}°" for h in hours], fontsize="small")
+    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # labels stand on tiles
+    for label in ax.get_xticklabels():
+        label.set_path_effects(halo)
     ax.set_yticks(np.deg2rad(np.arange(-60, 61, 30)))
     ax.grid(color="0.85", lw=0.5)
     return polygons, np.array(tile_of)
 
 
-def _color(ax, polygons, values, levels, name):
+def _color(ax, polygons, values, levels, name, kwargs):
     """Fill outlines by value, with a scale beside the axes: steps for a few whole numbers, none for one."""
-    from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import BoundaryNorm
 
@@ -248,16 +259,18 @@ def _color(ax, polygons, values, levels, name):
     if steps:
         edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
         style["norm"] = BoundaryNorm(edges, 256)
+    if name == "completeness":
+        style["clim"] = (0, 1)
+    elif len(levels) == 1:
+        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the middle of the scale, neither dark nor pale
     if sky:  # projected here: the axes would put thousands of points on every edge
         polygons = [ax.transProjection.transform(polygon) for polygon in polygons]
         style["transform"] = ax.transAffine + ax.transAxes
-    drawn = PolyCollection(polygons, array=values, cmap=colormaps["viridis"], **style)
+    drawn = PolyCollection(polygons, array=values, **{"cmap": SEQUENTIAL, **style, **kwargs})
     ax.add_collection(drawn, autolim=not sky)
     if not sky:
         ax.autoscale_view()
         ax.xaxis.set_inverted(True)
-    if name == "completeness":
-        drawn.set_clim(0, 1)
     if len(levels) > 1 or name == "completeness":
         place = ax.inset_axes([1.04, 0.1, 0.025, 0.8] if sky else [1.02, 0, 0.025, 1])
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))

@@ -7,6 +7,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError
+from rfpsurvey.plot._axes import check_columns, new_axes
 from rfpsurvey.plot._style import IDLE, MARKERS, SERIES
 
 if TYPE_CHECKING:
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 
-def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = None) -> "tuple[Axes, Axes]":
+def plot_speed_accuracy(
+    table: QTable, *, axes: "tuple[Axes, Axes] | None" = None, **kwargs: object
+) -> "tuple[Axes, Axes]":
     """Draw the time of a tile against errors, a point for each method and number of points.
 
     Parameters
@@ -24,6 +27,8 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
         What `benchmark_collisions` returns.
     axes : tuple of matplotlib.axes.Axes, optional
         Where to draw misclassified pairs, and the largest error of a distance; a new figure by default.
+    **kwargs
+        Passed to ``plot`` of each method, for example ``markersize``.
 
     Returns
     -------
@@ -45,7 +50,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     """
     from matplotlib.figure import Figure
 
-    _check_table(table, {"method", "n_points", "time", "misclassified", "max_error"}, "benchmark_collisions")
+    check_columns(table, {"method", "n_points", "time", "misclassified", "max_error"}, "benchmark_collisions")
     if axes is None:
         axes = tuple(Figure(figsize=(7.5, 7), layout="constrained").subplots(2, sharex=True))
     if len(axes) != 2:
@@ -63,7 +68,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
             y = np.where(values[rows] > 0, values[rows], floor)
             style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
             style["markerfacecolor"] = style["color"] if k == 0 else "none"  # let others shine through
-            ax.plot(time[rows], y, **style)
+            ax.plot(time[rows], y, **{**style, **kwargs})
             for row, height in zip(rows, y, strict=True):
                 if points[row] is not np.ma.masked:
                     where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
@@ -71,7 +76,8 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
         ax.set_yscale("log")
         ax.set_xscale("log")
         ax.set_ylabel(label)
-        ax.set_ylim(bottom=floor / 2)
+        top = seen.max(initial=10 * floor)
+        ax.set_ylim(floor / 2, top * (top / floor) ** 0.1)  # room for labels above the highest point
         ax.axhspan(floor / 2, 2 * floor, color=IDLE, alpha=0.2, linewidth=0)
         ax.text(0.99, floor, "none", transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize="small")
     axes[0].legend(fontsize="small", ncols=2)
@@ -81,7 +87,7 @@ def plot_speed_accuracy(table: QTable, *, axes: "tuple[Axes, Axes] | None" = Non
     return axes
 
 
-def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Axes":
+def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
     """Draw the error of collision probabilities against the time they take, a line for each method.
 
     Parameters
@@ -90,6 +96,8 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
         What `benchmark_probability` returns.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
+    **kwargs
+        Passed to ``loglog`` of each method, for example ``markersize``.
 
     Returns
     -------
@@ -108,19 +116,15 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
     >>> rs.plot_probability_accuracy(table).get_xlabel()
     'time [ms]'
     """
-    from matplotlib.figure import Figure
-
-    _check_table(table, {"method", "effort", "time", "error", "estimand"}, "benchmark_probability")
-    if ax is None:
-        ax = Figure(figsize=(7.5, 5.5), layout="constrained").add_subplot()
+    check_columns(table, {"method", "effort", "time", "error", "estimand"}, "benchmark_probability")
+    ax = new_axes(7.5, 5.5) if ax is None else ax
     for k, method in enumerate(dict.fromkeys(table["method"])):
         rows = table[table["method"] == method]
         formula = not np.asarray(rows["effort"]).any()
         color = SERIES[k % len(SERIES)]
-        ax.loglog(
-            rows["time"].to_value(u.ms), rows["error"], color=color, marker=MARKERS[k % 8], linestyle=":",
-            markerfacecolor="none" if formula else color, label=f"{method} ({rows['estimand'][0]})",
-        )  # fmt: skip
+        style = {"color": color, "marker": MARKERS[k % 8], "linestyle": ":"}
+        style |= {"markerfacecolor": "none" if formula else color, "label": f"{method} ({rows['estimand'][0]})"}
+        ax.loglog(rows["time"].to_value(u.ms), rows["error"], **{**style, **kwargs})
         for row in rows:
             if not formula:
                 where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
@@ -130,12 +134,3 @@ def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None) -> "Ax
     ax.set_title(f"{table.meta.get('instrument', '')}: labels are iterations, realizations or points")
     ax.legend(fontsize="small")
     return ax
-
-
-def _check_table(table, columns, maker):
-    """Refuse what the function of that name did not make."""
-    if not isinstance(table, QTable):
-        raise InputError(f"table must be a QTable, got {type(table).__name__}")
-    missing = columns - set(table.colnames)
-    if missing:
-        raise InputError(f"table must come from {maker}, but it has no {', '.join(sorted(missing))}")

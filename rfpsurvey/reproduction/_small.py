@@ -27,10 +27,10 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         seed = [settings.seed, 19, list(scans).index(name), k]
         found = estimate(*design, SMALL, settings, seed)
         formula = estimate(*design, SMALL, settings, seed, method="closed_form")
-        return (name, *design, found.value, found.standard_error, formula.value)
+        return (name, *design, found.value, found.low, found.high, found.standard_error, formula.value)
 
     rows = each(run, jobs, settings)
-    names = ("scan", "central_arm", "ratio", "pitch", "value", "standard_error", "closed_form")
+    names = ("scan", "central_arm", "ratio", "pitch", "value", "low", "high", "standard_error", "closed_form")
     table = QTable(rows=rows, names=names, units={"central_arm": u.mm, "pitch": u.mm})
     claims = []
     trends = ("ratio", 1, "increases rapidly with the arm ratio"), ("pitch", -1, "decreases rapidly with the pitch")

@@ -232,6 +232,7 @@ def build_tile(
             "inner_radius_mm": _one_or_all(plane._inner_mm),
             "outer_radius_mm": _one_or_all(plane._outer_mm),
             "min_separation_mm": float(plane.positioner._separation_mm),
+            "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane._obstacles_mm.tolist(),
         },
     }

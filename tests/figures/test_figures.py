@@ -4,6 +4,8 @@ After a wanted change, look at the new pictures and keep them:
 ``tox -e figures -- --mpl-generate-path=tests/figures/baseline``.
 """
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -14,11 +16,12 @@ from matplotlib.figure import Figure
 import rfpsurvey as rs
 
 CENTER = SkyCoord(95, 23, unit="deg")
+kept = pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 40}, style="default", tolerance=1)
 
 
-def axes():
+def axes(width=7, height=7, projection=None):
     """Axes without a layout engine: that of a default figure moves them a little each time it is drawn."""
-    return Figure(figsize=(9, 9)).add_subplot()
+    return Figure(figsize=(width, height)).add_axes((0.16, 0.25, 0.68, 0.68), projection=projection)
 
 
 def tile(instrument, **options):
@@ -26,18 +29,108 @@ def tile(instrument, **options):
     return rs.plan_tile(sky, instrument, CENTER, **options)
 
 
-@pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 36}, tolerance=1)
+@pytest.fixture(scope="module")
+def worn():
+    """An instrument with some units that are disabled or stuck."""
+    apo = rs.Instrument.preset("sdss_apo")
+    rng = np.random.default_rng(2)
+    stuck = np.full((500, 2), np.nan)
+    stuck[rng.choice(500, 30, replace=False)] = 50, 100
+    plane = replace(apo.focal_plane, stuck=stuck * u.deg, disabled=rng.random(500) < 0.05)
+    return replace(apo, focal_plane=plane)
+
+
+@pytest.fixture(scope="module")
+def survey():
+    unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
+    sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=100 / u.deg**2, rng=3)
+    sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
+    tiles = QTable({"ra": [94.7, 95.3, 94.7, 95.3] * u.deg, "dec": [23, 23, 23.3, 23.3] * u.deg, "pass": [1, 1, 2, 2]})
+    return rs.plan_survey(sky, tiles, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg))
+
+
+@kept
 def test_focal_plane_with_unequal_arms():
     return rs.plot_focal_plane(tile("sdss_apo"), ax=axes()).figure
 
 
-@pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 36}, tolerance=1)
+@kept
 def test_part_of_a_focal_plane_with_equal_arms():
     region = [[-120, -120], [120, 120]] * u.mm
     return rs.plot_focal_plane(tile("lamost", allocator="balanced"), ax=axes(), region=region).figure
 
 
-@pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 36}, tolerance=1)
+@kept
+def test_part_of_a_worn_focal_plane(worn):
+    region = [[-90, -90], [90, 90]] * u.mm
+    return rs.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
+
+
+@kept
+def test_focal_plane_by_fiber_type(worn):
+    return rs.plot_focal_plane(worn, ax=axes(), region=[[-90, -90], [90, 90]] * u.mm, color="fiber_type").figure
+
+
+@kept
+def test_coverage(worn):
+    return rs.plot_coverage(worn, ax=axes(), n_pixels=200, region=[[0, -90], [180, 90]] * u.mm).figure
+
+
+@kept
+def test_collision_map(worn):
+    estimate = rs.collision_probability(worn, method="quadrature", max_iterations=32)
+    return rs.plot_collision_map(estimate, worn, ax=axes()).figure
+
+
+@kept
+def test_collision_map_of_a_tile(worn):
+    return rs.plot_collision_map(tile(worn), ax=axes()).figure
+
+
+@kept
+def test_probability():
+    ratio = np.linspace(1, 3, 9)
+    table = QTable({"ratio": ratio, "value": ratio**2 / 20, "low": ratio**2 / 22, "high": ratio**2 / 19})
+    table["closed_form"] = ratio / 40
+    return rs.plot_probability(table, values=["value", "closed_form"], ax=axes(6, 5)).figure
+
+
+@kept
+def test_residuals():
+    ratio, pitch = np.random.default_rng(1).uniform((1, 25), (2, 35), (40, 2)).T
+    table = QTable({"ratio": ratio, "pitch": pitch * u.mm, "value": ratio, "closed_form": pitch / 20})
+    return rs.plot_residuals(table, ax=axes(6, 5)).figure
+
+
+@kept
+def test_allocators():
+    table = QTable({
+        "allocator": ["balanced", "sdss", "optimal"], "science": [820, 900, 860], "usable": [640, 655, 860],
+        "missing": [12, 0, 0], "seconds": [0.0012, 0.21, 14] * u.s,
+    }, meta={"blind_science": 905, "instrument": "mine"})  # fmt: skip
+    return rs.plot_allocators(table, ax=axes(7, 5)).figure
+
+
+@kept
+def test_tiles_by_completeness(survey):
+    return rs.plot_tiling(survey, ax=axes(6, 5)).figure
+
+
+@kept
+def test_tiles_on_the_whole_sky():
+    rng = np.random.default_rng(1)
+    table = QTable({"ra": rng.uniform(0, 360, 200) * u.deg, "dec": rng.uniform(-60, 60, 200) * u.deg})
+    table["pass"] = np.arange(200) % 3 + 1
+    return rs.plot_tiling(rs.Tiling.from_table(table), radius=4 * u.deg, ax=axes(8, 4.5, "aitoff")).figure
+
+
+@kept
+def test_completeness(survey):
+    return rs.plot_completeness(survey, ax=axes(6, 5)).figure
+
+
+@kept
 def test_speed_against_accuracy():
     table = QTable({
         "method": ["exact", "sampled", "sampled", "sweep"],
@@ -48,3 +141,14 @@ def test_speed_against_accuracy():
     }, meta={"instrument": "lamost", "n_neighbor_pairs": 11769})  # fmt: skip
     figure = Figure(figsize=(9, 9))
     return rs.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
+
+
+@kept
+def test_probability_against_time():
+    table = QTable({
+        "method": ["closed_form", "conditional", "conditional", "quadrature", "quadrature"],
+        "estimand": ["independent", "allocated", "allocated", "independent", "independent"],
+        "effort": [0, 4, 64, 64, 256], "time": [1, 9, 120, 40, 160] * u.ms,
+        "error": [0.3, 0.02, 0.004, 0.003, 0.0007],
+    }, meta={"instrument": "mine"})  # fmt: skip
+    return rs.plot_probability_accuracy(table, ax=axes(6, 5)).figure

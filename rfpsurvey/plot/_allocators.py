@@ -1,0 +1,91 @@
+"""Allocators side by side."""
+
+from typing import TYPE_CHECKING
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.plot._axes import check_columns, legend_below, new_axes
+from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OUTLINE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_allocators"]
+
+
+def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
+    """Draw what each allocator gives: usable science fibers, those lost to collisions, what requirements lack.
+
+    Parameters
+    ----------
+    table : QTable
+        What `compare_allocators` returns.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default, with the legend below the axes.
+    **kwargs
+        Passed to ``barh``, for example ``height``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, a bar for each allocator in the order of the table, with the seconds it took. The dashed line is the
+        number of science fibers of the best plan that does not look at collisions.
+
+    Raises
+    ------
+    InputError
+        If the table has other columns.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=2000, rng=1)
+    >>> ax = rs.plot_allocators(rs.compare_allocators(sky, "moons", center, allocators=["lamost", "repair"]))
+    >>> [text.get_text() for text in ax.get_yticklabels()]
+    ['lamost', 'repair']
+    """
+    from matplotlib.lines import Line2D
+
+    needed = {"allocator", "science", "usable", "missing", "seconds"}
+    check_columns(table, needed, "compare_allocators")
+    n = len(table)
+    ax = new_axes(7.0, 1.6 + 0.42 * n) if ax is None else ax
+    rows, usable, science, missing = np.arange(n), *(np.asarray(table[c]) for c in ("usable", "science", "missing"))
+    pieces = (
+        (usable, "usable science fibers", {"color": ARM}),
+        (science - usable, "lost to collisions", {"color": COLLISION, "edgecolor": "white", "hatch": HATCH}),
+        (missing, "missing for requirements", {"facecolor": "white", "edgecolor": IDLE, "hatch": "...."}),
+    )
+    left, handles = np.zeros(n), []
+    for sizes, label, style in pieces:
+        if sizes.any() or label.startswith("usable"):
+            handles.append(ax.barh(rows, sizes, left=left, label=label, **{"height": 0.7, **style, **kwargs}))
+        left = left + sizes
+    for row, number in zip(rows, usable, strict=True):
+        ax.text(0.015 * left.max(), row, str(number), color="white", va="center", fontsize="small")
+    style = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "center", "fontsize": "small"}
+    for row, seconds in zip(rows, table["seconds"].to_value(u.s), strict=True):
+        ax.text(0.99, row, _in_words(seconds), **style)
+    blind = table.meta.get("blind_science")
+    if blind:
+        ax.axvline(blind, color=OUTLINE, linestyle="--", linewidth=1)
+        handles.append(Line2D([], [], color=OUTLINE, linestyle="--", label="science fibers, collisions ignored"))
+    ax.set_yticks(rows, list(table["allocator"]))
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1.16 * max(left.max(), blind or 0, 1))
+    ax.set_xlabel("fibers")
+    ax.set_title(table.meta.get("instrument", ""))
+    legend_below(ax, handles, columns=2)
+    return ax
+
+
+def _in_words(seconds):
+    """Return a time in two digits."""
+    if seconds < 0.0995:
+        return f"{1e3 * seconds:.2g} ms"
+    return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds:.0f} s"

@@ -1,0 +1,173 @@
+"""Where on the focal plane arms collide, and how often."""
+
+from typing import TYPE_CHECKING
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.collision import CollisionCounts, CollisionReport
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument, as_focal_plane
+from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below
+from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, RISK
+from rfpsurvey.probability import Estimate
+from rfpsurvey.tile import Tile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_collision_map"]
+
+
+def plot_collision_map(
+    collisions: Estimate | CollisionCounts | CollisionReport | Tile | np.ndarray,
+    focal_plane: FocalPlane | Instrument | str | None = None,
+    *,
+    ax: "Axes | None" = None,
+    region: u.Quantity | None = None,
+    **kwargs: object,
+) -> "Axes":
+    """Draw how likely each positioner is to collide or, of one configuration, which ones do.
+
+    Each positioner is a disk, open where it never counts. Disks of one configuration are hatched where they collide,
+    and a line joins those that collide with each other.
+
+    Parameters
+    ----------
+    collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
+        What to draw; of an array, a probability (NaN: it never counts) or truth value for each positioner.
+    focal_plane : FocalPlane, Instrument or str, optional
+        The positioners; a str is the name of a preset. A Tile brings its own.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+    region : Quantity, shape (2, 2), optional
+        Corners ((x0, y0), (x1, y1)) of the part to show; all by default.
+    **kwargs
+        Passed to the collection of disks, for example ``cmap`` or ``clim``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in mm.
+
+    Raises
+    ------
+    InputError
+        If the focal plane is missing or has another number of positioners, or values are no probabilities.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
+    >>> estimate = rs.collision_probability(plane, method="quadrature")
+    >>> rs.plot_collision_map(estimate, plane).get_title().split(":")[0]
+    'quadrature, independent targets'
+    """
+    centers, outer = _places(collisions, focal_plane)
+    values, pairs, label, title = _values(collisions)
+    if values.shape != (len(centers),):
+        raise InputError(f"there must be a value for each of the {len(centers)} positioners, got {values.shape}")
+    with np.errstate(invalid="ignore"):
+        if values.dtype.kind == "f" and ((values < 0) | (values > 1)).any():
+            raise InputError(f"probabilities must lie from 0 to 1, got {np.nanmin(values):g} to {np.nanmax(values):g}")
+    ax = focal_plane_axes(ax, centers, outer, region)
+    radius = 0.48 * _spacing(centers, outer)
+    if values.dtype.kind == "b":
+        _draw_flags(ax, centers, radius, values, pairs, kwargs)
+    else:
+        _draw_risks(ax, centers, radius, values, label, kwargs)
+    ax.set_title(title)
+    return ax
+
+
+def _places(collisions, focal_plane):
+    """Return centers and outer radii in mm."""
+    if isinstance(collisions, Tile):
+        if focal_plane is not None:
+            raise InputError("a Tile brings its own positioners; give no focal_plane")
+        table = collisions.table
+        centers = np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
+        return centers, np.asarray(table.meta["geometry"]["outer_radius_mm"])
+    if focal_plane is None:
+        raise InputError(f"focal_plane must be given: {type(collisions).__name__} does not say where positioners are")
+    plane = as_focal_plane(focal_plane)
+    return plane._xy_mm, plane._outer_mm
+
+
+def _values(collisions):
+    """Return a value for each positioner, colliding pairs, what the values are, and a title."""
+    none = np.empty((0, 2), dtype=int)
+    if isinstance(collisions, Estimate):
+        e = collisions
+        interval = "" if np.isnan(e.low) else f" [{e.low:.4f}, {e.high:.4f}]"
+        title = f"{e.method}, {e.estimand} targets: {e.value:.4f}{interval}"
+        return e.per_positioner, none, "collision probability", title
+    if isinstance(collisions, CollisionCounts):
+        n = len(collisions)
+        if n == 0:
+            raise InputError("there must be at least one configuration, got none")
+        return collisions.per_positioner / n, none, "part of configurations in collision", f"{n} configurations"
+    if isinstance(collisions, CollisionReport):
+        return _flags(collisions.in_collision, collisions.pairs)
+    if isinstance(collisions, Tile):
+        row = {name: k for k, name in enumerate(collisions.table["id"].astype(str).tolist())}
+        partners = enumerate(collisions.table["colliding_with"].tolist())
+        pairs = [(k, row[name]) for k, names in partners for name in names.split() if k < row.get(name, -1)]
+        return _flags(np.asarray(collisions.table["in_collision"]), np.array(pairs, dtype=int).reshape(-1, 2))
+    try:
+        values = np.asarray(collisions)
+        values = values if values.dtype.kind == "b" else values.astype(float)
+    except (TypeError, ValueError):
+        raise InputError(
+            "collisions must be an Estimate, CollisionCounts, a CollisionReport, a Tile or one number a positioner, "
+            f"got {type(collisions).__name__}"
+        ) from None
+    return values, none, "collision probability", ""
+
+
+def _flags(flags, pairs):
+    return flags, pairs, "", f"{int(flags.sum())} of {len(flags)} positioners in collision, {len(pairs)} pairs"
+
+
+def _spacing(centers, outer):
+    """Typical distance of neighboring centers."""
+    from scipy.spatial import cKDTree
+
+    if len(centers) == 1:
+        return 2 * np.max(outer)
+    return float(np.median(cKDTree(centers).query(centers, k=2)[0][:, 1]))
+
+
+def _draw_risks(ax, centers, radius, values, label, kwargs):
+    from matplotlib.lines import Line2D
+
+    known = np.isfinite(values)
+    top = values[known].max(initial=0.0) or 1.0
+    style = {"cmap": RISK, "clim": (0, top), "edgecolors": "0.6", "linewidths": 0.2, **kwargs}
+    drawn = add_circles(ax, centers[known], radius, array=values[known], **style)
+    ax.figure.colorbar(drawn, cax=ax.inset_axes([1.02, 0, 0.03, 1]), label=label)
+    if not known.all():
+        add_circles(ax, centers[~known], radius, facecolors="none", edgecolors=IDLE, linestyles="--", linewidths=0.8)
+        entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+        legend_below(ax, [Line2D([], [], color=IDLE, label="never counts", **entry)])
+
+
+def _draw_flags(ax, centers, radius, flags, pairs, kwargs):
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    add_circles(ax, centers[~flags], radius, facecolors="none", edgecolors=IDLE, linewidths=0.5)
+    entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+    handles = [Line2D([], [], color=IDLE, label="no collision", **entry)]
+    if flags.any():
+        style = {"facecolors": COLLISION, "edgecolors": "white", "hatch": HATCH, "linewidths": 0, **kwargs}
+        add_circles(ax, centers[flags], radius, **style)
+        handles.append(Patch(facecolor=COLLISION, edgecolor="white", hatch=HATCH, linewidth=0, label="in collision"))
+    if len(pairs):
+        ax.add_collection(LineCollection(centers[pairs], colors=OUTLINE, linewidths=1.5, zorder=3))
+        handles.append(Line2D([], [], color=OUTLINE, linewidth=1.5, label="colliding pair"))
+    legend_below(ax, handles)

@@ -1,0 +1,122 @@
+"""How many positioners reach each point."""
+
+from typing import TYPE_CHECKING
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.plot._axes import focal_plane_axes, legend_below, named_plane
+from rfpsurvey.plot._style import LEVELS, OUTLINE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_coverage"]
+
+N_POINTS = 2**18
+"""For the parts in the legend: their standard error is below 0.001."""
+
+
+def plot_coverage(
+    focal_plane: FocalPlane | Instrument | str,
+    *,
+    ax: "Axes | None" = None,
+    region: u.Quantity | None = None,
+    n_pixels: int = 600,
+    **kwargs: object,
+) -> "Axes":
+    """Draw how many positioners reach each point: the darker, the more.
+
+    White points within the dashed line, the footprint, are in reach of nobody. The legend gives the parts of the
+    footprint, as `FocalPlane.coverage` finds them.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane, Instrument or str
+        The positioners; a str is the name of a preset. Units that are disabled or stuck reach nothing.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default, with the legend below the axes.
+    region : Quantity, shape (2, 2), optional
+        Corners ((x0, y0), (x1, y1)) of the part to show; all by default. The legend is about the whole footprint.
+    n_pixels : int, optional
+        Pixels along the longer side.
+    **kwargs
+        Passed to ``imshow``, for example ``alpha``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in mm.
+
+    Raises
+    ------
+    InputError
+        If it is no focal plane, or ``region`` or ``n_pixels`` is impossible.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> ax = rs.plot_coverage("lamost")
+    >>> [text.get_text() for text in ax.get_legend().get_texts()][1]
+    '1 positioner (54 %)'
+    """
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.patches import Patch
+
+    whole = isinstance(n_pixels, int | np.integer) and not isinstance(n_pixels, bool)
+    if not (whole and 1 <= n_pixels <= 5000):
+        raise InputError(f"n_pixels must be a whole number from 1 to 5000, got {n_pixels!r}")
+    name, plane = named_plane(focal_plane)
+    ax = focal_plane_axes(ax, plane._xy_mm, plane._outer_mm, region)
+    low, high = np.column_stack([ax.get_xlim(), ax.get_ylim()])
+    nx, ny = np.maximum(1, np.rint(n_pixels * (high - low) / (high - low).max())).astype(int)
+    x, y = (a + (b - a) * (np.arange(k) + 0.5) / k for a, b, k in zip(low, high, (nx, ny), strict=True))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    counts = plane.multiplicity(points * u.mm).reshape(ny, nx)
+    top = len(LEVELS) - 1
+    style = {"cmap": ListedColormap(LEVELS), "norm": BoundaryNorm(np.arange(top + 2) - 0.5, top + 1), **kwargs}
+    extent = (low[0], high[0], low[1], high[1])
+    ax.imshow(np.minimum(counts, top), origin="lower", extent=extent, interpolation="nearest", zorder=0, **style)
+    parts = _parts(plane, top)
+    if parts is not None:
+        _outline(ax, plane)
+    most = min(top, max(counts.max(), 0 if parts is None else np.flatnonzero(parts).max()))
+    handles = []
+    for k in range(most + 1):
+        label = ("no positioner", "1 positioner")[k] if k < 2 else f"{k} positioners"
+        label = f"{k} or more" if k == top else label
+        if parts is not None:
+            label += f" ({_percent(parts[k])})"
+        handles.append(Patch(facecolor=LEVELS[k], edgecolor="0.5", linewidth=0.5, label=label))
+    legend_below(ax, handles)
+    ax.set_title(f"{name}: positioners that reach each point" if name else "positioners that reach each point")
+    return ax
+
+
+def _parts(plane, top):
+    """Parts of the footprint in reach of 0, 1, ..., top or more; None where centers on a line have no footprint."""
+    try:
+        parts = plane.coverage(n_points=N_POINTS)
+    except InputError:
+        return None
+    full = np.zeros(top + 1)
+    full[: len(parts)] = parts[: top + 1]
+    full[top] += parts[top + 1 :].sum()
+    return full
+
+
+def _outline(ax, plane):
+    """Draw the footprint: the convex hull of the centers."""
+    from scipy.spatial import ConvexHull
+
+    corners = plane._xy_mm[ConvexHull(plane._xy_mm).vertices]
+    ax.plot(*np.vstack([corners, corners[:1]]).T, color=OUTLINE, linestyle="--", linewidth=0.9, label="footprint")
+
+
+def _percent(part):
+    """Two digits, and no more than the sample can tell."""
+    percent = 100 * part
+    return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

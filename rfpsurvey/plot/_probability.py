@@ -1,0 +1,190 @@
+"""Probabilities along a scan with their intervals, and differences over the plane of two design parameters."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.plot._axes import check_columns, labeled, new_axes, values_of
+from rfpsurvey.plot._style import DIVERGING, MARKERS, SERIES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_probability", "plot_residuals"]
+
+DEVIATIONS = 1.96
+LINES = ("-", "--", ":", "-.")
+
+
+def plot_probability(
+    table: QTable,
+    x: str = "ratio",
+    *,
+    values: str | Iterable[str] = "value",
+    by: str | None = None,
+    ax: "Axes | None" = None,
+    **kwargs: object,
+) -> "Axes":
+    """Draw collision probabilities along a scan, a line with its interval for each column and group.
+
+    Parameters
+    ----------
+    table : QTable
+        A row for each design, for example made of estimates: ``x``, and the columns of ``values``.
+    x : str, optional
+        Column along the axis, such as ``ratio`` or ``pitch``.
+    values : str or list of str, optional
+        Columns to draw. The interval of ``value`` is from ``low`` to ``high``, or 1.96 ``standard_error`` about it;
+        that of another column, such as ``formula``, from ``formula_low`` to ``formula_high``, or 1.96
+        ``formula_error`` about it. Where there are no such columns, there is a line alone.
+    by : str, optional
+        Column that makes groups, each with lines of its own.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+    **kwargs
+        Passed to ``plot`` of each line, for example ``linewidth``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes. Shades are intervals.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or holds no numbers.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> rows = []
+    >>> for ratio in (1, 1.5, 2):
+    ...     robot = rs.Positioner(8.25 * u.mm, 8.25 * ratio * u.mm, 2.25 * u.mm)
+    ...     plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=25.6 * u.mm)
+    ...     found = rs.collision_probability(plane, n_targets=200, precision=0.01)
+    ...     rows.append((ratio, found.value, found.low, found.high))
+    >>> ax = rs.plot_probability(QTable(rows=rows, names=["ratio", "value", "low", "high"]))
+    >>> ax.get_ylabel()
+    'collision probability'
+    """
+    from matplotlib.patches import Patch
+
+    names = [values] if isinstance(values, str) else list(values)
+    check_columns(table, {x, *names} | ({by} if by else set()))
+    if not names:
+        raise InputError("values must name at least one column, got none")
+    ax = new_axes() if ax is None else ax
+    groups = list(dict.fromkeys(np.asarray(table[by]).tolist())) if by else [None]
+    k, shaded = 0, False
+    for group in groups:
+        part = table if group is None else table[np.asarray(table[by]) == group]
+        part = part[np.argsort(values_of(part, x), kind="stable")]
+        for name in names:
+            label = ", ".join(_words(group, name, names, by))
+            style = {"color": SERIES[(k + 1) % 8], "marker": MARKERS[k % 8], "linestyle": LINES[k % 4], "markersize": 5}
+            (line,) = ax.plot(values_of(part, x), values_of(part, name), label=label, **{**style, **kwargs})
+            low, high = _interval(part, name)
+            if low is not None:
+                shaded = True
+                ax.fill_between(values_of(part, x), low, high, color=line.get_color(), alpha=0.25, linewidth=0)
+            k += 1
+    ax.set_xlabel(labeled(table, x))
+    ax.set_ylabel("collision probability")
+    handles, _ = ax.get_legend_handles_labels()
+    if shaded:
+        handles.append(Patch(facecolor="0.5", alpha=0.35, label="interval"))
+    if len(handles) > 1:
+        ax.legend(handles=handles, fontsize="small")
+    return ax
+
+
+def plot_residuals(
+    table: QTable,
+    value: str = "value",
+    reference: str = "closed_form",
+    *,
+    x: str = "ratio",
+    y: str = "pitch",
+    ax: "Axes | None" = None,
+    **kwargs: object,
+) -> "Axes":
+    """Draw the differences of two columns over the plane of two others, such as arm ratio and pitch.
+
+    Triangles point up where the difference is positive, down where it is negative; disks are zeros.
+
+    Parameters
+    ----------
+    table : QTable
+        A row for each design.
+    value, reference : str, optional
+        Columns whose difference, ``value`` minus ``reference``, is drawn; rows where it is NaN are left out.
+    x, y : str, optional
+        Columns along the axes.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+    **kwargs
+        Passed to ``scatter``, for example ``s``, ``vmin`` and ``vmax``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes; the scale beside them is symmetric about 0.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or holds no numbers, or no difference is known.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> designs = QTable({"ratio": [1, 1.5, 2], "pitch": [26, 26, 30] * u.mm})
+    >>> l1, l2 = 8.25 * u.mm, 8.25 * u.mm * designs["ratio"]
+    >>> designs["value"] = rs.surrogate_probability(l1, l2, designs["pitch"], 4.5 * u.mm)
+    >>> designs["wider"] = rs.surrogate_probability(l1, l2, designs["pitch"], 5.5 * u.mm)
+    >>> rs.plot_residuals(designs, "wider", "value").get_ylabel()
+    'pitch [mm]'
+    """
+    check_columns(table, {x, y, value, reference})
+    away = values_of(table, value) - values_of(table, reference)
+    known = np.isfinite(away)
+    if not known.any():
+        raise InputError(f"{value} and {reference} must have a row in which both are known")
+    ax = new_axes(6.0, 4.8) if ax is None else ax
+    most = np.abs(away[known]).max() or 1.0
+    across, up = values_of(table, x), values_of(table, y)
+    style = {"cmap": DIVERGING, "vmin": -most, "vmax": most, "edgecolors": "0.3", "linewidths": 0.6, "s": 42, **kwargs}
+    for rows, marker in ((away > 0, "^"), (away < 0, "v"), (away == 0, "o")):
+        points = ax.scatter(across[rows], up[rows], c=away[rows], marker=marker, **style)
+    label = f"{value} - {reference}".replace("_", " ")
+    ax.figure.colorbar(points, ax=ax, label=label)
+    ax.set_xlabel(labeled(table, x))
+    ax.set_ylabel(labeled(table, y))
+    return ax
+
+
+def _words(group, name, names, by):
+    """Yield the parts of a label."""
+    if group is not None:
+        yield group if isinstance(group, str) else f"{by.replace('_', ' ')} {group}"
+    if len(names) > 1 or group is None:
+        yield name.replace("_", " ")
+
+
+def _interval(table, name):
+    """Return the ends of the interval of a column, or (None, None)."""
+    before = "" if name == "value" else f"{name}_"
+    if {f"{before}low", f"{before}high"} <= set(table.colnames):
+        return values_of(table, f"{before}low"), values_of(table, f"{before}high")
+    error = "standard_error" if name == "value" else f"{name}_error"
+    if error not in table.colnames:
+        return None, None
+    half = DEVIATIONS * values_of(table, error)
+    return values_of(table, name) - half, values_of(table, name) + half

@@ -1,0 +1,118 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, QTable
+from matplotlib.figure import Figure
+
+import rfpsurvey as rs
+from rfpsurvey.plot import draw_reproduction
+
+SCAN = QTable({
+    "pitch": [35, 26, 30] * u.mm, "value": [0.1, 0.4, 0.2], "low": [0.05, 0.37, 0.18], "high": [0.12, 0.42, 0.25],
+    "formula": MaskedColumn([0.0, 0.1, 0.3], mask=[False, False, True]), "formula_error": [0.01, 0.02, 0.03],
+    "arms": ["long", "short", "long"],
+})  # fmt: skip
+
+
+def band(collection):
+    """Lower and upper edge by x."""
+    corners = collection.get_paths()[0].vertices
+    return {x: (corners[corners[:, 0] == x, 1].min(), corners[corners[:, 0] == x, 1].max()) for x in corners[:, 0]}
+
+
+def test_lines_have_their_intervals():
+    ax = rs.plot_probability(SCAN, "pitch", values=["value", "formula"], linewidth=3)
+    value, formula = ax.get_lines()
+    np.testing.assert_array_equal(value.get_xydata(), [[26, 0.4], [30, 0.2], [35, 0.1]])
+    np.testing.assert_array_equal(formula.get_ydata(), [0.1, np.nan, 0])
+    assert value.get_linewidth() == 3
+    assert value.get_marker() != formula.get_marker()
+    assert value.get_linestyle() != formula.get_linestyle()
+    of_value, of_formula = map(band, ax.collections)
+    assert of_value == {26: (0.37, 0.42), 30: (0.18, 0.25), 35: (0.05, 0.12)}
+    assert of_formula[26] == pytest.approx((0.1 - 1.96 * 0.02, 0.1 + 1.96 * 0.02))
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["value", "formula", "interval"]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("pitch [mm]", "collision probability")
+
+
+def test_groups_have_lines_of_their_own():
+    into = Figure().add_subplot()
+    ax = rs.plot_probability(SCAN["pitch", "value", "arms"], "pitch", by="arms", ax=into)
+    assert ax is into
+    lines = {line.get_label(): line.get_xydata().tolist() for line in ax.get_lines()}
+    assert lines == {"long": [[30, 0.2], [35, 0.1]], "short": [[26, 0.4]]}
+    assert not ax.collections  # no interval is known
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rs.plot_probability([1]), "table must be a QTable, got list"),
+        (lambda: rs.plot_probability(SCAN), "table must have the column ratio; it has pitch"),
+        (lambda: rs.plot_probability(SCAN, "pitch", values="arms"), "arms must be a column of numbers"),
+        (lambda: rs.plot_probability(SCAN, "pitch", values=[]), "values must name at least one column"),
+        (lambda: rs.plot_probability(SCAN[:0], "pitch"), "table must have at least one row"),
+        (lambda: rs.plot_residuals(SCAN, "value", "nothing"), "table must have the column nothing"),
+        (lambda: rs.plot_residuals(SCAN[2:], "value", "formula", x="pitch"), "must have a row in which both are known"),
+        (lambda: rs.plot_allocators(SCAN), "table must come from compare_allocators, but it has no allocator"),
+    ],
+)
+def test_other_tables_are_refused(call, message):
+    with pytest.raises(rs.InputError, match=message):
+        call()
+
+
+def test_residuals_point_where_they_go():
+    table = QTable({
+        "ratio": [1.0, 1.2, 1.4, 1.6], "pitch": [26, 28, 30, 32] * u.mm, "here": [0.3, 0.1, 0.2, 0.5],
+        "there": [0.1, 0.4, 0.2, np.nan],
+    })  # fmt: skip
+    ax = rs.plot_residuals(table, "here", "there", s=7)
+    up, down, zero = ax.collections[:3]
+    assert up.get_offsets().tolist() == [[1, 26]]
+    assert down.get_offsets().tolist() == [[1.2, 28]]
+    assert zero.get_offsets().tolist() == [[1.4, 30]]
+    assert len({c.get_paths()[0].vertices.tobytes() for c in (up, down, zero)}) == 3
+    np.testing.assert_allclose(down.get_array(), [-0.3])
+    assert down.get_clim() == pytest.approx((-0.3, 0.3))
+    assert up.get_sizes() == [7]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("arm ratio", "pitch [mm]")
+    assert ax.figure.axes[1].get_ylabel() == "here - there"
+
+
+def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
+    table = QTable({
+        "allocator": ["blind", "careful"], "science": [90, 70], "usable": [60, 70], "missing": [0, 5],
+        "seconds": [0.0123, 4.56] * u.s,
+    }, meta={"blind_science": 95, "instrument": "mine"})  # fmt: skip
+    ax = rs.plot_allocators(table, height=0.5)
+    bars = {c.get_label(): [(p.get_x(), p.get_width()) for p in c.patches] for c in ax.containers}
+    assert bars == {
+        "usable science fibers": [(0, 60), (0, 70)],
+        "lost to collisions": [(60, 30), (70, 0)],
+        "missing for requirements": [(90, 0), (70, 5)],
+    }
+    assert ax.patches[0].get_height() == 0.5
+    assert {t.get_text() for t in ax.texts} == {"60", "70", "12 ms", "4.6 s"}
+    assert ax.get_lines()[0].get_xdata()[0] == 95
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["blind", "careful"]
+    assert ax.yaxis_inverted()
+    assert ax.get_title() == "mine"
+    hatches = {c.patches[0].get_hatch() for c in ax.containers}
+    assert len(hatches) == 3
+    table["missing"] = 0
+    assert len(rs.plot_allocators(table).containers) == 2
+
+
+def test_the_scans_of_the_paper_have_intervals_in_both_scales():
+    rows = [
+        (scan, ratio, pitch, v, v - 0.01, v + 0.02, v / 5)
+        for scan in ("ratio", "pitch")
+        for ratio, pitch, v in ((1, 26, 0.1), (2, 28, 0.2), (3, 30, 0.5))
+    ]
+    names = ["scan", "ratio", "pitch", "value", "low", "high", "closed_form"]
+    figure = draw_reproduction("small", {"small": QTable(rows=rows, names=names, units={"pitch": u.mm})})["small"]
+    above, below = figure.axes[0], figure.axes[2]
+    assert band(above.collections[0])[2] == pytest.approx((0.19, 0.22))
+    assert band(below.collections[0])[2] == pytest.approx((0.09 / 0.4, 0.12 / 0.4))
+    np.testing.assert_allclose(below.get_lines()[1].get_ydata(), [0, 0.25, 1])
