@@ -152,3 +152,15 @@ def test_probability_against_time():
         "error": [0.3, 0.02, 0.004, 0.003, 0.0007],
     }, meta={"instrument": "mine"})  # fmt: skip
     return rs.plot_probability_accuracy(table, ax=axes(6, 5)).figure
+
+
+@kept
+def test_instruments_side_by_side():
+    table = rs.compare_instruments("uniform", ["sdss_apo", "pfs"], n_realizations=1, rng=1)
+    return rs.plot_instruments(table, ax=axes()).figure
+
+
+@kept
+def test_front_of_designs():
+    scan = {"l1": 8.25 * u.mm, "ratio": [1.0, 2.0], "pitch": [22.0, 32.0] * u.mm, "clearance": 2.25 * u.mm}
+    return rs.plot_designs(rs.explore_designs(n_designs=64, rng=1, **scan), ax=axes()).figure
