@@ -21,10 +21,5 @@ table["allocator", "science", "colliding", "usable", "loss", "gap"].pprint()
 # %%
 # ``sdss`` assigns the most, and loses a quarter. ``optimal`` and ``repair`` leave no collision.
 
-fig, ax = plt.subplots(figsize=(7, 3.6), layout="constrained")
-ax.barh(table["allocator"], table["usable"], color="#0072B2", label="usable")
-lost = table["science"] - table["usable"]
-ax.barh(table["allocator"], lost, left=table["usable"], color="#D00000", label="in collision")
-ax.invert_yaxis()
-ax.set_xlabel("science fibers")
-fig.legend(loc="outside upper center", ncols=2)
+fig, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
+rs.plot_allocators(table, ax=ax)

@@ -10,7 +10,7 @@ unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
 truth = rs.collision_probability(plane, n_targets=148, precision=2e-4).value
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
-for stop, color in (("convergence", "#D00000"), ("interval", "#0072B2")):
+for stop, color in (("convergence", "#D55E00"), ("interval", "#0072B2")):
     options = {"method": "monte_carlo", "n_targets": 148, "precision": 0.002, "stop": stop}
     found = [rs.collision_probability(plane, rng=k, **options) for k in range(60)]
     error = np.sqrt(np.mean([(e.value - truth) ** 2 for e in found]))

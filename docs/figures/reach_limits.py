@@ -13,7 +13,7 @@ shifts = np.logspace(-13, -1, 49)
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
 for label, r, color in (
     ("r = 15 mm", 15.0, "#0072B2"),
-    ("r = l1 + l2", 22.4, "#D00000"),
+    ("r = l1 + l2", 22.4, "#D55E00"),
     ("r = l2 - l1", 7.6, "#E69F00"),
 ):
     inward = 1 if r < 10 else -1

@@ -81,7 +81,7 @@ def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
     from matplotlib.figure import Figure
 
     figure = Figure(layout="constrained") if figure is None else figure
-    figure.set_size_inches(13, 1.6 + 0.34 * len(table))
+    figure.set_size_inches(11, 1.6 + 0.34 * len(table))
     left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1.7, 1))
     right.sharey(middle)
     _draw_reach(table, left)
