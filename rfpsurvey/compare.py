@@ -93,6 +93,7 @@ def compare_allocators(
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
     provenance = tiles[names[0]].provenance
     table.meta.update(
+        made_by="compare_allocators",
         unmet={name: tiles[name].summary["unmet"] for name in names}, blind_science=blind,
         instrument=provenance["instrument"]["name"], software=provenance["software"],
         parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},
