@@ -18,6 +18,7 @@ from rfpsurvey._cli._print import (
     finish,
     finish_comparison,
     finish_estimate,
+    finish_report,
     finish_table,
     finish_tiling,
     print_table,
@@ -25,12 +26,13 @@ from rfpsurvey._cli._print import (
 )  # fmt: skip
 from rfpsurvey._io import WRITABLE, check_output, read_table
 from rfpsurvey.catalog import UNITS, as_catalog
+from rfpsurvey.report import check_report
 
 __all__ = [
-    "app", "check_chart", "check_outputs", "finish", "finish_comparison", "finish_estimate", "finish_table",
-    "finish_tiling", "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs", "plan_options",
-    "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm", "units_of",
-    "write_figure",
+    "app", "check_chart", "check_outputs", "finish", "finish_comparison", "finish_estimate", "finish_report",
+    "finish_table", "finish_tiling", "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs",
+    "plan_options", "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm",
+    "units_of", "write_figure",
 ]  # fmt: skip
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
@@ -190,15 +192,19 @@ def read_targets(name: str):
     return rs.Catalog.read(name) if Path(name).suffix else name
 
 
-def check_outputs(output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
+def check_outputs(
+    output: Path | None, plot: Path | None = None, report: Path | None = None, *, overwrite: bool
+) -> None:
     """Refuse an output that cannot be written before any work is done."""
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
     if plot is not None:
         check_output(plot, PICTURES, overwrite=overwrite)
+    if report is not None:
+        check_report(report, overwrite=overwrite)
 
 
-def check_chart(plot: Path, *, overwrite: bool) -> Path:
-    """Return where the table goes that belongs to a chart, if both can be written."""
-    check_output(plot, PICTURES, overwrite=overwrite)
+def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
+    """Return where the table goes that belongs to a chart, if all can be written."""
+    check_outputs(None, plot, report, overwrite=overwrite)
     return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)

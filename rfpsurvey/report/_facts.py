@@ -37,16 +37,17 @@ def tile_facts(tile: Tile) -> dict:
     return {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
 
 
-def tile_aims(tile: Tile) -> list[tuple[str, int, int | None]]:
-    """Return class of targets, fibers on it, and how many there can be at most where more is not excluded."""
+def tile_aims(tile: Tile) -> list[tuple[str, int, str]]:
+    """Return each class of targets, the fibers on it, and where more is not excluded, how many there can be."""
     aims = tile.summary.get("aims", [])
     if len(aims) < 2:
         return []
-    names = {"requirements": "missing of the requirements"}
-    return [
-        (names.get(name, name), round(abs(value)), None if bound in (None, value) else round(abs(bound)))
-        for name, value, bound in aims
-    ]
+    found = []
+    for name, value, bound in aims:
+        label, limit = ("missing of the requirements", "at least") if name == "requirements" else (name, "at most")
+        proof = "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
+        found.append((label, round(abs(value)), proof))
+    return found
 
 
 def survey_facts(survey: Survey) -> dict:

@@ -13,9 +13,11 @@ from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Text
 from rfpsurvey.report._columns import MISSING, cells_of
 from rfpsurvey.report._numbers import number_text
 from rfpsurvey.report._svg import dark_grays, svg_of
+from rfpsurvey.tile import versions
 
 __all__ = ["html_of"]
 
+LONG = 30  # characters: a longer text may take several lines
 MOST_ITEMS = 30  # of a list in the provenance
 
 
@@ -23,7 +25,9 @@ def html_of(page: Page, max_rows: int) -> str:
     """Return a page as text, with tables of at most so many rows."""
     counter = iter(range(1, 1_000_000))
     sections = "\n".join(_section(section, counter, max_rows) for section in page.sections)
-    foot = f'<footer>\n<h2>Provenance</h2>\n<div class="groups">\n{_provenance(page.provenance)}\n</div>\n</footer>'
+    by = f"Written by rfpsurvey {versions()['rfpsurvey']}. This page is complete in itself: it fetches nothing."
+    groups = f'<div class="groups">\n{_provenance(page.provenance)}\n</div>'
+    foot = f"<footer>\n<h2>Provenance</h2>\n{groups}\n<p>{_text(by)}</p>\n</footer>"
     body = f"{_header(page)}\n<main>\n{sections}\n</main>\n{foot}"
     style = f"{_asset('page.css')}\n{dark_grays(body)}".strip()
     script = f"\n{_asset('page.js')}"
@@ -114,7 +118,10 @@ def _rows(block: Rows, counter, max_rows) -> str:
         cells = []
         for c, (_, _, numbers, values) in enumerate(columns):
             text, key = values[k]
-            looks = ["number" if numbers else "", "missing" if key == "" else "", block.marks.get(text, "")]
+            looks = [
+                "number" if numbers else "", "missing" if key == "" else "", "long" if len(text) > LONG else "",
+                block.marks.get(text, ""),
+            ]  # fmt: skip
             look = f' class="{" ".join(filter(None, looks))}"' if any(looks) else ""
             data = "" if key is None else f' data-value="{key}"'
             tag = "td" if c else "th"
@@ -143,18 +150,14 @@ BLOCKS: dict[type, Callable] = {Text: _paragraph, Facts: _facts, Rows: _rows, Pi
 
 def _provenance(values: dict) -> str:
     """Return a table for what has no group, and one for each group."""
-    groups = {"": {k: v for k, v in values.items() if not isinstance(v, dict)}}
-    groups |= {k: _flat(v) for k, v in values.items() if isinstance(v, dict)}
-    tables = (
-        _facts(Facts(name.replace("_", " ") or "general", group), None, 0) for name, group in groups.items() if group
-    )
-    return "\n".join(tables)
+    groups = _groups(values, "")
+    return "\n".join(_facts(Facts(name or "general", group), None, 0) for name, group in groups.items() if group)
 
 
-def _flat(values: dict, before: str = "") -> dict:
-    """Return a dict without dicts in it."""
-    flat = {}
+def _groups(values: dict, name: str) -> dict[str, dict]:
+    """Return dicts in dicts beside each other, with a name each."""
+    groups = {name: {k: v for k, v in values.items() if not isinstance(v, dict)}}
     for key, value in values.items():
-        name = f"{before}{key}"
-        flat |= _flat(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
-    return flat
+        if isinstance(value, dict):
+            groups |= _groups(value, f"{name} {key}".strip().replace("_", " "))
+    return groups

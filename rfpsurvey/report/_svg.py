@@ -24,7 +24,7 @@ REFERENCE = re.compile(r"url\(#([^)]*)\)")
 GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
 USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
 # what black and white become on a dark screen, before the style sheet makes figures brighter there
-DARK_INK, DARK_PAPER = np.array([168, 170, 173]), np.array([17, 19, 22])
+DARK_INK, DARK_PAPER = np.array([189, 191, 194]), np.array([18, 21, 24])
 
 
 def svg_of(figure, number: int, title: str, words: str) -> str:

@@ -11,6 +11,7 @@ from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import estimate_facts
 from rfpsurvey.reproduction import TABLES
+from rfpsurvey.tile import versions
 
 __all__ = ["page_of_allocators", "page_of_claims", "page_of_estimate", "page_of_table"]
 
@@ -28,15 +29,20 @@ FIGURES = {
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
     """Return a page on an estimate."""
     facts = estimate_facts(estimate)
-    kind = f"{estimate.method}, {estimate.estimand} targets"
+    kind = f"{estimate.method}, for {estimate.estimand} targets"
     likely = estimate.per_positioner[np.isfinite(estimate.per_positioner)]
     spread = {f"{q} % of positioners at most": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)}
     blocks = [Facts("", facts), *([Facts("Probability of single positioners", spread)] if len(likely) else [])]
     highlights = {"collision probability": facts["collision probability"]}
     highlights |= {k.strip(): v for k, v in facts.items() if k.endswith("interval")}
-    meta = {"method": estimate.method, "estimand": estimate.estimand, **estimate.meta}
+    meta = {"method": estimate.method, "estimand": estimate.estimand, **estimate.meta, "software": versions()}
     return Page(
-        "Estimate", "Collision probability", f"By {kind}.", highlights, [Section("What came out", blocks)], meta
+        "Estimate",
+        "Collision probability",
+        f"By the method {kind}.",
+        highlights,
+        [Section("What came out", blocks)],
+        meta,
     )
 
 

@@ -12,9 +12,10 @@ from rfpsurvey.tile import Tile
 __all__ = ["page_of_tile"]
 
 COLUMNS = (
-    "id", "spectrograph", "status", "target_id", "kind", "fiber_type", "ra", "dec", "x", "y", "theta", "phi",
-    "clearance", "colliding_with",
+    "id", "colliding_with", "clearance", "status", "target_id", "kind", "fiber_type", "spectrograph", "ra", "dec",
+    "x", "y", "theta", "phi",
 )  # fmt: skip
+WIDTH = 7.2  # inches
 NARROW = 25
 MARGIN = 4  # radii of patrol areas about the place that is shown larger
 LITTLE = 60  # positioners that need no part shown larger
@@ -40,7 +41,7 @@ def page_of_tile(tile: Tile, where: str) -> Page:
                 Facts("What was asked", _asked(tile)),
                 Facts("What came out", tile_facts(tile)),
                 *_aims(tile),
-                Facts("Seconds", {**summary["seconds"], "all of it": sum(summary["seconds"].values())}),
+                Facts("Seconds", summary["seconds"]),
             ],
         ),
     ]
@@ -83,7 +84,7 @@ def _asked(tile) -> dict:
 def _aims(tile) -> list:
     """Return the classes of targets, and how far the plan is proven."""
     aims, gap = tile_aims(tile), tile.summary.get("gap")
-    values = {name: value if bound is None else f"{value}, at most {bound}" for name, value, bound in aims}
+    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in aims}
     if gap is not None:
         values["gap to the best plan"] = gap
     return [Facts("Classes of targets, in order of priority", values)] if values else []
@@ -103,8 +104,10 @@ def _pictures(tile) -> list:
 def _draw(tile, region=None):
     from matplotlib.figure import Figure
 
-    ax = plot_focal_plane(tile, ax=Figure(figsize=(7.2, 7.2), layout="constrained").add_subplot(), region=region)
+    ax = plot_focal_plane(tile, ax=Figure(layout="constrained").add_subplot(), region=region)
     ax.set_title("")
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    ax.figure.set_size_inches(WIDTH, WIDTH * (y1 - y0) / (x1 - x0))
     return ax
 
 
