@@ -7,6 +7,7 @@ import numpy as np
 __all__ = ["column_texts", "number_text"]
 
 DIGITS = 4
+SMALL, LARGE = 1e-4, 1e7  # beyond them, numbers have an exponent
 WIDE = 100  # a column whose numbers differ by more cannot have the same decimals
 
 
@@ -16,7 +17,7 @@ def number_text(value: object) -> str:
         return "yes" if value else "no"
     if not isinstance(value, float | np.floating) or not math.isfinite(value):
         return str(value)
-    if value == 0 or 1e-4 <= abs(value) < 1e7:
+    if value == 0 or SMALL <= abs(value) < LARGE:
         return f"{value:.{_decimals(abs(value))}f}" if abs(value) >= 10 ** (DIGITS - 1) else f"{value:.{DIGITS}g}"
     return f"{value:.{DIGITS - 1}e}"
 
@@ -27,8 +28,9 @@ def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
     if values.dtype.kind != "f":
         return [number_text(v) for v in values.tolist()]
     sizes = np.abs(values[np.isfinite(values) & (values != 0)])
-    if decimals is None and len(sizes) and sizes.min() >= 1e-4 and sizes.max() < min(1e7, WIDE * sizes.min()):
-        decimals = _decimals(sizes.min())
+    low, high = (sizes.min(), sizes.max()) if len(sizes) else (0, 0)
+    if decimals is None and low >= SMALL and high < LARGE and high < WIDE * low:
+        decimals = _decimals(low)
         exact = [k for k in range(decimals) if (np.round(sizes, k) == sizes).all()]
         decimals = exact[0] if exact else decimals
     if decimals is None:

@@ -18,6 +18,7 @@ MOST_POINTS = 60_000
 MANY_POINTS = 2000
 DPI = 200
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "rfpsurvey", "svg.image_inline": True}
+ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # in XML
 IMAGE = "data:image/png;base64,"
 LONG = re.compile(r"(-?\d+\.\d\d)\d+")
 REFERENCE = re.compile(r"url\(#([^)]*)\)")
@@ -35,7 +36,7 @@ def svg_of(figure, number: int, title: str, words: str) -> str:
     file = io.BytesIO()
     with rc_context(STYLE), _heavy_as_images(figure):
         figure.savefig(file, format="svg", dpi=DPI, transparent=True, metadata={"Date": None})
-    root = ElementTree.fromstring(file.getvalue())
+    root = ElementTree.fromstring(ILLEGAL.sub(b"?", file.getvalue()))
     _remove(root, {"metadata", "style"})
     names = _new_names(root, f"f{number}-")
     for element in root.iter():
