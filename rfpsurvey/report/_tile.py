@@ -151,12 +151,13 @@ def _collisions(tile, where) -> list:
     clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
     free = np.flatnonzero(~colliding & np.isfinite(clearance))
     narrow = free[np.argsort(clearance[free], kind="stable")]
-    blocks = [Text("No arm is in collision.")]
+    words = "The clearance is how much farther than the safe distance the nearest other arm is away."
+    blocks = [Text(f"{words}{'' if colliding.any() else ' No arm is in collision.'}")]
     if colliding.any():
-        blocks = [Rows("Positioners in collision.", table[colliding], where)]
+        blocks.append(Rows("Positioners in collision.", table[colliding], where))
     rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
-    caption = "The narrowest passages of arms that do not collide, by clearance: how much further apart than the safe "
-    return [*blocks, Rows(f"{caption}distance the nearest arm is.", rest, where, left_out=len(narrow) - len(rest))]
+    left_out = len(narrow) - len(rest)
+    return [*blocks, Rows("The narrowest passages of arms that do not collide.", rest, where, left_out)]
 
 
 def _empty(column) -> bool:
