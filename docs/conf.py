@@ -39,7 +39,8 @@ def write_help(app):
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     commands = (
-        "plan", "compare-allocators", "score", "tile", "survey", "probability", "reproduce", "instruments", "benchmark",
+        "plan", "compare", "compare-allocators", "score", "tile", "survey", "probability", "reproduce", "instruments",
+        "benchmark",
         "benchmark collisions", "benchmark batches", "benchmark probability",
     )  # fmt: skip
     calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}

@@ -13,13 +13,14 @@ from rfpsurvey.benchmark import (
 )  # fmt: skip
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
-from rfpsurvey.compare import compare_allocators
+from rfpsurvey.compare import compare_allocators, compare_instruments
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
 from rfpsurvey.plot import (
     plot_completeness,
     plot_focal_plane,
+    plot_instruments,
     plot_probability_accuracy,
     plot_speed_accuracy,
     plot_tiling,
@@ -74,6 +75,7 @@ __all__ = [
     "benchmark_probability",
     "collision_probability",
     "compare_allocators",
+    "compare_instruments",
     "count_collisions",
     "find_collisions",
     "fit_polynomial",
@@ -83,6 +85,7 @@ __all__ = [
     "plan_tile",
     "plot_completeness",
     "plot_focal_plane",
+    "plot_instruments",
     "plot_probability_accuracy",
     "plot_speed_accuracy",
     "plot_tiling",

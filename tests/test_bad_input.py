@@ -15,7 +15,10 @@ from rfpsurvey.collision import place_arms
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: rs.plan_tile(few(), 5, CENTER), "instrument must be an Instrument or the name of a preset, got 5"),
+        (
+            lambda s: rs.plan_tile(few(), 5, CENTER),
+            "instrument must be an Instrument, the name of a preset or the path of a TOML file, got 5",
+        ),
         (lambda s: rs.plan_tile(few(), s, CENTER, rng="x"), "rng must be a seed of at least 0, a numpy Generator"),
         (lambda s: rs.plan_tile(few(), s, CENTER, rng=-1), "rng must be a seed of at least 0"),
         (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=[1, 2] * u.deg), "rotation must be one value"),

@@ -3,6 +3,7 @@
 from rfpsurvey._cli import (
     benchmark,
     benchmark_probability,
+    compare,
     compare_allocators,
     instruments,
     plan,
@@ -15,6 +16,6 @@ from rfpsurvey._cli import (
 from rfpsurvey._cli._app import app, main
 
 __all__ = [
-    "app", "benchmark", "benchmark_probability", "compare_allocators", "instruments", "main", "plan", "probability",
-    "reproduce", "score", "survey", "tile",
+    "app", "benchmark", "benchmark_probability", "compare", "compare_allocators", "instruments", "main", "plan",
+    "probability", "reproduce", "score", "survey", "tile",
 ]  # fmt: skip

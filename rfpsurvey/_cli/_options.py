@@ -116,6 +116,14 @@ Examples:
   rfpsurvey compare-allocators stars.fits --require instrument --sky-separation 10 --allocator sdss --allocator optimal
 """
 
+COMPARE_EXAMPLES = """\b
+Examples:
+  rfpsurvey compare
+  rfpsurvey compare lamost design.toml --targets 2 --plot comparison.png --output comparison.ecsv
+  rfpsurvey compare sdss_apo moons --catalog stars.fits --center "06h20m00s +23d00m00s" --allocator optimal
+  rfpsurvey compare lamost desi pfs --density 1000 --realizations 2
+"""
+
 SCORE_EXAMPLES = """\b
 Examples:
   rfpsurvey score plan.ecsv --instrument sdss_apo

@@ -231,11 +231,15 @@ class Instrument:
 
 
 def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return an instrument from itself or from the name of a preset."""
+    """Return an instrument from itself, from the name of a preset or from the path of a TOML file."""
+    if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and instrument.endswith(".toml")):
+        return Instrument.read(instrument)
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):
-        raise InputError(f"instrument must be an Instrument or the name of a preset, got {instrument!r}")
+        raise InputError(
+            f"instrument must be an Instrument, the name of a preset or the path of a TOML file, got {instrument!r}"
+        )
     return instrument
 
 

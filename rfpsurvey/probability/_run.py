@@ -13,7 +13,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from rfpsurvey.probability._simulate import Tally, merge
 
-__all__ = ["Precision", "Progress", "patch_error", "run", "summarize"]
+__all__ = ["Precision", "Progress", "patch_error", "rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
 """Tasks before the first look at the error."""
@@ -139,13 +139,31 @@ def half_width(interval: tuple[float, float]) -> float:
     return (interval[1] - interval[0]) / 2
 
 
-def patch_error(plane: FocalPlane, risk: np.ndarray) -> float:
+def patch_error(plane: FocalPlane, risk: np.ndarray, mean: float | None = None) -> float:
     """Return the standard error of the mean over positioners, each correlated with its neighbors.
 
     It says how far another patch of a sky of the same kind may differ.
     """
-    away = np.where(np.isnan(risk), 0.0, risk - np.nanmean(risk))
+    away = np.where(np.isnan(risk), 0.0, risk - (np.nanmean(risk) if mean is None else mean))
     n = np.count_nonzero(~np.isnan(risk))
     own = float(away @ away)
     first, second = plane._neighbors.T
     return float(np.sqrt(max(own + 2 * float(away[first] @ away[second]), own)) / n)
+
+
+def rate_interval(plane: FocalPlane, risks: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
+    """Return the mean over positioners and fields, and its interval: how far other fields of the kind may differ.
+
+    Each row of ``risks`` is a field, with NaN where a positioner does not count.
+    """
+    counts = np.array([np.count_nonzero(~np.isnan(risk)) for risk in risks])
+    n = int(counts.sum())
+    if n == 0:
+        return np.nan, np.nan, np.nan
+    p = min(float(np.nansum(risks) / n), 1.0)
+    errors = np.array(
+        [patch_error(plane, risk, p) if count else 0.0 for risk, count in zip(risks, counts, strict=True)]
+    )
+    error = float(np.hypot.reduce(errors * counts) / n) if 0 < p < 1 else 0.0
+    trials = n / (1 + 2 * len(plane._neighbors) / len(plane))
+    return p, *wilson(p, effective_number(p, error, trials), quantile(confidence, np.inf))

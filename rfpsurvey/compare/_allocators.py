@@ -10,9 +10,10 @@ from astropy.table import QTable
 
 from rfpsurvey.allocation import METHODS
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.compare._fields import BLIND, allocator_names, on_kind
+from rfpsurvey.errors import RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.tile import Tile, plan_tile
+from rfpsurvey.tile import plan_tile
 
 __all__ = ["compare_allocators"]
 
@@ -71,16 +72,10 @@ def compare_allocators(
     >>> table["colliding"][1]
     np.int64(0)
     """
-    names = list(METHODS) if allocators is None else [allocators] if isinstance(allocators, str) else list(allocators)
-    if "allocator" in options:
-        raise InputError("the methods to compare are given by allocators, not by allocator")
-    if not names:
-        raise InputError("allocators must name at least one method, got none")
-    for name in names:
-        check_choice(name, METHODS, "allocator")
+    names = allocator_names(METHODS if allocators is None else allocators, options)
     instrument = as_instrument(instrument)
     tiles = {}
-    for name in dict.fromkeys(["sdss", *names]):
+    for name in dict.fromkeys([BLIND, *names]):
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
@@ -88,7 +83,7 @@ def compare_allocators(
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[name] = plan_tile(catalog, instrument, center, allocator=name, **options)
         log.info("planned by %s: %s", name, tiles[name])
-    blind = _on_kind(tiles["sdss"], "science")
+    blind = on_kind(tiles[BLIND], "science")
     rows = [_row(name, tiles[name], blind) for name in names]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
     provenance = tiles[names[0]].provenance
@@ -102,16 +97,12 @@ def compare_allocators(
     return table
 
 
-def _on_kind(tile: Tile, kind: str) -> int:
-    return int(np.count_nonzero(tile.table["kind"] == kind))
-
-
 def _row(name, tile, blind):
     """Figures of one plan."""
     summary, table = tile.summary, tile.table
     aims = {aim: value for aim, value, _ in summary["aims"]}
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
-    row = {"allocator": name, **{kind: _on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
+    row = {"allocator": name, **{kind: on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
     classes = [aim for aim in aims if aim.startswith("priority ")]
     if len(classes) <= MOST_CLASSES:
         row.update({aim.replace(" ", "_"): int(aims[aim]) for aim in classes})

@@ -1,0 +1,9 @@
+"""All presets, one target for each positioner."""
+
+import matplotlib.pyplot as plt
+
+import rfpsurvey as rs
+from rfpsurvey.plot import draw_instruments
+
+table = rs.compare_instruments()
+draw_instruments(table, plt.figure(layout="constrained"))

@@ -1,0 +1,70 @@
+"""``rfpsurvey compare``."""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from textwrap import fill
+from typing import Annotated
+
+import astropy.units as u
+import typer
+from astropy.table import unique
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options
+from rfpsurvey._io import write_table
+from rfpsurvey.plot import draw_instruments
+
+PARTS = {
+    "": ("positioners", "field", "footprint", "type", "multiplicity", "reach_0", "reach_1", "reach_2", "reach_3"),
+    "fibers of a field": (
+        "allocator", "targets", "assigned", "assigned_part", "usable", "usable_per_area", "usable_per_solid_angle",
+    ),
+    "collisions": ("allocator", "probability", "low", "high", "pairs_per_positioner", "loss", "gap", "seconds"),
+}  # fmt: skip
+
+
+@_app.app.command(epilog=_options.COMPARE_EXAMPLES)
+def compare(
+    instruments: Annotated[
+        list[str] | None, typer.Argument(help="Presets, or paths of TOML files. None: all presets.")
+    ] = None,
+    catalog: Annotated[Path | None, typer.Option(help="The same sky for all. None: synthetic Poisson skies.")] = None,
+    center: _options.CenterOption = None,
+    targets: Annotated[float, typer.Option(help="Synthetic targets for each positioner.")] = 1.0,
+    density: Annotated[float | None, typer.Option(help="Synthetic targets per deg2 instead, equal for all.")] = None,
+    realizations: Annotated[int | None, typer.Option(help="Synthetic skies of each instrument. None: 4.")] = None,
+    allocator: Annotated[
+        list[str] | None, typer.Option(help="Methods, may be given several times. None: lamost and optimal.")
+    ] = None,
+    require: _options.RequireOption = None,
+    time_limit: _options.TimeLimitOption = 60.0,
+    seed: _options.SeedOption = 0,
+    workers: _options.WorkersOption = 1,
+    column: _options.ColumnOption = None,
+    unit: _options.UnitOption = None,
+    frame: _options.FrameOption = "icrs",
+    output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")] = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Put instruments side by side: reach, fibers, collisions and what they cost."""
+    _app.check_outputs(output, plot, overwrite=overwrite)
+    options = {"time_limit": time_limit * u.s} | ({"requirements": require} if require else {})
+    with ThreadPoolExecutor(workers) as pool:
+        table = rs.compare_instruments(
+            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame), instruments,
+            center=None if center is None else _app.parse_center(center), allocators=allocator or ("lamost", "optimal"),
+            targets_per_positioner=targets, density=None if density is None else density / u.deg**2,
+            n_realizations=realizations, rng=seed, executor=pool if workers > 1 else None, **options,
+        )  # fmt: skip
+    for title, columns in PARTS.items():
+        print(f"\n{title}" if title else table.meta["way"])
+        part = table[["instrument", *columns]]
+        _app.print_table(part if title else unique(part, "instrument"))
+    print(f"\n{fill(table.meta['comparable'], 100)}")
+    if output is not None:
+        write_table(table, output, overwrite=overwrite)
+    if plot is not None:
+        _app.write_figure(lambda: draw_instruments(table), plot, overwrite=overwrite)
+    for path in filter(None, (output, plot)):
+        print(f"wrote {path}")

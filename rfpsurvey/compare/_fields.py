@@ -1,0 +1,146 @@
+"""The fields of a comparison, and what each method makes of them."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cache, partial
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey._units import to_generator
+from rfpsurvey.allocation import METHODS
+from rfpsurvey.catalog import Catalog, synthetic_catalog
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.positioner import Positioner
+from rfpsurvey.probability import Progress
+from rfpsurvey.tile import plan_tile
+
+__all__ = ["BLIND", "Field", "Plan", "allocator_names", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
+
+BLIND = "sdss"
+"""The method whose arms pass through each other, and which assigns as many as that allows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """One field of one instrument."""
+
+    instrument: Instrument
+    catalog: Catalog
+    center: SkyCoord
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What one method made of a field."""
+
+    n_targets: int
+    n_science: int
+    n_usable: int
+    n_pairs: int
+    risk: np.ndarray
+    """1 for each positioner in collision, 0 for others, NaN for those that do not count."""
+    gap: float
+    seconds: float
+
+
+def allocator_names(allocators, options) -> list[str]:
+    """Return the methods to compare."""
+    names = [allocators] if isinstance(allocators, str) else list(allocators)
+    if "allocator" in options:
+        raise InputError("the methods to compare are given by allocators, not by allocator")
+    if not names:
+        raise InputError("allocators must name at least one method, got none")
+    for name in names:
+        check_choice(name, METHODS, "allocator")
+    return list(dict.fromkeys(names))
+
+
+def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
+    """Return random skies for each instrument: so many targets a positioner, or of one density."""
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
+        raise InputError(f"n_realizations must be a whole number of at least 1, got {number!r}")
+    if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
+        raise InputError(f"targets_per_positioner must be a positive number, got {each!r}")
+    center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
+    fields = []
+    for model, own in zip(models, to_generator(rng).spawn(len(models)), strict=True):
+        plane, size = model.focal_plane, {"density": density}
+        if density is None:  # in the circle that the positioners reach, as dense as in the footprint
+            edge = (np.hypot(*plane._xy_mm.T) + plane._outer_mm).max() * u.mm
+            size = {"n_targets": float(each * len(plane) * np.pi * edge**2 / plane.footprint)}
+            size["n_targets"] = round(size["n_targets"]) if kind == "uniform" else size["n_targets"]
+        for one in own.spawn(int(number)):
+            sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)
+            fields.append(Field(model, sky, center, int(one.integers(2**31))))
+    return fields
+
+
+def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
+    """Return the same fields of a catalog for each instrument."""
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    centers = catalog._middle if center is None else center
+    if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
+        raise InputError(f"center must be a SkyCoord, one or in a row, got {center!r}")
+    centers = centers.reshape(-1)
+    seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
+    return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]
+
+
+def plan_fields(
+    fields: list[Field], allocators: Sequence[str], options: dict, executor: Executor | None, progress: bool
+) -> list[dict[str, Plan]]:
+    """Plan every field by every method, and by the blind one."""
+    bar, plans = Progress(progress), []
+    work = partial(plan_field, allocators=tuple(dict.fromkeys([BLIND, *allocators])), options=options)
+    for plan in (map if executor is None else executor.map)(work, fields):
+        plans.append(plan)
+        bar(len(plans) / len(fields))
+    bar.close()
+    return plans
+
+
+def plan_field(field: Field, allocators: Sequence[str], options: dict) -> dict[str, Plan]:
+    """Plan one field by each method."""
+    found = {}
+    for name in allocators:
+        _compile(name)
+        try:
+            tile = plan_tile(
+                field.catalog, field.instrument, field.center, allocator=name, **{"rng": field.seed, **options}
+            )
+        except InputError as error:
+            raise InputError(f"{field.instrument.name}: {error}") from None
+        table, summary = tile.table, tile.summary
+        counted = np.isin(table["status"], ("assigned", "out_of_reach", "parked"))
+        times = summary["seconds"]
+        found[name] = Plan(
+            summary["n_reachable"], on_kind(tile, "science"),
+            int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"])), summary["n_colliding_pairs"],
+            np.where(counted, table["in_collision"], np.nan), np.nan if summary["gap"] is None else summary["gap"],
+            times["reach"] + times["allocation"],
+        )  # fmt: skip
+    return found
+
+
+def on_kind(tile, kind: str) -> int:
+    """Return the number of fibers on a kind of targets."""
+    return int(np.count_nonzero(tile.table["kind"] == kind))
+
+
+@cache
+def _compile(allocator: str) -> None:
+    """Plan a small crowded field once in each process, so that compilation is not timed."""
+    robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
+    small = Instrument(
+        "small", FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm), plate_scale=1 * u.mm / u.arcmin
+    )
+    center = SkyCoord(0 * u.deg, 0 * u.deg)
+    sky = synthetic_catalog("uniform", center, small.field_radius, n_targets=40, rng=1)
+    plan_tile(sky, small, center, allocator=allocator)

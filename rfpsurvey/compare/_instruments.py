@@ -1,0 +1,238 @@
+"""Several instruments on the same sky, or with as many targets for each of their positioners."""
+
+import logging
+from collections.abc import Sequence
+from concurrent.futures import Executor
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+from rfpsurvey.catalog import Catalog, as_catalog
+from rfpsurvey.compare._fields import BLIND, allocator_names, catalog_fields, plan_fields, synthetic_fields
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.instrument import Instrument, as_instrument, available_instruments
+from rfpsurvey.probability import rate_interval
+from rfpsurvey.tile import versions
+
+__all__ = ["compare_instruments"]
+
+ALLOCATORS = ("lamost", "optimal")
+SYNTHETIC = ("poisson", "uniform")
+CONFIDENCE = 0.95
+WITHOUT_COLLISIONS = ("optimal", "repair")
+COMPARABLE = {
+    "same targets per positioner": (
+        "Every instrument has its own sky, with as many targets for each positioner's share of its footprint. Parts of "
+        "the positioners, probabilities, pairs per positioner and losses can be compared; numbers of targets and "
+        "figures per field or solid angle cannot."
+    ),
+    "same density": (
+        "Every instrument sees all of its field of a sky of the same density. Fibers per field and per solid angle can "
+        "be compared; parts of the positioners depend on how many targets each has for itself."
+    ),
+    "same catalog": (
+        "Every instrument sees all of its field of the same catalog. Fibers per field and per solid angle can be "
+        "compared; parts of the positioners depend on how many targets each has for itself."
+    ),
+}
+CAUTION = (
+    "Telescopes, exposure times and spectrographs do not enter. Layouts are those of the descriptions, most of them "
+    "nominal lattices; idle arms stand in the way where the arms are equal, and give way elsewhere."
+)
+UNITS = {
+    "field": u.deg, "footprint": u.mm**2, "usable_per_area": u.mm**-2, "usable_per_solid_angle": u.deg**-2,
+    "seconds": u.s,
+}  # fmt: skip
+log = logging.getLogger("rfpsurvey")
+
+
+def compare_instruments(
+    catalog: Catalog | SkyCoord | str = "poisson",
+    instruments: Sequence[Instrument | str] | None = None,
+    *,
+    center: SkyCoord | None = None,
+    allocators: Sequence[str] = ALLOCATORS,
+    targets_per_positioner: float = 1.0,
+    density: u.Quantity | None = None,
+    n_realizations: int | None = None,
+    rng: int | np.random.Generator | None = 0,
+    executor: Executor | None = None,
+    progress: bool = False,
+    **options: object,
+) -> QTable:
+    """Let several instruments look at the same sky, or at skies as crowded for each of them, and say what each gets.
+
+    Parameters
+    ----------
+    catalog : Catalog, SkyCoord or {"poisson", "uniform"}, optional
+        The sky for all; or the kind of synthetic skies, see `synthetic_catalog`.
+    instruments : list of Instrument or str, optional
+        Instruments, names of presets, or paths of TOML files; all that are known by default.
+    center : SkyCoord, scalar or shape (n_fields,), optional
+        Field centers for a catalog; its mean direction by default.
+    allocators : list of str, optional
+        Methods of `allocate`.
+    targets_per_positioner : float, optional
+        Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), the same for all
+        instruments.
+    density : Quantity, optional
+        Synthetic targets per solid angle instead, the same for all instruments.
+    n_realizations : int, optional
+        Synthetic skies of each instrument; 4 by default. A catalog is one for each center.
+    rng : int, Generator or None, optional
+        Seed or source of random numbers.
+    executor : concurrent.futures.Executor, optional
+        Plans fields at the same time; the figures do not depend on it, but for the seconds.
+    progress : bool, optional
+        Show a bar on the standard error.
+    **options
+        Passed to `plan_tile`, such as ``requirements`` or ``time_limit``.
+
+    Returns
+    -------
+    QTable
+        A row for each instrument and allocator. What the instrument is: ``instrument``; ``positioners`` (that can take
+        a target); ``field`` (diameter); ``footprint`` (area of the hull of the centers); ``type`` (1: no arms can
+        collide, 2: those of first neighbors, 3: further ones too); ``multiplicity`` (positioners that reach a point of
+        the footprint, on average); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (part of the footprint in reach
+        of none, one, two, three or more). What a field gets, on average over fields: ``allocator``; ``targets``
+        (science targets in reach); ``targets_per_positioner``; ``assigned`` (fibers on science targets);
+        ``assigned_part`` (of the positioners); ``probability``, ``low``, ``high`` (of a positioner to be in collision,
+        of those with a target and those parked in the way, with its 95 % interval); ``pairs_per_positioner`` (colliding
+        pairs for each of the same); ``usable`` (fibers on science targets without a collision); ``usable_per_area`` (of
+        the footprint); ``usable_per_solid_angle`` (of the field); ``loss`` (``usable`` against the fibers of the best
+        plan whose arms could pass through each other, as a part of these: for ``optimal`` what collisions really
+        cost); ``gap`` (the largest; NaN where nothing is proven); ``seconds`` (reach and allocation of a field, median,
+        once compiled). ``meta`` says what of this can be compared, and the provenance.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or occurs twice, a field has no target, or as for `plan_tile`.
+
+    See Also
+    --------
+    compare_allocators : All methods on one field of one instrument.
+    plot_instruments : The chart.
+
+    Notes
+    -----
+    The interval is Wilson's with the effective number of independent trials that the scatter between positioners and
+    that between neighbors stand for: it says how far other fields of a sky of the same kind may differ.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.compare_instruments("poisson", ["sdss_apo", "moons"], n_realizations=2)
+    >>> table["instrument", "type", "allocator"].pprint(align="<")
+    instrument type allocator
+    ---------- ---- ---------
+    sdss_apo   3    lamost
+    sdss_apo   3    optimal
+    moons      3    lamost
+    moons      3    optimal
+    """
+    models = _models(instruments)
+    names = allocator_names(allocators, options)
+    if isinstance(catalog, str):
+        check_choice(catalog, SYNTHETIC, "kind of synthetic sky")
+        fields = synthetic_fields(
+            catalog,
+            models,
+            center,
+            targets_per_positioner,
+            density,
+            4 if n_realizations is None else n_realizations,
+            rng,
+        )
+        way = "same density" if density is not None else "same targets per positioner"
+    else:
+        if n_realizations is not None or density is not None:
+            raise InputError(
+                "n_realizations and density are for synthetic skies: a catalog is seen once at each center"
+            )
+        fields = catalog_fields(as_catalog(catalog), models, center, rng)
+        way = "same catalog"
+    plans = plan_fields(fields, names, options, executor, progress)
+    rows = []
+    for model in models:
+        what = _describe(model)
+        own = [plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model]
+        rows += [{**what, **_gains(model, name, own)} for name in names]
+        log.info("compared %s: %d fields", model.name, len(own))
+    table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
+    table.meta.update(
+        way=way, comparable=f"{COMPARABLE[way]} {CAUTION}", n_fields=len(fields) // len(models), confidence=CONFIDENCE,
+        sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=versions(),
+        instruments={model.name: model._provenance() for model in models},
+        parameters={"rng": str(rng), **{name: str(value) for name, value in options.items()}},
+    )  # fmt: skip
+    if way == "same targets per positioner":
+        table.meta["targets_per_positioner"] = float(targets_per_positioner)
+    elif way == "same density":
+        table.meta["density_per_deg2"] = float(density.to_value(u.deg**-2))
+    return table
+
+
+def _models(instruments) -> list[Instrument]:
+    """Return the instruments, each with a name of its own."""
+    if isinstance(instruments, str | Instrument):
+        instruments = [instruments]
+    models = [as_instrument(one) for one in (available_instruments() if instruments is None else instruments)]
+    if not models:
+        raise InputError("instruments must hold at least one instrument, got none")
+    names = [model.name for model in models]
+    twice = [name for k, name in enumerate(names) if name in names[:k]]
+    if twice:
+        raise InputError(f"instruments must have different names, but there are several called {twice[0]!r}")
+    return models
+
+
+def _describe(model: Instrument) -> dict:
+    """Return what an instrument is, whatever it looks at."""
+    plane = model.focal_plane
+    parts = plane.coverage()
+    exact = np.pad(parts, (0, max(0, 4 - len(parts))))
+    return {
+        "instrument": model.name,
+        "positioners": int(plane._usable.sum()),
+        "field": 2 * model.field_radius.to_value(u.deg),
+        "footprint": plane.footprint.to_value(u.mm**2),
+        "type": plane.collision_type,
+        "multiplicity": float(np.arange(len(parts)) @ parts),
+        **{f"reach_{k}": float(exact[k]) for k in range(3)},
+        "reach_3": float(exact[3:].sum()),
+    }
+
+
+def _gains(model: Instrument, allocator: str, plans: list[dict]) -> dict:
+    """Return what a method makes of the fields of an instrument, on average."""
+    own, n = [plan[allocator] for plan in plans], len(plans)
+    blind = sum(plan[BLIND].n_science for plan in plans)
+    targets, science, usable, pairs = (
+        sum(getattr(plan, name) for plan in own) for name in ("n_targets", "n_science", "n_usable", "n_pairs")
+    )
+    risks = [plan.risk for plan in own]
+    value, low, high = rate_interval(model.focal_plane, risks, CONFIDENCE)
+    if value == 0 and allocator in WITHOUT_COLLISIONS:
+        high = 0.0  # by construction
+    counted = np.count_nonzero(~np.isnan(risks))
+    number = int(model.focal_plane._usable.sum())
+    half = model.field_radius.to_value(u.rad) / 2
+    return {
+        "allocator": allocator,
+        "targets": targets / n,
+        "targets_per_positioner": targets / n / number,
+        "assigned": science / n,
+        "assigned_part": science / n / number,
+        "probability": value, "low": low, "high": high,
+        "pairs_per_positioner": pairs / counted if counted else np.nan,
+        "usable": usable / n,
+        "usable_per_area": usable / n / model.focal_plane.footprint.to_value(u.mm**2),
+        "usable_per_solid_angle": usable / n / (4 * np.pi * u.sr.to(u.deg**2) * np.sin(half) ** 2),
+        "loss": 1 - usable / blind if blind else np.nan,
+        "gap": max(plan.gap for plan in own),
+        "seconds": float(np.median([plan.seconds for plan in own])),
+    }  # fmt: skip

@@ -1,0 +1,34 @@
+"""How long a comparison of all presets takes, and how often its intervals hold the truth.
+
+Run with ``python tests/benchmarks/comparison_figures.py``.
+"""
+
+from time import perf_counter
+
+import numpy as np
+
+import rfpsurvey as rs
+
+ONE = {"n_realizations": 1, "allocators": "lamost"}
+
+
+def main():
+    """Print both."""
+    rs.compare_instruments()  # compiles
+    begin = perf_counter()
+    rs.compare_instruments()
+    print(f"all presets, four skies, lamost and optimal: {perf_counter() - begin:.1f} s")
+    for name in ("sdss_apo", "moons"):
+        model = rs.Instrument.preset(name)
+        for targets in (1.0, 3.0):
+            rows = [
+                rs.compare_instruments("poisson", model, targets_per_positioner=targets, rng=seed, **ONE)[0]
+                for seed in range(200)
+            ]
+            value, low, high = (np.array([row[key] for row in rows]) for key in ("probability", "low", "high"))
+            held = np.mean((low <= value.mean()) & (value.mean() <= high))
+            print(f"{name}, {targets:g} targets a positioner: {value.mean():.4f} is held by {100 * held:.1f} %")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.stats import binom_conf_interval
+from astropy.table import QTable
+from matplotlib.patches import Rectangle
+from scipy.sparse.csgraph import maximum_bipartite_matching
+from shapely import Point
+from shapely.ops import unary_union
+
+import rfpsurvey as rs
+from rfpsurvey.plot import draw_instruments
+from rfpsurvey.probability import rate_interval
+
+MM = u.mm
+CENTER = SkyCoord(30 * u.deg, -10 * u.deg)
+
+
+def design(name="mine", l1=8.0, l2=17.0, rings=4, pitch=25.0):
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(l1 * MM, l2 * MM, 2.5 * MM), rings=rings, pitch=pitch * MM)
+    return rs.Instrument(name, plane, plate_scale=1 * MM / u.arcmin)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return rs.synthetic_catalog("clustered", CENTER, 2.5 * u.deg, density=15 / u.deg**2, cluster_size=5,
+                                cluster_scale=0.1 * u.deg, rng=2)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def centers():
+    return SkyCoord([29.5, 30.5] * u.deg, [-10, -10] * u.deg)
+
+
+@pytest.fixture(scope="module")
+def table(sky, centers):
+    return rs.compare_instruments(sky, [design(), design("wide", 8.25, 8.25)], center=centers)
+
+
+def row_of(table, instrument, allocator):
+    (row,) = table[(table["instrument"] == instrument) & (table["allocator"] == allocator)]
+    return row
+
+
+@pytest.mark.parametrize("allocator", ["lamost", "optimal"])
+def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
+    row, mine = row_of(table, "mine", allocator), design()
+    tiles = [rs.plan_tile(sky, mine, center, allocator=allocator) for center in centers]
+    summaries = [tile.summary for tile in tiles]
+    usable = [np.sum((t.table["status"] == "assigned") & ~t.table["in_collision"]) for t in tiles]
+    assert row["targets"] == np.mean([s["n_reachable"] for s in summaries])
+    assert row["assigned"] == np.mean([s["n_assigned"] for s in summaries])
+    assert row["usable"] == np.mean(usable)
+    # arms differ in length, so that those without a target do not count
+    assert row["probability"] == pytest.approx(
+        sum(s["n_colliding"] for s in summaries) / sum(s["n_assigned"] for s in summaries)
+    )
+    assert row["pairs_per_positioner"] == pytest.approx(
+        sum(s["n_colliding_pairs"] for s in summaries) / sum(s["n_assigned"] for s in summaries)
+    )
+    if allocator == "lamost":
+        assert 0 < row["low"] < row["probability"] < row["high"] < 1
+    else:
+        assert row["low"] == row["probability"] == row["high"] == row["gap"] == 0
+    radius = 2 * np.sin(mine.field_radius.to_value(u.rad) / 2)
+    assert row["usable_per_solid_angle"].to_value(u.sr**-1) == pytest.approx(np.mean(usable) / (np.pi * radius**2))
+    assert row["usable_per_area"].to_value(MM**-2) == pytest.approx(
+        np.mean(usable) / (3 * np.sqrt(3) / 2 * (4 * 25.0) ** 2)
+    )
+
+
+def test_the_loss_is_against_a_maximum_matching(table, sky, centers):
+    mine = design()
+    most = 0
+    for center in centers:
+        xy = mine.projection(center).to_focal_plane(sky)
+        most += np.count_nonzero(maximum_bipartite_matching(mine.focal_plane.reachable(xy)) >= 0)
+    for allocator in ("lamost", "optimal"):
+        row = row_of(table, "mine", allocator)
+        assert row["loss"] == pytest.approx(1 - 2 * row["usable"] / most)
+    assert 0 < row_of(table, "mine", "optimal")["loss"] < 0.2 < row_of(table, "mine", "lamost")["loss"]
+
+
+def test_parked_arms_count_where_arms_are_equal(table, sky, centers):
+    wide = design("wide", 8.25, 8.25)
+    tiles = [rs.plan_tile(sky, wide, center).summary for center in centers]
+    assert sum(t["n_parked"] for t in tiles) > 0
+    counted = sum(t["n_assigned"] + t["n_parked"] for t in tiles)
+    assert row_of(table, "wide", "lamost")["probability"] == pytest.approx(
+        sum(t["n_colliding"] for t in tiles) / counted
+    )
+
+
+@pytest.mark.parametrize(("name", "kind"), [("lamost", 2), ("moons", 3), ("desi", 2)])
+def test_what_instruments_are(name, kind):
+    found = rs.compare_instruments("uniform", [name], n_realizations=1, allocators="nearest")[0]
+    plane = rs.Instrument.preset(name).focal_plane
+    pitch = np.median(np.sort(np.hypot(*(plane.xy.value[:, None] - plane.xy.value[None]).T), axis=1)[:, 1])
+    cell = np.sqrt(3) / 2 * pitch**2
+    assert found["positioners"] == len(plane)
+    assert found["type"] == kind
+    arms = plane.positioner.central_arm.value * plane.positioner.eccentric_arm.value
+    # the footprint ends at the outermost centers, and some cells are vacant
+    assert found["multiplicity"] == pytest.approx(4 * np.pi * arms / cell, rel=0.06)
+    assert found["footprint"].value == pytest.approx(len(plane) * cell, rel=0.1)
+    assert sum(found[f"reach_{k}"] for k in range(4)) == pytest.approx(1)
+
+
+def test_synthetic_skies_are_as_crowded_as_asked():
+    mine = design(rings=6)
+    reach = unary_union([Point(c).buffer(25.0, 64) - Point(c).buffer(9.0, 64) for c in mine.focal_plane.xy.value])
+    for kind in ("uniform", "poisson"):
+        found = rs.compare_instruments(
+            kind, mine, targets_per_positioner=30.0, n_realizations=20, allocators="nearest", rng=3
+        )
+        expected = 30.0 * len(mine.focal_plane) / mine.focal_plane.footprint.value * reach.area
+        assert found["targets"][0] == pytest.approx(expected, abs=5 * np.sqrt(expected / 20))
+        assert "for each positioner's share" in found.meta["comparable"]
+    found = rs.compare_instruments(
+        "poisson", mine, density=2000 / u.deg**2, n_realizations=20, allocators="nearest", rng=3
+    )
+    expected = 2000 * reach.area / 3600
+    assert found["targets"][0] == pytest.approx(expected, abs=5 * np.sqrt(expected / 20))
+    assert found.meta["density_per_deg2"] == 2000
+
+
+def test_workers_change_nothing_but_the_seconds():
+    def table(**options):
+        found = rs.compare_instruments("poisson", [design(), design("wide", 8.25, 8.25)], n_realizations=3, **options)
+        found.remove_column("seconds")
+        return found
+
+    alone = table(rng=5)
+    with ThreadPoolExecutor(2) as pool:
+        together = table(rng=5, executor=pool)
+    for name in alone.colnames:
+        np.testing.assert_array_equal(alone[name], together[name])
+    assert (table(rng=6)["targets"] != alone["targets"]).all()
+
+
+def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independent_trials():
+    plane = rs.FocalPlane(
+        np.column_stack([np.arange(400) * 100.0, np.zeros(400)]) * MM, design().focal_plane.positioner
+    )
+    hits = (np.arange(400) % 10 == 0).astype(float)
+    value, low, high = rate_interval(plane, [hits, hits], 0.95)
+    assert value == 0.1
+    # Wilson's interval needs p (1 - p) / n for the variance, as the scatter gives it
+    np.testing.assert_allclose([low, high], binom_conf_interval(80, 800, 0.95, "wilson"), rtol=1e-9)
+
+
+def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_many_trials():
+    x = np.arange(200) * 100.0
+    centers = np.column_stack([np.concatenate([x, x + 25]), np.zeros(400)])
+    plane = rs.FocalPlane(centers * MM, design().focal_plane.positioner)
+    hits = np.tile(np.arange(200) % 10 == 0, 2).astype(float)
+    _, low, high = rate_interval(plane, [hits], 0.9)
+    np.testing.assert_allclose([low, high], binom_conf_interval(20, 200, 0.9, "wilson"), rtol=1e-9)
+    away = np.where(np.arange(400) < 100, np.nan, hits)  # positioners that do not count
+    value, low, high = rate_interval(plane, [away], 0.9)
+    assert value == pytest.approx(np.nanmean(away))
+    assert low < value < high
+    none = rate_interval(plane, [np.zeros(400)], 0.9)
+    assert none[:2] == (0, 0)
+    assert 0 < none[2] < 0.02
+    assert np.isnan(rate_interval(plane, [np.full(400, np.nan)], 0.9)).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"instruments": []}, "instruments must hold at least one instrument, got none"),
+        ({"instruments": ["lamost", "lamost"]}, "must have different names, but there are several called 'lamost'"),
+        ({"instruments": ["lamost", "most"]}, "unknown instrument 'most'"),
+        ({"instruments": [5]}, "the name of a preset or the path of a TOML file, got 5"),
+        ({"instruments": ["none.toml"]}, "none.toml"),
+        ({"catalog": "clustered"}, "unknown kind of synthetic sky 'clustered'"),
+        ({"allocators": []}, "allocators must name at least one method, got none"),
+        ({"allocators": ["best"]}, "unknown allocator 'best'"),
+        ({"allocator": "lamost"}, "given by allocators, not by allocator"),
+        ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
+        ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
+        ({"density": 5}, "density must be a Quantity"),
+        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "a catalog is seen once at each center"),
+        ({"catalog": CENTER.reshape(1), "center": "here"}, "center must be a SkyCoord, one or in a row, got 'here'"),
+        ({"catalog": CENTER.reshape(1)[:0]}, "at least one target with finite coordinates, got none"),
+        ({"catalog": CENTER.reshape(1), "center": SkyCoord("5h +5d")}, "mine: no target lies within"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.compare_instruments(**{"instruments": [design()], **arguments})
+
+
+def test_names_are_told_apart_by_the_user():
+    one = design()
+    found = rs.compare_instruments("poisson", [one, replace(one, name="other")], n_realizations=1, allocators="nearest")
+    assert list(found["instrument"]) == ["mine", "other"]
+
+
+def test_chart(table):
+    ax = rs.plot_instruments(table, height=0.5)
+    bars = [p for p in ax.patches if isinstance(p, Rectangle)]
+    widths = np.array([bar.get_width() for bar in bars]).reshape(3, -1)
+    np.testing.assert_allclose(widths.sum(axis=0), 1)
+    np.testing.assert_allclose(widths[0], table["usable"] / table["positioners"])
+    assert {bar.get_height() for bar in bars} == {0.5}
+    assert ax.get_yticklabels()[0].get_text() == "mine, lamost"
+    assert "hatch" in bars[len(table)].properties()
+    assert bars[len(table)].get_hatch()
+    assert f"{100 * table['loss'][0]:.1f} %" in {t.get_text() for t in ax.texts}
+    figure = draw_instruments(table)
+    left, _, right = figure.axes
+    parts = np.array([bar.get_width() for bar in left.patches]).reshape(4, -1)
+    np.testing.assert_allclose(parts[1], [table["reach_1"][0], table["reach_1"][2]])
+    assert right.get_xlabel() == "collision probability, 95 %"
+    with pytest.raises(rs.InputError, match="must come from compare_instruments, but it has no allocator"):
+        rs.plot_instruments(table[["instrument", "positioners"]])
+
+
+def test_command(run, tmp_path):
+    presets = Path(rs.__file__).parent / "presets"
+    text = (presets / "lamost.toml").read_text().replace('name = "lamost"', 'name = "short"')
+    (tmp_path / "short.toml").write_text(text.replace("value = 8.25", "value = 7.5"))
+    shutil.copy(presets / "sdss_apo.toml", tmp_path / "robots.toml")
+    output, plot = tmp_path / "table.ecsv", tmp_path / "chart.png"
+    code, out, err = run("compare", tmp_path / "short.toml", tmp_path / "robots.toml", "pfs", "--realizations", 1,
+                         "--targets", 0.5, "--output", output, "--plot", plot)  # fmt: skip
+    assert (code, err) == (0, "")
+    table = QTable.read(output)
+    assert list(dict.fromkeys(table["instrument"])) == ["short", "sdss_apo", "pfs"]
+    assert f"{row_of(table, 'short', 'lamost')['loss']:.4g}" in out
+    assert "numbers of targets and figures per field or solid angle cannot" in " ".join(out.split())
+    assert plot.stat().st_size > 5000
+    code, out, err = run("compare", "pfs", "--output", output)
+    assert code == 2
+    assert "exists" in err
+    code, _, err = run("compare", "pfs", "--catalog", output, "--density", 5)
+    assert code == 2
