@@ -2,8 +2,7 @@
 
 from html.parser import HTMLParser
 
-VOID = {"meta", "link", "br", "hr", "img", "input"}
-# elements of SVG may close themselves
+VOID = {"meta", "link", "br", "hr", "img", "input", "wbr"}
 LOADING = {
     "src",
     "href",

@@ -324,6 +324,7 @@ def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message
         "tile --region sky --method spiral --instrument desi --output t.ecsv",
         "survey --instrument sdss_apo --folder plan",
         "compare-allocators --instrument moons --allocator lamost --allocator repair",
+        "compare sdss_apo moons --allocator lamost --realizations 1",
         "probability sdss_apo --method closed_form",
         "reproduce small --quick --folder small",
         "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
@@ -335,7 +336,7 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
     assert code == 0
     assert out.endswith("wrote page.html\n")
     page = Reader((tmp_path / "page.html").read_text())
-    figures = {"tile": 1, "plan": 2, "survey": 2, "reproduce": 1, "benchmark": 1}
+    figures = {"tile": 1, "plan": 2, "survey": 2, "reproduce": 1, "benchmark": 1, "compare": 1}
     assert len(page.all("svg")) == figures.get(command.split()[0], 0)
     if command.startswith("plan"):
         assert run("score", "t.ecsv", "--report", "score.html")[0] == 0
@@ -349,18 +350,20 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
         np.testing.assert_array_equal([full(row[heads.index("value")]) for row in rows], table["value"])
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["plan", "tile --region sky", "survey", "compare-allocators", "probability", "reproduce", "benchmark collisions"],
-)
+WORK = {
+    "plan": "plan_tile", "tile --region sky": "place_tiles", "survey": "plan_survey",
+    "compare-allocators": "compare_allocators", "compare": "compare_instruments",
+    "probability": "collision_probability", "reproduce": "reproduce", "benchmark collisions": "benchmark_collisions",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", WORK)
 def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
     def work(*_, **__):
         raise AssertionError("the work was begun")
 
     monkeypatch.chdir(tmp_path)
-    for name in ("plan_tile", "place_tiles", "plan_survey", "compare_allocators", "collision_probability", "reproduce",
-                 "benchmark_collisions"):  # fmt: skip
-        monkeypatch.setattr(rs, name, work)
+    monkeypatch.setattr(rs, WORK[command], work)
     (tmp_path / "old.html").write_text("old")
     for name, message in (("old.html", "old.html exists"), ("page.txt", "must end in .html or .htm")):
         code, _, err = run(*command.split(), "--report", name)

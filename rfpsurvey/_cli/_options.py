@@ -121,7 +121,7 @@ Examples:
   rfpsurvey compare
   rfpsurvey compare lamost design.toml --targets 2 --plot comparison.png --output comparison.ecsv
   rfpsurvey compare sdss_apo moons --catalog stars.fits --center "06h20m00s +23d00m00s" --allocator optimal
-  rfpsurvey compare lamost desi pfs --density 1000 --realizations 2
+  rfpsurvey compare lamost desi pfs --density 1000 --realizations 2 --report comparison.html
 """
 
 SCORE_EXAMPLES = """\b

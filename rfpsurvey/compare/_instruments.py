@@ -164,6 +164,7 @@ def compare_instruments(
         log.info("compared %s: %d fields", model.name, len(own))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
     table.meta.update(
+        made_by="compare_instruments",
         way=way, comparable=f"{COMPARABLE[way]} {CAUTION}", n_fields=len(fields) // len(models), confidence=CONFIDENCE,
         sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=versions(),
         instruments={model.name: model._provenance() for model in models},

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import re
 from collections.abc import Callable
 from html import escape
 from importlib.resources import files
@@ -17,7 +18,9 @@ from rfpsurvey.tile import versions
 
 __all__ = ["html_of"]
 
-LONG = 30  # characters: a longer text may take several lines
+BREAK = re.compile(r"(\w[._])(?=\w)")  # where a name may go on in the next line
+WIDE = 9  # inches: a wider figure has its caption below
+LONG, LONG_NAME = 30, 12  # characters: a longer text may take several lines
 MOST_ITEMS = 30  # of a list in the provenance
 
 
@@ -84,7 +87,8 @@ def _facts(block: Facts, counter, max_rows) -> str:
         part = ' class="part"' if label.startswith(" ") else ""
         number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         look = f' class="number" data-value="{float(value)!r}"' if number else ""
-        rows.append(f'<tr{part}><th scope="row">{_text(label.strip())}</th><td{look}>{_text(_plain(value))}</td></tr>')
+        name = BREAK.sub(r"\1<wbr>", _text(label.strip()))
+        rows.append(f'<tr{part}><th scope="row">{name}</th><td{look}>{_text(_plain(value))}</td></tr>')
     caption = f"<caption>{_text(block.caption)}</caption>\n" if block.caption else ""
     return "\n".join([f'<table class="facts">\n{caption}<tbody>', *rows, "</tbody>\n</table>"])
 
@@ -112,7 +116,8 @@ def _rows(block: Rows, counter, max_rows) -> str:
     heads = []
     for name, unit, numbers, _ in columns:
         unit = f' <span class="unit">{_text(unit)}</span>' if unit else ""
-        heads.append(f'<th scope="col"{" class=number" * numbers}>{_text(name.replace("_", " "))}{unit}</th>')
+        looks = ["number" if numbers else "", "long" if len(name) > LONG_NAME else ""]
+        heads.append(f'<th scope="col"{_class(looks)}>{_text(name.replace("_", " "))}{unit}</th>')
     lines = []
     for k in range(len(table)):
         cells = []
@@ -122,22 +127,26 @@ def _rows(block: Rows, counter, max_rows) -> str:
                 "number" if numbers else "", "missing" if key == "" else "", "long" if len(text) > LONG else "",
                 block.marks.get(text, ""),
             ]  # fmt: skip
-            look = f' class="{" ".join(filter(None, looks))}"' if any(looks) else ""
             data = "" if key is None else f' data-value="{key}"'
             tag = "td" if c else "th"
             scope = "" if c else ' scope="row"'
-            cells.append(f"<{tag}{scope}{look}{data}>{_text(text)}</{tag}>")
+            cells.append(f"<{tag}{scope}{_class(looks)}{data}>{_text(text)}</{tag}>")
         lines.append(f"<tr>{''.join(cells)}</tr>")
     lines = ["<tbody>", *lines, "</tbody>"]
     head = f"<caption>{caption}</caption>\n<thead>\n<tr>{''.join(heads)}</tr>\n</thead>"
     return "\n".join([_scroll(block.caption), '<table class="rows">', head, *lines, "</table>\n</div>"])
 
 
+def _class(looks: list[str]) -> str:
+    return f' class="{" ".join(filter(None, looks))}"' if any(looks) else ""
+
+
 def _picture(block: Picture, counter, max_rows) -> str:
     svg = svg_of(block.figure, next(counter), block.caption, block.words)
     words = f" {_text(block.words)}" if block.words else ""
     caption = f"<figcaption><strong>{_text(block.caption)}</strong>{words}</figcaption>"
-    return f"<figure>\n{_scroll(block.caption)}{svg}</div>\n{caption}\n</figure>"
+    wide = ' class="wide"' if getattr(block.figure, "figure", block.figure).get_figwidth() > WIDE else ""
+    return f"<figure{wide}>\n{_scroll(block.caption)}{svg}</div>\n{caption}\n</figure>"
 
 
 def _scroll(caption: str) -> str:

@@ -1,4 +1,4 @@
-"""The pages of estimates and of tables: any, allocators side by side, and the claims of the paper."""
+"""The pages of estimates and of tables: any, allocators and instruments side by side, and the claims of the paper."""
 
 from pathlib import Path
 
@@ -6,14 +6,14 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._io import read_table
-from rfpsurvey.plot import draw_reproduction
+from rfpsurvey.plot import draw_instruments, draw_reproduction
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import estimate_facts
 from rfpsurvey.reproduction import TABLES
 from rfpsurvey.tile import versions
 
-__all__ = ["page_of_allocators", "page_of_claims", "page_of_estimate", "page_of_table"]
+__all__ = ["page_of_allocators", "page_of_claims", "page_of_estimate", "page_of_instruments", "page_of_table"]
 
 VERDICTS = {"reproduced": "good", "not reproduced": "bad", "cannot be decided from the text": "open"}
 FIGURES = {
@@ -74,6 +74,21 @@ def page_of_allocators(table: Table, where: str) -> Page:
         sections.append(Section("Requirements that are not met", [Text(unmet)]))
     provenance = {k: v for k, v in _without_private(meta).items() if k != "unmet"}
     return Page("Comparison", f"Allocators on a field of {meta['instrument']}", words, {}, sections, provenance)
+
+
+def page_of_instruments(table: Table, where: str) -> Page:
+    """Return a page on instruments side by side."""
+    meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
+    lead = f"{', '.join(names)}; fields of each: {meta['n_fields']}, {meta['way']}."
+    seen = "Reach, what the positioners do, and the collision probability with its interval."
+    blocks = [
+        Picture("Instruments side by side.", draw_instruments(table), seen),
+        Rows("A row for each instrument and allocator, on average over its fields.", table, where),
+        Text(meta["comparable"]),
+    ]
+    title = f"Comparison of {len(names)} instruments"
+    provenance = {k: v for k, v in _without_private(meta).items() if k != "comparable"}
+    return Page("Comparison", title, lead, {}, [Section("Side by side", blocks)], provenance)
 
 
 def page_of_claims(table: Table, where: str) -> Page:

@@ -13,7 +13,13 @@ from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._html import html_of
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
-from rfpsurvey.report._tables import page_of_allocators, page_of_claims, page_of_estimate, page_of_table
+from rfpsurvey.report._tables import (
+    page_of_allocators,
+    page_of_claims,
+    page_of_estimate,
+    page_of_instruments,
+    page_of_table,
+)
 from rfpsurvey.report._tile import page_of_tile
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
@@ -26,7 +32,9 @@ PAGES: dict[type, Callable[..., Page]] = {
     Table: page_of_table,
 }  # fmt: skip
 """Type of a result to function of the result, and the name of the file with all of it -> page."""
-MADE_BY: dict[str, Callable[..., Page]] = {"compare_allocators": page_of_allocators, "reproduce": page_of_claims}
+MADE_BY: dict[str, Callable[..., Page]] = {
+    "compare_allocators": page_of_allocators, "compare_instruments": page_of_instruments, "reproduce": page_of_claims,
+}  # fmt: skip
 """What ``meta["made_by"]`` of a table says, to the function for it; other tables get a plain page."""
 ENDINGS = (".html", ".htm")
 MAX_ROWS = 1000
@@ -55,8 +63,8 @@ def write_report(
     Parameters
     ----------
     result : Tile, Survey, Tiling, Estimate, Table or QTable
-        What the page is about. A table is shown with its ``meta``; those of `compare_allocators` and `reproduce` get
-        pages of their own.
+        What the page is about. A table is shown with its ``meta``; those of `compare_allocators`,
+        `compare_instruments` and `reproduce` get pages of their own.
     path : str or path-like
         Ends in ``.html`` or ``.htm``.
     overwrite : bool, optional
