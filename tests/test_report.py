@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable
+from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
@@ -44,9 +45,12 @@ def nasty_table():
             "<b>length": [1.23456789, np.nan, -3e-9] * u.mm,
             "count": MaskedColumn([10, 9, 100], mask=[False, True, False]),
             "pair": [[1, 2], [3, 4], [5, 6]],
+            "when": Time(["2026-01-01", "2026-02-01", "2026-03-01"]),
         }
     )
-    table.meta.update(title="x", note=NASTY, nested={NASTY: {"deeper": [NASTY, None]}})
+    table.meta.update(
+        title="x", note=NASTY, nested={NASTY: {"deeper": [NASTY, None]}}, length=[1, 2] * u.mm, nan=np.nan
+    )
     return table
 
 
@@ -131,7 +135,7 @@ def test_what_others_wrote_is_shown_as_text(tmp_path):
     assert "".join(page.text("h1")) == shown
     heads, rows = page.table("x.")
     assert rows[0][0]["text"] == shown
-    assert heads == ["name", "<b>length mm", "count", "pair"]
+    assert heads == ["name", "<b>length mm", "count", "pair", "when"]
     assert page.facts()["note"] == shown
     assert page.facts()["deeper"].startswith(shown)
     assert shown in page.text("figcaption") + page.text("strong")
@@ -147,6 +151,7 @@ def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
     assert ["missing" in row[2]["class"] for row in rows] == [False, True, False]
     assert rows[2][0]["class"] == "missing"
     assert rows[0][3]["text"] == "[1 2]"
+    assert rows[1][4]["text"].startswith("2026-02-01")
 
 
 @given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))
@@ -174,6 +179,8 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     assert [row[0]["text"] for row in rows] == colliding["id"].tolist()
     assert facts["digest"] == tile.provenance["instrument"]["digest"]
     assert facts["rng"] == str(tile.provenance["parameters"]["rng"])
+    # the foot gives numbers in full
+    assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
     # those that barely do not collide: the same as by hand
     heads, rows = page.table("The narrowest passages")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)

@@ -22,7 +22,7 @@ def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]
     mask = getattr(values, "mask", None)
     plain = np.asarray(getattr(values, "unmasked", values)) if hasattr(values, "dtype") else None
     if plain is None or plain.ndim != 1 or plain.dtype.kind not in "biufSU":
-        return unit, False, [_cell(str(value)) for value in column]
+        return unit, False, [_cell("" if value is None else str(value)) for value in column]
     missing = np.zeros(len(plain), bool) if mask is None or mask is np.ma.nomask else np.broadcast_to(mask, len(plain))
     if plain.dtype.kind == "f":
         missing = missing | np.isnan(plain)
@@ -30,7 +30,7 @@ def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]
         texts = column_texts(np.where(missing, 0, plain), decimals)
         keys = [_key(value) for value in plain.tolist()]
     else:
-        texts = [v.decode() if isinstance(v, bytes) else v for v in plain.tolist()]
+        texts = [v.decode(errors="replace") if isinstance(v, bytes) else v for v in plain.tolist()]
         texts = column_texts(plain) if plain.dtype.kind in "biu" else texts
         keys = [None] * len(texts)
     cells = [

@@ -52,7 +52,7 @@ def _asset(name: str) -> str:
 
 
 def _text(value: object) -> str:
-    """Return text for a page; what no page can hold becomes a question mark."""
+    """Return text for a page; what no page can hold becomes a replacement character."""
     text = "".join(c if c.isprintable() or c in " \n\t" else "\N{REPLACEMENT CHARACTER}" for c in str(value))
     return escape(text.encode("utf-8", "replace").decode("utf-8"))
 
@@ -85,7 +85,7 @@ def _facts(block: Facts, counter, max_rows) -> str:
     rows = []
     for label, value in block.values.items():
         part = ' class="part"' if label.startswith(" ") else ""
-        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
         look = f' class="number" data-value="{float(value)!r}"' if number else ""
         name = BREAK.sub(r"\1<wbr>", _text(label.strip()))
         rows.append(f'<tr{part}><th scope="row">{name}</th><td{look}>{_text(_plain(value))}</td></tr>')
@@ -93,16 +93,18 @@ def _facts(block: Facts, counter, max_rows) -> str:
     return "\n".join([f'<table class="facts">\n{caption}<tbody>', *rows, "</tbody>\n</table>"])
 
 
-def _plain(value: object) -> str:
+def _plain(value: object, number: Callable = number_text) -> str:
     """Return a value of a summary or of the provenance as text."""
-    if value is None or value == "":
+    if isinstance(value, np.ndarray | np.generic) and not hasattr(value, "unit"):
+        value = value.tolist()
+    if value is None or (isinstance(value, str) and not value) or (isinstance(value, float) and np.isnan(value)):
         return MISSING
     if isinstance(value, dict):
-        return ", ".join(f"{k} {_plain(v)}" for k, v in value.items()) or "none"
+        return ", ".join(f"{k} {_plain(v, number)}" for k, v in value.items()) or "none"
     if isinstance(value, list | tuple):
         more = f", and {len(value) - MOST_ITEMS} more" if len(value) > MOST_ITEMS else ""
-        return (", ".join(map(_plain, value[:MOST_ITEMS])) or "none") + more
-    return number_text(value)
+        return (", ".join(_plain(v, number) for v in value[:MOST_ITEMS]) or "none") + more
+    return number(value)
 
 
 def _rows(block: Rows, counter, max_rows) -> str:
@@ -164,9 +166,13 @@ def _provenance(values: dict) -> str:
 
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
-    """Return dicts in dicts beside each other, with a name each."""
-    groups = {name: {k: v for k, v in values.items() if not isinstance(v, dict)}}
+    """Return dicts in dicts beside each other, with a name each; numbers in full."""
+    groups = {name: {k: _plain(v, _exactly) for k, v in values.items() if not isinstance(v, dict)}}
     for key, value in values.items():
         if isinstance(value, dict):
             groups |= _groups(value, f"{name} {key}".strip().replace("_", " "))
     return groups
+
+
+def _exactly(value: object) -> str:
+    return f"{value:.15g}" if isinstance(value, float) else number_text(value)
