@@ -328,7 +328,7 @@ def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message
     "command",
     [
         "plan --instrument sdss_apo --output t.ecsv",
-        "tile --region sky --method spiral --instrument desi --output t.ecsv",
+        "tile --region sky --method spiral --instrument lamost --output t.ecsv",
         "survey --instrument sdss_apo --folder plan",
         "compare-allocators --instrument moons --allocator lamost --allocator repair",
         "compare sdss_apo moons --allocator lamost --realizations 1",
