@@ -16,7 +16,7 @@ version = release.split("+")[0]
 extensions += ["matplotlib.sphinxext.plot_directive"]
 if "sphinx.ext.intersphinx" in extensions:
     extensions.remove("sphinx.ext.intersphinx")
-exclude_patterns = ["_build", "api/*.txt"]
+exclude_patterns = ["_build", "api/*.txt", "examples"]
 html_title = f"rfpsurvey {version}"
 html_static_path = []
 nitpicky = True

@@ -4,7 +4,7 @@ The names below are the whole public interface; the way data flows is catalog, p
 arms, collisions, tile score.
 """
 
-from rfpsurvey.allocation import Allocation, Requirement, allocate
+from rfpsurvey.allocation import Allocation, AllocationProblem, Requirement, allocate
 from rfpsurvey.benchmark import (
     benchmark_batches,
     benchmark_collisions,
@@ -29,6 +29,7 @@ from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import (
     Estimate,
     PolynomialFit,
+    ProbabilityQuestion,
     collision_probability,
     fit_polynomial,
     surrogate_probability,
@@ -48,6 +49,7 @@ except ImportError:  # a source tree that was never built
 
 __all__ = [
     "Allocation",
+    "AllocationProblem",
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
@@ -58,6 +60,7 @@ __all__ = [
     "PartitionedCatalog",
     "PolynomialFit",
     "Positioner",
+    "ProbabilityQuestion",
     "RadialMap",
     "Region",
     "Requirement",

@@ -20,7 +20,7 @@ AllocatorOption = Annotated[
     str,
     typer.Option(
         help="lamost, nearest, balanced (which does not look at priorities), sdss (network flow), optimal (no "
-        "collisions, proven), or repair (lamost, its collisions ended by local moves)."
+        "collisions, proven), repair (lamost, its collisions ended by local moves), or that of an installed package."
     ),
 ]
 RequireOption = Annotated[
@@ -46,8 +46,8 @@ PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .pn
 MethodOption = Annotated[
     str,
     typer.Option(
-        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, or auto: the cheapest one "
-        "that has an error."
+        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, that of an installed "
+        "package, or auto: the cheapest one that has an error."
     ),
 ]
 MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner, .fits or .ecsv.")]

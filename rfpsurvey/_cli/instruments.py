@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-import rfpsurvey as rs
 from rfpsurvey._cli import _app
+from rfpsurvey.instrument import every_instrument
 
 EXAMPLES = """\b
 Examples:
@@ -21,8 +21,7 @@ def instruments(
     """List the instruments, or show one with the source of every figure."""
     if name is None:
         print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
-        for known in rs.available_instruments():
-            model = rs.Instrument.preset(known)
+        for known, model in every_instrument().items():
             kind, field = (
                 model.focal_plane.collision_type,
                 f"{2 * model.field_radius.to_value('deg'):.3f} deg",

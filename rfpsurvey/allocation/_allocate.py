@@ -1,15 +1,19 @@
 """The one door of target allocation."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_flags, to_generator, to_plain, to_points_mm, to_scalar
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation._plugin import find_method
 from rfpsurvey.allocation._problem import Choice, Level, Problem
 from rfpsurvey.allocation._requirements import KINDS, Requirement, as_requirements
 from rfpsurvey.allocation._sky import with_sky
@@ -26,7 +30,7 @@ def allocate(
     xy: u.Quantity,
     focal_plane: FocalPlane,
     *,
-    method: str = "balanced",
+    method: str | Callable = "balanced",
     priority: np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
     kind: np.ndarray | None = None,
@@ -54,7 +58,7 @@ def allocate(
         Targets on the focal plane, in catalog order; NaN is out of reach.
     focal_plane : FocalPlane
         The positioners.
-    method : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
+    method : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
         ``balanced``: science targets in catalog order, each to the positioner in reach with the shortest queue, then
         the nearest, then the lowest row; one target of each queue, drawn uniformly, is observed. No priorities.
         ``nearest``: class after class, the closest pair of positioner and target first.
@@ -65,7 +69,8 @@ def allocate(
         the least important targets, which are released.
         ``sdss``: network flow: as many as possible class after class, arms may collide; then the least sum of squared
         distances from the centers. ``optimal``: as many as possible class after class such that no two arms
-        collide, with a proof. ``repair``: the plan ``start``, its collisions ended by local moves.
+        collide, with a proof. ``repair``: the plan ``start``, its collisions ended by local moves. Another name is that
+        of an allocator of an installed package; a function of an `AllocationProblem` is taken as it is.
     priority : array_like of float, shape (n_targets,), optional
         Larger is more important; targets of one value form a class.
     fiber_type : array_like of str, shape (n_targets,), optional
@@ -91,7 +96,7 @@ def allocate(
     time_limit : Quantity, optional
         ``sdss`` and ``optimal`` then return the best plan so far, with its gap.
     start : Allocation or str, optional
-        For ``repair``: the plan to begin with, or the method that makes it.
+        For ``repair``, and allocators that ask for it: the plan to begin with, or the method that makes it.
     parked_obstacles : bool, optional
         Do idle equal-arm positioners stand in the way?
     rng : int, Generator or None, optional
@@ -105,8 +110,8 @@ def allocate(
     Raises
     ------
     InputError
-        If a name is unknown, a shape does not fit, a unit is missing, a number is impossible, or ``start`` belongs to
-        other targets or another focal plane.
+        If a name is unknown, a shape does not fit, a unit is missing, a number is impossible, ``start`` belongs to
+        other targets or another focal plane, or an allocator that is not ours fails or returns what cannot be.
 
     Warns
     -----
@@ -131,7 +136,7 @@ def allocate(
     >>> best.n_assigned, best.gap
     (2, 0.0)
     """
-    solve = METHODS[check_choice(method, METHODS, "allocator")]
+    solve = find_method(method)
     check_choice(objective, OBJECTIVES, "objective")
     check_plane(focal_plane)
     points = to_points_mm(xy, "xy")
@@ -166,13 +171,12 @@ def allocate(
             warnings.warn(text, RfpsurveyWarning, stacklevel=2)
         others = np.empty((0, 2)) if avoid is None else to_points_mm(avoid, "avoid")
         problem = with_sky(problem, to_scalar(sky_separation, u.mm, "sky_separation", low=0), others)
-    if method == "repair":
-        problem = replace(problem, start=_as_choice(start, problem, n, reach.covered))
+    problem = replace(problem, start=partial(_as_choice, start, problem, n, reach.covered))
     choice = solve(problem)
     found = _finish(problem, choice, n)
     end = perf_counter()
     return Allocation(
-        method, **found, in_reach=reach.covered, parked_obstacles=bool(parked_obstacles),
+        name_of(method), **found, in_reach=reach.covered, parked_obstacles=bool(parked_obstacles),
         seconds={"reach": middle - begin, "allocation": end - middle},
     )  # fmt: skip
 
@@ -245,7 +249,7 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
 def _as_choice(start, problem: Problem, n_given: int, in_reach: np.ndarray) -> Choice:
     """Return the plan that `repair` begins with."""
     if isinstance(start, str):
-        return METHODS[check_choice(start, set(METHODS) - {"repair"}, "allocator to start with")](problem)
+        return find_method(start, set(METHODS) - {"repair"}, "allocator to start with")(problem)
     if not isinstance(start, Allocation):
         raise InputError(f"start must be an Allocation or the name of a method, got {start!r}")
     plane, points = problem.plane, problem.points[:n_given]

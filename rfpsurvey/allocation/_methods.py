@@ -61,7 +61,8 @@ def optimal(problem: Problem) -> Choice:
 
 def repair(problem: Problem) -> Choice:
     """Another plan, its collisions ended by local moves."""
-    candidates, start = find_candidates(problem), problem.start
+    start = problem.start()
+    candidates = find_candidates(problem)
     first = pick(candidates, trim(problem, start.target_of), start.side)
     chosen, moved, dropped = mend(candidates, first)
     options, had = candidates.options, start.target_of >= 0

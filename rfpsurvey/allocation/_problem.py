@@ -1,5 +1,6 @@
 """One allocation to make: targets, who reaches them, what they are worth, and what the plan must hold."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -55,7 +56,8 @@ class Problem:
     objective: str = "priority"
     time_limit: float = np.inf
     parked_obstacles: bool = True
-    start: Choice | None = None
+    start: Callable[[], Choice] | None = None
+    """Makes the plan to begin with."""
     rng: np.random.Generator | None = None
 
     @cached_property

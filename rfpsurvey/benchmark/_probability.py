@@ -9,13 +9,14 @@ import numpy as np
 from astropy.table import QTable
 from astropy.utils.console import ProgressBar
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import allocate
 from rfpsurvey.benchmark._common import check_positive, provenance
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.probability import ESTIMANDS, METHODS, collision_probability
+from rfpsurvey.probability import METHODS, collision_probability, find_method
 from rfpsurvey.probability._targets import make_source
 
 __all__ = ["benchmark_densities", "benchmark_probability"]
@@ -77,14 +78,15 @@ def benchmark_probability(
     efforts = EFFORTS if efforts is None else efforts
     if not isinstance(efforts, Mapping) or not efforts:
         raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
-    runs = [(check_choice(m, METHODS, "method of collision probability"), n) for m, ns in efforts.items() for n in ns]
+    estimands = {method: find_method(method, METHODS)[1] for method in efforts}
+    runs = [(method, n) for method, numbers in efforts.items() for n in numbers]
     check_positive(repeats=repeats)
     rng = to_generator(rng)
     truth = {
         kind: collision_probability(
             instrument, method="auto", estimand=kind, precision=precision, rng=rng.spawn(1)[0], most_entries=64
         )
-        for kind in sorted({ESTIMANDS[m] for m, _ in runs})
+        for kind in sorted(set(estimands.values()))
     }
     results: dict = {run: [] for run in runs}
     turns = range(repeats + 1)  # the first to warm up
@@ -97,9 +99,9 @@ def benchmark_probability(
     rows = []
     for (method, n), values in results.items():
         seconds, value, error = np.array(values).T
-        true = truth[ESTIMANDS[method]]
+        true = truth[estimands[method]]
         miss = np.sqrt(np.mean((value - true.value) ** 2))
-        own = method, true.estimand, n, np.median(seconds), value.mean(), miss, error.mean()
+        own = name_of(method), true.estimand, n, np.median(seconds), value.mean(), miss, error.mean()
         rows.append((*own, true.value, true.standard_error))
     names = ("method", "estimand", "effort", "time", "value", "error", "standard_error", "truth", "truth_error")
     table = QTable(rows=rows, names=names)

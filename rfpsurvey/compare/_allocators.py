@@ -2,15 +2,17 @@
 
 import logging
 import warnings
+from collections.abc import Callable
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey.allocation import METHODS
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.compare._fields import BLIND, allocator_names, on_kind
+from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
 from rfpsurvey.errors import RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile import plan_tile
@@ -27,7 +29,7 @@ def compare_allocators(
     instrument: Instrument | str,
     center: SkyCoord,
     *,
-    allocators: list[str] | None = None,
+    allocators: list[str | Callable] | None = None,
     **options: object,
 ) -> QTable:
     """Plan the same field by several methods, and say what each costs.
@@ -40,8 +42,8 @@ def compare_allocators(
         The instrument, or the name of a preset.
     center : SkyCoord
         Field center.
-    allocators : list of str, optional
-        Methods of `allocate`; all of them by default.
+    allocators : list of str or callable, optional
+        Methods of `allocate`; by default all that are its own.
     **options
         Passed to `plan_tile`, such as ``requirements``.
 
@@ -72,25 +74,26 @@ def compare_allocators(
     >>> table["colliding"][1]
     np.int64(0)
     """
-    names = allocator_names(METHODS if allocators is None else allocators, options)
+    methods = allocators_of(METHODS if allocators is None else allocators, options)
     instrument = as_instrument(instrument)
     tiles = {}
-    for name in dict.fromkeys([BLIND, *names]):
+    for method in dict.fromkeys([BLIND, *methods]):
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
-            plan_tile(catalog, instrument, center, allocator=name, **{**options, "time_limit": 1 * u.ms})  # compiles
+            plan_tile(catalog, instrument, center, allocator=method, **{**options, "time_limit": 1 * u.ms})  # compiles
             warnings.simplefilter("ignore", RfpsurveyWarning)
-            tiles[name] = plan_tile(catalog, instrument, center, allocator=name, **options)
-        log.info("planned by %s: %s", name, tiles[name])
+            tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **options)
+        log.info("planned by %s: %s", name_of(method), tiles[method])
     blind = on_kind(tiles[BLIND], "science")
-    rows = [_row(name, tiles[name], blind) for name in names]
+    rows = [_row(name_of(method), tiles[method], blind) for method in methods]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
-    provenance = tiles[names[0]].provenance
+    provenance = tiles[methods[0]].provenance
+    software = {name: value for method in methods for name, value in tiles[method].provenance["software"].items()}
     table.meta.update(
         made_by="compare_allocators",
-        unmet={name: tiles[name].summary["unmet"] for name in names}, blind_science=blind,
-        instrument=provenance["instrument"]["name"], software=provenance["software"],
+        unmet={name_of(method): tiles[method].summary["unmet"] for method in methods}, blind_science=blind,
+        instrument=provenance["instrument"]["name"], software=software,
         parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},
     )  # fmt: skip
     table["seconds"].unit = u.s

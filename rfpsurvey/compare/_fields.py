@@ -1,6 +1,6 @@
 """The fields of a comparison, and what each method makes of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache, partial
@@ -10,16 +10,16 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import find_method
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Progress
 from rfpsurvey.tile import plan_tile
 
-__all__ = ["BLIND", "Field", "Plan", "allocator_names", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
+__all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
 
 BLIND = "sdss"
 """The method whose arms pass through each other, and which assigns as many as that allows."""
@@ -49,16 +49,16 @@ class Plan:
     seconds: float
 
 
-def allocator_names(allocators, options) -> list[str]:
+def allocators_of(allocators, options) -> list[str | Callable]:
     """Return the methods to compare."""
-    names = [allocators] if isinstance(allocators, str) else list(allocators)
+    methods = [allocators] if isinstance(allocators, str) or callable(allocators) else list(allocators)
     if "allocator" in options:
         raise InputError("the methods to compare are given by allocators, not by allocator")
-    if not names:
+    if not methods:
         raise InputError("allocators must name at least one method, got none")
-    for name in names:
-        check_choice(name, METHODS, "allocator")
-    return list(dict.fromkeys(names))
+    for method in methods:
+        find_method(method)
+    return list(dict.fromkeys(methods))
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
@@ -94,8 +94,8 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
 
 
 def plan_fields(
-    fields: list[Field], allocators: Sequence[str], options: dict, executor: Executor | None, progress: bool
-) -> list[dict[str, Plan]]:
+    fields: list[Field], allocators: Sequence[str | Callable], options: dict, executor: Executor | None, progress: bool
+) -> list[dict[str | Callable, Plan]]:
     """Plan every field by every method, and by the blind one."""
     bar, plans = Progress(progress), []
     work = partial(plan_field, allocators=tuple(dict.fromkeys([BLIND, *allocators])), options=options)
@@ -106,7 +106,7 @@ def plan_fields(
     return plans
 
 
-def plan_field(field: Field, allocators: Sequence[str], options: dict) -> dict[str, Plan]:
+def plan_field(field: Field, allocators: Sequence[str | Callable], options: dict) -> dict[str | Callable, Plan]:
     """Plan one field by each method."""
     found = {}
     for name in allocators:
@@ -135,7 +135,7 @@ def on_kind(tile, kind: str) -> int:
 
 
 @cache
-def _compile(allocator: str) -> None:
+def _compile(allocator: str | Callable) -> None:
     """Plan a small crowded field once in each process, so that compilation is not timed."""
     robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
     small = Instrument(

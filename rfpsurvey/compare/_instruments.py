@@ -1,7 +1,7 @@
 """Several instruments on the same sky, or with as many targets for each of their positioners."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 
 import astropy.units as u
@@ -9,10 +9,12 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
+from rfpsurvey._plugins import name_of
+from rfpsurvey.allocation import packages
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import BLIND, allocator_names, catalog_fields, plan_fields, synthetic_fields
+from rfpsurvey.compare._fields import BLIND, allocators_of, catalog_fields, plan_fields, synthetic_fields
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.instrument import Instrument, as_instrument, available_instruments
+from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
 
@@ -53,7 +55,7 @@ def compare_instruments(
     instruments: Sequence[Instrument | str] | None = None,
     *,
     center: SkyCoord | None = None,
-    allocators: Sequence[str] = ALLOCATORS,
+    allocators: Sequence[str | Callable] = ALLOCATORS,
     targets_per_positioner: float = 1.0,
     density: u.Quantity | None = None,
     n_realizations: int | None = None,
@@ -72,7 +74,7 @@ def compare_instruments(
         Instruments, names of presets, or paths of TOML files; all that are known by default.
     center : SkyCoord, scalar or shape (n_fields,), optional
         Field centers for a catalog; its mean direction by default.
-    allocators : list of str, optional
+    allocators : list of str or callable, optional
         Methods of `allocate`.
     targets_per_positioner : float, optional
         Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), the same for all
@@ -135,7 +137,7 @@ def compare_instruments(
     moons      3    optimal
     """
     models = _models(instruments)
-    names = allocator_names(allocators, options)
+    methods = allocators_of(allocators, options)
     if isinstance(catalog, str):
         check_choice(catalog, SYNTHETIC, "kind of synthetic sky")
         fields = synthetic_fields(
@@ -155,18 +157,21 @@ def compare_instruments(
             )
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
-    plans = plan_fields(fields, names, options, executor, progress)
+    plans = plan_fields(fields, methods, options, executor, progress)
     rows = []
     for model in models:
         what = _describe(model)
         own = [plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model]
-        rows += [{**what, **_gains(model, name, own)} for name in names]
+        rows += [{**what, **_gains(model, method, own)} for method in methods]
         log.info("compared %s: %d fields", model.name, len(own))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
+    software = dict(versions())
+    for method in methods:
+        software.update(packages(method, options.get("start")))
     table.meta.update(
         made_by="compare_instruments",
         way=way, comparable=f"{COMPARABLE[way]} {CAUTION}", n_fields=len(fields) // len(models), confidence=CONFIDENCE,
-        sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=versions(),
+        sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=software,
         instruments={model.name: model._provenance() for model in models},
         parameters={"rng": str(rng), **{name: str(value) for name, value in options.items()}},
     )  # fmt: skip
@@ -181,7 +186,7 @@ def _models(instruments) -> list[Instrument]:
     """Return the instruments, each with a name of its own."""
     if isinstance(instruments, str | Instrument):
         instruments = [instruments]
-    models = [as_instrument(one) for one in (available_instruments() if instruments is None else instruments)]
+    models = [as_instrument(one) for one in (every_instrument().values() if instruments is None else instruments)]
     if not models:
         raise InputError("instruments must hold at least one instrument, got none")
     names = [model.name for model in models]
@@ -208,7 +213,7 @@ def _describe(model: Instrument) -> dict:
     }
 
 
-def _gains(model: Instrument, allocator: str, plans: list[dict]) -> dict:
+def _gains(model: Instrument, allocator: str | Callable, plans: list[dict]) -> dict:
     """Return what a method makes of the fields of an instrument, on average."""
     own, n = [plan[allocator] for plan in plans], len(plans)
     blind = sum(plan[BLIND].n_science for plan in plans)
@@ -223,7 +228,7 @@ def _gains(model: Instrument, allocator: str, plans: list[dict]) -> dict:
     number = int(model.focal_plane._usable.sum())
     half = model.field_radius.to_value(u.rad) / 2
     return {
-        "allocator": allocator,
+        "allocator": name_of(allocator),
         "targets": targets / n,
         "targets_per_positioner": targets / n / number,
         "assigned": science / n,

@@ -226,11 +226,7 @@ class FocalPlane:
         scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
             Its ``indptr`` and ``indices`` list the targets of each positioner, ascending.
         """
-        points = to_points_mm(xy, "xy")
-        indptr, target, _ = self._reach(points, fiber_type).by_positioner
-        if len(target) < 2**31:  # graph routines of older versions of SciPy take short indices only
-            indptr, target = indptr.astype(np.int32), target.astype(np.int32)
-        return csr_array((np.ones(len(target), bool), target, indptr), shape=(len(self), len(points)))
+        return self._reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
     def multiplicity(self, xy: u.Quantity) -> np.ndarray:
         """Return how many positioners reach each point.

@@ -5,6 +5,7 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rfpsurvey._kernels import arms, reach
 from rfpsurvey.errors import InputError
@@ -32,6 +33,14 @@ class Reach:
     def covered(self) -> np.ndarray:
         """Which targets any positioner reaches."""
         return np.diff(self.indptr) > 0
+
+    @property
+    def matrix(self) -> csr_array:
+        """The same pairs as a sparse matrix, a row for each positioner, a column for each target."""
+        indptr, target, _ = self.by_positioner
+        if len(target) < 2**31:  # graph routines of older versions of SciPy take short indices only
+            indptr, target = indptr.astype(np.int32), target.astype(np.int32)
+        return csr_array((np.ones(len(target), bool), target, indptr), shape=(self.n_positioners, len(self.indptr) - 1))
 
     def where(self, keep: np.ndarray) -> "Reach":
         """Return the pairs marked in ``keep``."""

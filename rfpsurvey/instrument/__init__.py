@@ -1,5 +1,11 @@
 """An instrument: focal plane, optics and where every figure comes from. Presets are data files."""
 
-from rfpsurvey.instrument._instrument import Instrument, as_focal_plane, as_instrument, available_instruments
+from rfpsurvey.instrument._instrument import (
+    Instrument,
+    as_focal_plane,
+    as_instrument,
+    available_instruments,
+    every_instrument,
+)  # fmt: skip
 
-__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments"]
+__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]

@@ -3,8 +3,8 @@
 import hashlib
 import os
 import re
+import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
-from importlib.metadata import entry_points
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,14 +14,15 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._io import to_path
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey._plugins import find_plugin, plugin_names
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.projection import RadialMap, TangentPlane
 
-__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments"]
+__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
 
-ENTRY_POINTS = "rfpsurvey.instruments"
+GROUP = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
 _NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
 
@@ -169,14 +170,15 @@ class Instrument:
         Raises
         ------
         InputError
-            If the name is unknown; the choices are listed.
+            If the name is unknown, or what a package adds by it is no instrument; the choices are listed.
         """
-        found = {**_plugins(), **_shipped()}
-        source = found[check_choice(name, found, "instrument")]
-        if not isinstance(source, os.PathLike):
-            source = source.load()
-            source = source() if callable(source) else source
-        return source if isinstance(source, cls) else cls.read(source)
+        shipped = _shipped()
+        if isinstance(name, str) and name in shipped:
+            return cls.read(shipped[name])
+        plugin = find_plugin(GROUP, name, shipped, "instrument")
+        with plugin.answering():
+            source = plugin.value() if callable(plugin.value) else plugin.value
+            return source if isinstance(source, cls) else cls.read(source)
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Instrument":
@@ -269,16 +271,23 @@ def available_instruments() -> list[str]:
     >>> "lamost" in rs.available_instruments()
     True
     """
-    return sorted({**_plugins(), **_shipped()})
+    return sorted({*plugin_names(GROUP), *_shipped()})
+
+
+def every_instrument() -> dict[str, Instrument]:
+    """Return all that are known by their names, and warn of those that packages add and that cannot be made."""
+    found = {}
+    for name in available_instruments():
+        try:
+            found[name] = Instrument.preset(name)
+        except InputError as error:
+            warnings.warn(str(error), RfpsurveyWarning, stacklevel=3)
+    return found
 
 
 def _shipped() -> dict[str, Path]:
     folder = Path(str(files("rfpsurvey"))) / "presets"
     return {path.stem: path for path in folder.glob("*.toml")}
-
-
-def _plugins() -> dict:
-    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 def _text(value) -> str:

@@ -9,16 +9,18 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
-from rfpsurvey.allocation import METHODS as ALLOCATORS
-from rfpsurvey.allocation import Allocation
+from rfpsurvey.allocation import Allocation, packages
+from rfpsurvey.allocation import find_method as find_allocator
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
 from rfpsurvey.probability._intervals import INTERVALS
-from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, cheapest, check_usable
+from rfpsurvey.probability._methods import Question, cheapest, check_usable
+from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES, MOST_POINTS
 from rfpsurvey.probability._run import Precision
 from rfpsurvey.probability._targets import make_source
@@ -32,14 +34,14 @@ MOST = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POI
 def collision_probability(
     focal_plane: FocalPlane | Instrument | str,
     *,
-    method: str = "conditional",
+    method: str | Callable = "conditional",
     estimand: str | None = None,
     targets: Catalog | u.Quantity | Callable | str | None = None,
     n_targets: float | None = None,
     target_radius: u.Quantity | None = None,
     min_separation: u.Quantity | None = None,
     center: SkyCoord | None = None,
-    allocator: str = "balanced",
+    allocator: str | Callable = "balanced",
     parked_obstacles: bool = True,
     most_entries: int | None = None,
     density: str | Callable | Allocation | list[Allocation] | None = None,
@@ -65,13 +67,14 @@ def collision_probability(
     ----------
     focal_plane : FocalPlane, Instrument or str
         The positioners; a str is the name of a preset.
-    method : str, optional
+    method : str or callable, optional
         ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
         ``monte_carlo`` (allocated): one configuration for each realization, as in the paper. ``quadrature``
         (independent): scrambled Sobol points for each positioner and its neighbors. Without an error: ``closed_form``
         (Eq. 5 to 9 of the paper), ``overlap_ratio`` (part of the patrol area that others reach), ``close_pair`` (chance
         that another observed target lies within the safe distance). ``auto``: the cheapest one of the estimand that
-        has an error.
+        has an error. Another name is that of a method of an installed package; a function of a `ProbabilityQuestion`
+        is taken as it is.
     estimand : {"allocated", "independent"}, optional
         For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
     targets : Catalog, Quantity (n, 2), callable or str, optional
@@ -89,7 +92,7 @@ def collision_probability(
         Least distance of two targets of ``poisson_disc``.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
-    allocator : str, optional
+    allocator : str or callable, optional
         Rule that assigns targets, see `allocate`. Without queues (``lamost``) a realization has one configuration.
     parked_obstacles : bool, optional
         Do equal-arm positioners without a target stand in the way, and count?
@@ -135,7 +138,8 @@ def collision_probability(
     Raises
     ------
     InputError
-        If a name is unknown, numbers are impossible, or options do not belong to the method.
+        If a name is unknown, numbers are impossible, options do not belong to the method, or a method that is not ours
+        fails or returns what cannot be.
 
     Warns
     -----
@@ -161,7 +165,13 @@ def collision_probability(
     start = perf_counter()
     plane = as_focal_plane(focal_plane)
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
-    name = _method(method, estimand, allocator)
+    find_allocator(allocator)
+    if estimand is not None:
+        check_choice(estimand, ("allocated", "independent"), "estimand")
+    name = cheapest(estimand or "allocated", allocator) if method == "auto" else name_of(method)
+    answer, asked = find_method(name if method == "auto" else method)
+    if estimand not in (None, asked):
+        raise InputError(f"{name!r} estimates {asked!r} targets, not {estimand!r} ones")
     _check_belongings(name, density=density, variant=variant, interval=interval, center=center, targets=targets)
     _check_density(density)
     _check_numbers(confidence=confidence, dynamic=dynamic, most_entries=most_entries)
@@ -170,42 +180,32 @@ def collision_probability(
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     source = None
-    if ESTIMANDS[name] == "allocated":
+    if asked == "allocated":
         source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)
         if method == "auto":
             name = cheapest("allocated", allocator, source)
+            answer, _ = find_method(name)
     question = Question(
         plane, source, allocator, "uniform" if density is None else density, variant, bool(parked_obstacles),
         most_entries, _precision(name, precision, max_iterations, confidence, interval, stop), to_spawner(rng),
         executor, progress,
     )  # fmt: skip
     nothing_can_touch = len(plane._neighbors) == len(plane._obstacle_pairs) == 0
-    found = _zero(plane, source) if nothing_can_touch and name in MOST else METHODS[name](question)
+    found = _zero(plane, source) if nothing_can_touch and name in MOST else answer(question)
     wanted = question.precision.standard_error
     if wanted is not None and not found.pop("met", True):
         warnings.warn(
-            f"after {found['n']} iterations, the most allowed, the standard error is {found['standard_error']:.2g}: "
-            f"the interval is wider than the precision {wanted:g} asks for",
+            f"after {found['n']} iterations{', the most allowed,' if name in MOST else ''} the standard error is "
+            f"{found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} asks for",
             RfpsurveyWarning,
             stacklevel=2,
         )
     found.pop("met", None)
     meta = {"confidence": confidence, "interval": interval, "n_positioners": len(plane), **found.pop("meta")}
-    estimate = Estimate(**found, method=name, estimand=ESTIMANDS[name], seconds=perf_counter() - start, meta=meta)
+    if source is not None and (software := packages(allocator)):
+        meta["software"] = {**software, **meta.get("software", {})}
+    estimate = Estimate(**found, method=name, estimand=asked, seconds=perf_counter() - start, meta=meta)
     return with_dynamic(estimate, float(dynamic))
-
-
-def _method(method, estimand, allocator):
-    """Return the name of the method to use."""
-    check_choice(method, [*METHODS, "auto"], "method of collision probability")
-    check_choice(allocator, ALLOCATORS, "allocator")
-    if estimand is not None:
-        check_choice(estimand, ("allocated", "independent"), "estimand")
-    if method == "auto":
-        return cheapest(estimand or "allocated", allocator)
-    if estimand not in (None, ESTIMANDS[method]):
-        raise InputError(f"{method!r} estimates {ESTIMANDS[method]!r} targets, not {estimand!r} ones")
-    return method
 
 
 def _check_belongings(name, *, density, variant, interval, center, targets):
@@ -214,7 +214,7 @@ def _check_belongings(name, *, density, variant, interval, center, targets):
         raise InputError(f"density belongs to the method 'quadrature', of independent targets, not to {name!r}")
     if variant != "corrected" and name != "closed_form":
         raise InputError(f"variant belongs to the method 'closed_form', not to {name!r}")
-    if interval != "wilson" and ESTIMANDS[name] != "allocated":
+    if interval != "wilson" and name not in ("monte_carlo", "conditional"):
         raise InputError(f"interval={interval!r} belongs to iterations, which {name!r} does not make")
     if center is not None and not isinstance(targets, Catalog):
         raise InputError("center belongs to a Catalog of targets")
@@ -247,7 +247,7 @@ def _precision(name, precision, max_iterations, confidence, interval, stop):
     if precision is not None and not (isinstance(precision, int | float | np.floating) and 0 < precision < 1):
         raise InputError(f"precision must be a standard error between 0 and 1, got {precision!r}")
     if max_iterations is None:
-        precision, most = PRECISION if precision is None else precision, MOST.get(name, 1)
+        precision, most = PRECISION if precision is None else precision, MOST.get(name, MOST["monte_carlo"])
     else:
         if not (isinstance(max_iterations, int | np.integer) and max_iterations >= 1):
             raise InputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")

@@ -1,11 +1,13 @@
 """The table of methods: each takes a question and returns the fields of an estimate."""
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
@@ -29,7 +31,7 @@ class Question:
 
     plane: FocalPlane
     source: Source | None
-    allocator: str
+    allocator: str | Callable
     density: object
     variant: str
     parked_obstacles: bool
@@ -82,7 +84,7 @@ def _simulated(name: str, question: Question) -> dict:
     return {
         **_of_tally(tally, found), "n": len(tally.pairs), "met": found["met"],
         "meta": {
-            **source.describe(), "allocator": question.allocator, "design_effect": found["design_effect"],
+            **source.describe(), "allocator": name_of(question.allocator), "design_effect": found["design_effect"],
             "trials": tally.trials,
         },
     }  # fmt: skip

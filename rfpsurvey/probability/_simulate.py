@@ -1,5 +1,6 @@
 """Simulation of allocated targets: configuration by configuration, or over all entries of the queues at once."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -7,7 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import batch, simulate
-from rfpsurvey.allocation import allocate
+from rfpsurvey.allocation import Allocation, allocate
 from rfpsurvey.collision import lay_out, make_desk, make_stage
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._scratch import make_array, make_hall, make_room
@@ -62,7 +63,7 @@ class Simulation:
 
     plane: FocalPlane
     source: Source
-    allocator: str
+    allocator: str | Callable
     parked_obstacles: bool
     most_entries: int | None = None
     """Entries of a queue that `expect` looks at; None: all."""
@@ -124,7 +125,7 @@ class Simulation:
     def _lay_out(self, rng, *, thin=False):
         """Queues of one realization, and the segments of all their entries."""
         given = self.source.kind == "given"
-        allocation = self._given if given else self._allocate(self.source.draw(rng), rng)
+        allocation = self._given if given else self.realize(rng)
         if thin and self.most_entries is not None:
             indptr, queue = (a.copy() for a in allocation.queues)
             simulate.thin(rng, self._most, indptr, queue)
@@ -135,18 +136,21 @@ class Simulation:
 
     @cached_property
     def _given(self):
-        return self._allocate(self.source.points, np.random.default_rng(0))
+        return self.realize(np.random.default_rng(0))
 
     @cached_property
     def _given_laid_out(self):
         return lay_out(self.plane, self._given)
 
-    def _allocate(self, points, rng):
+    def realize(self, rng: np.random.Generator) -> Allocation:
+        """Draw targets and allocate them; without an allocator that makes queues there are queues of one."""
+        points = self.source.draw(rng) * u.mm
         options = {"priority": self.source.priority, "fiber_type": self.source.types, "rng": rng}
-        allocation = allocate(points * u.mm, self.plane, method=self.allocator, **options)
+        options["parked_obstacles"] = self.parked_obstacles
+        allocation = allocate(points, self.plane, method=self.allocator, **options)
         if allocation.queues is not None:
             return allocation
-        target = allocation.target_of_positioner  # an allocator without queues makes queues of one
+        target = allocation.target_of_positioner
         one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
         return replace(allocation, queues=one_each)
 

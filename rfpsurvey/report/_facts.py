@@ -79,4 +79,4 @@ def estimate_facts(estimate: Estimate) -> dict:
         "effective trials": "" if formula else f"{estimate.n_effective:.0f}",
         "seconds": f"{estimate.seconds:.3f}",
     }
-    return {label: value for label, value in lines.items() if value != ""}
+    return {label: value for label, value in lines.items() if value not in ("", "nan")}

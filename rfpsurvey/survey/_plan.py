@@ -2,7 +2,8 @@
 
 import logging
 import warnings
-from concurrent.futures import Executor
+from collections.abc import Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
 from time import perf_counter
 
 import astropy.units as u
@@ -11,8 +12,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_generator, to_scalar
-from rfpsurvey.allocation import METHODS, OBJECTIVES, Requirement, as_requirements
+from rfpsurvey.allocation import METHODS, OBJECTIVES, Requirement, as_requirements, find_method
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
@@ -34,7 +36,7 @@ def plan_survey(
     tiles: Tiling | Table | SkyCoord,
     instrument: Instrument | str,
     *,
-    allocator: str = "lamost",
+    allocator: str | Callable = "lamost",
     visits: int | np.ndarray | None = None,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
@@ -66,8 +68,8 @@ def plan_survey(
         Where to point, see `place_tiles` and `Tiling.from_table`.
     instrument : Instrument or str
         The instrument, or the name of a preset.
-    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
-        Method of the allocation, see `allocate`.
+    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
+        Method of the allocation, see `allocate`. Processes find it by its name: a function is for threads only.
     visits : int or array_like of int, shape (n_targets,), optional
         How often each target is wanted, 0 to 255 times, at most once a tile; by default as the catalog says, else once.
         Rows of a `PartitionedCatalog` are those of its ``read``.
@@ -134,6 +136,10 @@ def plan_survey(
     begin = perf_counter()
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+    if callable(allocator) and not isinstance(executor, ThreadPoolExecutor | None):
+        raise InputError(
+            f"allocator must be a name where processes do the work, such as that of an entry point, got {allocator!r}"
+        )
     if resume and folder is None:
         raise InputError("resume needs the folder of the survey to continue")
     instrument = as_instrument(instrument)
@@ -180,8 +186,8 @@ def _warn_of_lacks(request) -> None:
 
 def _options(instrument, allocator, requirements, sky_separation, objective, time_limit, start, parked_obstacles):
     """Return the options of `allocate` for every tile, checked."""
-    check_choice(allocator, METHODS, "allocator")
-    check_choice(start, set(METHODS) - {"repair"}, "allocator to start with")
+    find_method(allocator)
+    find_method(start, set(METHODS) - {"repair"}, "allocator to start with")
     check_choice(objective, OBJECTIVES, "objective")
     to_scalar(time_limit, u.s, "time_limit", low=0)
     wishes = as_requirements(instrument.requirements if requirements == "instrument" else requirements)
@@ -191,9 +197,10 @@ def _options(instrument, allocator, requirements, sky_separation, objective, tim
         warnings.warn(text, RfpsurveyWarning, stacklevel=3)
     elif sky_separation is not None:
         options["sky_separation"] = to_length(sky_separation, instrument, "sky_separation")
-    if allocator in ("sdss", "optimal"):
+    others = name_of(allocator) not in METHODS  # which may look at everything
+    if others or allocator in ("sdss", "optimal"):
         options.update(objective=objective, time_limit=time_limit)
-    elif allocator == "repair":
+    if others or allocator == "repair":
         options["start"] = start
     return options
 

@@ -8,7 +8,9 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_visits
+from rfpsurvey.allocation import packages
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.survey._ledger import Ledger
@@ -74,6 +76,11 @@ class Request:
         return Job(self.model, row["tile"].item(), *where, field, seed, as_file)
 
     @cached_property
+    def software(self) -> dict:
+        """Versions of all that makes the plan."""
+        return {**versions(), **packages(self.options["method"], self.options.get("start"))}
+
+    @cached_property
     def parameters(self) -> dict:
         """What a result records."""
         options = {k: _plain(v) for k, v in self.options.items()}
@@ -86,7 +93,7 @@ class Request:
     def provenance(self) -> dict:
         """Versions, instrument, catalog and parameters."""
         found = {
-            "software": versions(), "instrument": self.instrument._provenance(), "catalog": dict(self.source.meta),
+            "software": self.software, "instrument": self.instrument._provenance(), "catalog": dict(self.source.meta),
             "tiling": dict(self.tiling.summary), "parameters": self.parameters,
         }  # fmt: skip
         return json.loads(json.dumps(found, default=str))  # what every file can hold
@@ -118,7 +125,7 @@ class Request:
             "instrument": (self.instrument.name, self.instrument._provenance()["digest"]),
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
-        return {**about, **self.parameters, "software": versions()}
+        return {**about, **self.parameters, "software": self.software}
 
 
 def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, *, visits, passes, **others) -> Request:
@@ -155,4 +162,6 @@ def _plain(value):
     """Return an option as text or a number."""
     if isinstance(value, u.Quantity):
         return value.to_string()
+    if callable(value):
+        return name_of(value)
     return [str(one) for one in value] if isinstance(value, list | tuple) else value

@@ -2,6 +2,7 @@
 
 import logging
 import warnings
+from collections.abc import Callable
 from time import perf_counter
 
 import astropy.units as u
@@ -11,7 +12,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import Requirement, as_requirements, sentences
+from rfpsurvey.allocation import Requirement, as_requirements, packages, sentences
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
@@ -35,7 +36,7 @@ def plan_tile(
     position_angle: u.Quantity = 0 * u.deg,
     equinox: str | None = None,
     epoch: Time | str | float | None = None,
-    allocator: str = "lamost",
+    allocator: str | Callable = "lamost",
     requirements: Requirement | str | list | None = None,
     required: np.ndarray | None = None,
     sky_separation: u.Quantity | None = None,
@@ -67,7 +68,7 @@ def plan_tile(
         Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
     epoch : Time, str or float, optional
         Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
-    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"}, optional
+    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
         Method of the allocation, see `allocate`.
     requirements : list of Requirement or str, or "instrument", optional
         Sky fibers, standards and others that the tile must hold, see `allocate`; ``"instrument"``: those of the
@@ -180,7 +181,7 @@ def plan_tile(
         **where(center, position_angle),
         "epoch": epoch_text(catalog.epoch),
         "epoch_asked": None if epoch is None else str(epoch),
-        "allocator": allocator,
+        "allocator": allocation.method,
         "requirements": [str(one) for one in wishes],
         "required": [] if required is None else [str(name) for name in np.atleast_1d(required)],
         "sky_separation_mm": None if separation is None else float(separation.to_value(u.mm)),
@@ -194,7 +195,7 @@ def plan_tile(
     ids, sky_deg, kind, row_of = describe(allocation, plane, catalog, given)
     return build_tile(
         instrument, ids, sky_deg, row_of, allocation.fiber_type, posed, report, summary, parameters, catalog.meta,
-        kind=kind,
+        kind=kind, software=packages(allocator, start),
     )  # fmt: skip
 
 

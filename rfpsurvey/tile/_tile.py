@@ -167,11 +167,12 @@ def build_tile(
     parameters: dict,
     catalog_meta: dict,
     kind: np.ndarray | None = None,
+    software: dict | None = None,
 ) -> Tile:
     """Put the columns together.
 
     ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` are their rows, -1 for
-    none.
+    none. ``software`` are packages that took part, other than the usual ones.
     """
     plane = instrument.focal_plane
     n = len(plane)
@@ -220,7 +221,7 @@ def build_tile(
     meta = {
         "summary": summary,
         "provenance": {
-            "software": versions(),
+            "software": {**versions(), **(software or {})},
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "model": MODEL,
             "instrument": instrument._provenance(),

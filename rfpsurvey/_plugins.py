@@ -1,0 +1,90 @@
+"""What other packages add by entry points, and functions from anywhere. Nothing is looked up before it is asked for."""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import entry_points
+
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """Something that is not ours."""
+
+    what: str
+    name: str
+    value: object
+    package: str = ""
+    """Distribution that it comes with; nothing for a function that was given as it is."""
+    version: str = ""
+    place: str = ""
+    """Where in the package, as the entry point says it."""
+
+    def __str__(self):
+        origin = f" of {self.package} {self.version} ({self.place})" if self.package else ""
+        return f"the {self.what} {self.name!r}{origin}"
+
+    @property
+    def software(self) -> dict[str, str]:
+        """Distribution and version, for the record."""
+        return {self.package: self.version} if self.package else {}
+
+    @contextmanager
+    def answering(self) -> Iterator[None]:
+        """Say whose error it is: one sentence, and what was raised as its cause."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self}: {error}") from error
+        except Exception as error:  # plugins raise what they like
+            raise InputError(f"{self} failed: {type(error).__name__}: {error}") from error
+
+
+def plugin_names(group: str) -> set[str]:
+    """Return the names in a group of entry points; none of them is imported."""
+    return entry_points(group=group).names
+
+
+def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Plugin:
+    """Return what a package adds by a name; if none does, the error lists the choices, ``known`` ones too."""
+    if isinstance(name, str):
+        with suppress(LookupError):
+            return _load(group, name, what)
+    return _load(group, check_choice(name, {*known, *plugin_names(group)}, what), what)
+
+
+def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:
+    """Return a function from itself, or from the name by which a package adds it."""
+    if callable(given):
+        return Plugin(what, name_of(given), given)
+    plugin = find_plugin(group, given, known, what)
+    if not callable(plugin.value):
+        raise InputError(f"{plugin} must be a function, got {type(plugin.value).__name__}")
+    return plugin
+
+
+def name_of(given: str | Callable) -> str:
+    """Return a name as it is, and for a function one that a record can hold."""
+    if not callable(given):
+        return given
+    thing = given if hasattr(given, "__qualname__") else type(given)
+    return ascii(f"{thing.__module__}.{thing.__qualname__}")[1:-1]
+
+
+@cache
+def _load(group: str, name: str, what: str) -> Plugin:
+    """Import a plugin. Only those that were found are kept, so that a package may be installed meanwhile."""
+    points = entry_points(group=group, name=name)
+    if not points:
+        raise LookupError(name)
+    found = [Plugin(what, name, None, point.dist.name, point.dist.version, point.value) for point in points]
+    if len(found) > 1:
+        packages = ", ".join(sorted(f"{one.package} {one.version}" for one in found))
+        raise InputError(f"several packages add the {what} {name!r}: {packages}; all but one must go")
+    (plugin,), (point,) = found, points
+    with plugin.answering():
+        return replace(plugin, value=point.load())

@@ -1,0 +1,168 @@
+"""Methods of collision probability of other packages, and functions: what they see, and what they come back with."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+
+import numpy as np
+
+from rfpsurvey._plugins import Plugin, find_function, name_of
+from rfpsurvey._units import to_plain
+from rfpsurvey.allocation import Allocation
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._estimate import Estimate
+from rfpsurvey.probability._intervals import effective_number, quantile, wilson
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, check_usable
+from rfpsurvey.probability._simulate import Simulation
+
+__all__ = ["ProbabilityQuestion", "find_method"]
+
+GROUP = "rfpsurvey.probability_methods"
+ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})
+PARTS = ("value", "value_assigned", "low", "high", "per_positioner")
+"""Those from 0 to 1."""
+SLACK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ProbabilityQuestion:
+    """What a method of collision probability of one's own is asked.
+
+    The method returns an array of float, shape (n_positioners,): the probability of each positioner to be in
+    collision, NaN for those that never count. Or a dict with any of the fields of `Estimate` that it knows, but
+    ``method``, ``estimand`` and ``seconds``: ``per_positioner`` or ``value`` at least; with a ``standard_error`` the
+    interval follows. Its attribute ``estimand``, "independent" unless it is set to "allocated", says what it estimates.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    parked_obstacles : bool
+        Do equal-arm positioners without a target stand in the way, and count?
+    precision : float or None
+        Standard error to reach, None for exactly ``max_iterations``.
+    max_iterations : int
+        Most iterations to make.
+    confidence : float
+        Of the interval.
+    rng : numpy.random.Generator
+        The only source of random numbers to use, so that an estimate can be made again.
+    realize : callable or None
+        For allocated targets: ``question.realize(rng)`` draws targets and allocates them as the user asks, and returns
+        the `Allocation`, with queues. None for independent ones.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> def one_shot(question):  # part of the positioners that collide in one realization
+    ...     plan = question.realize(question.rng)
+    ...     report = rs.find_collisions(question.focal_plane, plan)
+    ...     return {"value": report.rate, "n": 1}
+    >>> one_shot.estimand = "allocated"
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
+    >>> rs.collision_probability(plane, method=one_shot, n_targets=500).n
+    1
+    """
+
+    focal_plane: FocalPlane
+    parked_obstacles: bool
+    precision: float | None
+    max_iterations: int
+    confidence: float
+    rng: np.random.Generator
+    realize: Callable[[np.random.Generator], Allocation] | None
+
+
+def find_method(
+    given: str | Callable, known: Iterable[str] = (*METHODS, "auto")
+) -> tuple[Callable[[Question], dict], str]:
+    """Return the function from a question to the fields of an estimate, and what it estimates."""
+    if isinstance(given, str) and given in METHODS:
+        return METHODS[given], ESTIMANDS[given]
+    plugin = find_function(GROUP, given, known, "method of collision probability")
+    with plugin.answering():
+        estimand = getattr(plugin.value, "estimand", "independent")
+        check_choice(estimand, set(ESTIMANDS.values()), "estimand")
+    return partial(_ask, plugin), estimand
+
+
+def _ask(plugin: Plugin, question: Question) -> dict:
+    """Let a plugin answer a question."""
+    plane, source, precision = question.plane, question.source, question.precision
+    check_usable(plane)
+    realize, about = None, {}
+    if source is not None:
+        realize = Simulation(plane, source, question.allocator, question.parked_obstacles).realize
+        about = {**source.describe(), "allocator": name_of(question.allocator)}
+    view = ProbabilityQuestion(
+        plane, question.parked_obstacles, precision.standard_error, precision.max_iterations, precision.confidence,
+        question.rng, realize,
+    )  # fmt: skip
+    with plugin.answering():
+        found = _checked(question, plugin.value(view))
+    meta = {**about, **found.pop("meta"), **({"software": plugin.software} if plugin.package else {})}
+    met = precision.standard_error is None or not found["standard_error"] > precision.standard_error
+    return {**found, "met": met, "meta": meta}
+
+
+def _checked(question: Question, given: object) -> dict:
+    """Return all fields of an estimate, if what was given can be that."""
+    answer = dict(given) if isinstance(given, Mapping) else {"per_positioner": given}
+    for name in answer:
+        check_choice(name, ANSWERS, "field of an answer")
+    plane, meta = question.plane, answer.pop("meta", {})
+    if not isinstance(meta, Mapping):
+        raise InputError(f"meta must be a dict, got {meta!r}")
+    risk = np.full(len(plane), np.nan)
+    if "per_positioner" in answer:
+        risk = np.where(plane._usable, _risks(answer.pop("per_positioner"), len(plane)), np.nan)
+    known = risk[~np.isnan(risk)]
+    if "value" not in answer and len(known) == 0:
+        raise InputError("the answer must have a value, or one per_positioner for a positioner that can take targets")
+    answer = {"value": known.mean() if len(known) else None, **answer}
+    answer = {name: _number(name, number) for name, number in answer.items()}
+    value, error, low, high, n_effective = answer["value"], answer.get("standard_error", np.nan), *[np.nan] * 3
+    if error >= 0:
+        n_effective = effective_number(value, error, np.inf)
+        low, high = wilson(value, n_effective, quantile(question.precision.confidence, np.inf))
+    usual = {
+        "value_assigned": value, "low": low, "high": high, "standard_error": error, "n": 0, "n_effective": n_effective,
+        "pairs_per_positioner": np.nan,
+    }  # fmt: skip
+    found = {**usual, **answer, "per_positioner": risk, "meta": dict(meta)}
+    low, high = found["low"], found["high"]
+    if np.isnan(low) != np.isnan(high) or low > value + SLACK or high < value - SLACK:
+        raise InputError(f"low, value and high must ascend, got {low:g}, {value:g} and {high:g}")
+    return found
+
+
+def _risks(given: object, n: int) -> np.ndarray:
+    """Return the probability of each positioner."""
+    try:
+        risk = to_plain(given)
+    except (TypeError, ValueError):
+        risk = np.empty(0, dtype=object)
+    if risk.shape != (n,) or risk.dtype.kind not in "fiu":
+        raise InputError(
+            f"a method must return a probability for each positioner, numbers of the shape ({n},), or a dict; got "
+            f"{type(given).__name__} of the shape {np.shape(risk) if risk.dtype != object else '()'}"
+        )
+    strange = risk[(risk < -SLACK) | (risk > 1 + SLACK)]
+    if len(strange):
+        raise InputError(f"per_positioner must be from 0 to 1, or NaN, got {strange[0]:g}")
+    return np.clip(risk.astype(float), 0.0, 1.0)
+
+
+def _number(name: str, given: object) -> float:
+    """Return a number that a field may have; NaN for what is not known."""
+    kinds = (int, np.integer) if name == "n" else (int, float, np.integer, np.floating)
+    most = 1.0 if name in PARTS else np.inf
+    if not isinstance(given, kinds) or not (0 <= given <= most or (np.isnan(given) and name != "value")):
+        what = "a whole number" if name == "n" else "a number"
+        raise InputError(
+            f"{name} must be {what} of at least 0{' and at most 1' if name in PARTS else ''}, got {given!r}"
+        )
+    return int(given) if name == "n" else float(given)
