@@ -1,4 +1,4 @@
-"""Sphinx configuration: astropy's, without anything that needs the network."""
+"""Sphinx configuration: astropy's, without anything that needs the network, neither to build nor to read."""
 
 import subprocess
 import sys
@@ -7,26 +7,51 @@ from pathlib import Path
 
 from sphinx_astropy.conf.v3 import *
 
+sys.path.insert(0, str(Path(__file__).parent))
+
 project = "rfpsurvey"
 author = "The rfpsurvey developers"
 copyright = f"2026, {author}"
 release = installed_version("rfpsurvey")
 version = release.split("+")[0]
 
-extensions += ["matplotlib.sphinxext.plot_directive"]
-if "sphinx.ext.intersphinx" in extensions:
-    extensions.remove("sphinx.ext.intersphinx")
-exclude_patterns = ["_build", "api/*.txt", "examples"]
+# scripts of other sites, and what is not used
+for name in ("sphinx.ext.intersphinx", "sphinx.ext.mathjax", "sphinx.ext.inheritance_diagram"):
+    if name in extensions:
+        extensions.remove(name)
+extensions += ["mathml", "matplotlib.sphinxext.plot_directive", "sphinx_design", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["_build", "api/*.txt", "examples", "**sg_execution_times.rst"]
+templates_path = ["_templates"]
+html_theme = "pydata_sphinx_theme"
+html_theme_options = {"navbar_center": [], "navbar_end": ["theme-switcher"], "show_nav_level": 1}
+html_sidebars = {"**": ["contents.html"]}
+html_math_renderer = "mathml"
+math_eqref_format = "Eq. {number}"
+html_favicon = None
 html_title = f"rfpsurvey {version}"
-html_static_path = []
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
 nitpicky = True
 autodoc_typehints = "none"
 numpydoc_xref_param_type = False
-automodapi_inheritance_diagram = False
 plot_formats = [("png", 120)]
 plot_html_show_formats = False
 plot_html_show_source_link = False
 plot_include_source = True
+# pages read files of data/, as their readers do in the source tree
+plot_working_directory = str(Path(__file__).parents[1])
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/plot_",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "capture_repr": (),
+    "default_thumb_file": str(Path(__file__).parent / "gallery/images/sphx_glr_plot_8_survey_001.png"),
+    "download_all_examples": False,
+    "show_signature": False,
+    "min_reported_time": 1e9,
+}
 # names of other packages, which only the network could resolve
 nitpick_ignore_regex = [
     ("py:.*", r"(astropy|numpy|scipy|matplotlib|typer|click)\..*"),
@@ -39,9 +64,8 @@ def write_help(app):
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     commands = (
-        "plan", "compare", "compare-allocators", "score", "tile", "survey", "probability", "reproduce", "instruments",
-        "benchmark",
-        "benchmark collisions", "benchmark batches", "benchmark probability",
+        "plan", "compare", "compare-allocators", "score", "tile", "survey", "probability", "design", "reproduce",
+        "instruments", "benchmark", "benchmark collisions", "benchmark batches", "benchmark probability",
     )  # fmt: skip
     calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}
     for name, arguments in {**calls, "instruments": ["instruments"]}.items():

@@ -14,11 +14,13 @@ from rfpsurvey.benchmark import (
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.compare import compare_allocators, compare_instruments
+from rfpsurvey.design import design_sensitivities, explore_designs
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
 from rfpsurvey.plot import (
     plot_completeness,
+    plot_designs,
     plot_focal_plane,
     plot_instruments,
     plot_probability_accuracy,
@@ -80,6 +82,8 @@ __all__ = [
     "compare_allocators",
     "compare_instruments",
     "count_collisions",
+    "design_sensitivities",
+    "explore_designs",
     "find_collisions",
     "fit_polynomial",
     "partition_catalog",
@@ -87,6 +91,7 @@ __all__ = [
     "plan_survey",
     "plan_tile",
     "plot_completeness",
+    "plot_designs",
     "plot_focal_plane",
     "plot_instruments",
     "plot_probability_accuracy",

@@ -18,7 +18,7 @@ MOST_VISITS = 255
 
 __all__ = [
     "to_direction", "to_flags", "to_generator", "to_labels", "to_lonlat", "to_mm", "to_plain", "to_points_mm",
-    "to_radian", "to_scalar", "to_spawner", "to_unit", "to_vectors", "to_visits",
+    "to_radian", "to_scalar", "to_seed", "to_spawner", "to_unit", "to_vectors", "to_visits",
 ]  # fmt: skip
 
 
@@ -175,6 +175,12 @@ def to_generator(rng: object) -> np.random.Generator:
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
         raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {rng!r}") from None
+
+
+def to_seed(rng: object) -> int:
+    """Return a seed that can be written down."""
+    generator = to_generator(rng)
+    return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))
 
 
 def to_spawner(rng: object) -> np.random.Generator:

@@ -6,12 +6,29 @@ from fractions import Fraction
 import numpy as np
 import shapely
 from astropy.wcs import WCS
+from shapely.ops import polygonize, unary_union
 
 
 def segment_distances(segments, pairs):
     """Distances of pairs of segments, by shapely."""
     first, second = (shapely.linestrings(segments[pairs[:, k]].reshape(-1, 2, 2)) for k in (0, 1))
     return shapely.distance(first, second)
+
+
+def annuli_coverage(plane, corners):
+    """Parts of a convex polygon by the number of patrol areas over them, from shapely's overlay of all circles."""
+    centers = plane.xy.value
+    discs = [shapely.Point(c).buffer(plane.positioner.outer_radius.value, quad_segs=256) for c in centers]
+    holes = [shapely.Point(c).buffer(max(plane.positioner.inner_radius.value, 1e-9), quad_segs=256) for c in centers]
+    hull = shapely.MultiPoint(corners).convex_hull
+    faces = polygonize(unary_union([hull.exterior, *(shape.exterior for shape in discs + holes)]))
+    area = np.zeros(20)
+    for face in faces:
+        middle = face.representative_point()
+        if hull.contains(middle):
+            within = sum(d.contains(middle) and not h.contains(middle) for d, h in zip(discs, holes, strict=True))
+            area[within] += face.area
+    return area / hull.area
 
 
 def closer_than(a, b, separation):

@@ -3,11 +3,9 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from shapely import MultiPoint, Point
-from shapely.ops import polygonize, unary_union
 
 import rfpsurvey as rs
-from oracles import in_annulus
+from oracles import annuli_coverage, in_annulus
 
 MM = u.mm
 
@@ -16,26 +14,10 @@ def plane(l1=8.25, l2=8.25, rings=2):
     return rs.FocalPlane.hexagonal(rs.Positioner(l1 * MM, l2 * MM, 2.25 * MM), rings=rings, pitch=25.6 * MM)
 
 
-def exact_coverage(plane):
-    """Parts of the hull of the centers by the number of annuli over them, from shapely's overlay of all circles."""
-    centers = plane.xy.value
-    discs = [Point(c).buffer(plane.positioner.outer_radius.value, quad_segs=256) for c in centers]
-    holes = [Point(c).buffer(max(plane.positioner.inner_radius.value, 1e-9), quad_segs=256) for c in centers]
-    hull = MultiPoint(centers).convex_hull
-    faces = polygonize(unary_union([hull.exterior, *(shape.exterior for shape in discs + holes)]))
-    area = np.zeros(20)
-    for face in faces:
-        middle = face.representative_point()
-        if hull.contains(middle):
-            within = sum(d.contains(middle) and not h.contains(middle) for d, h in zip(discs, holes, strict=True))
-            area[within] += face.area
-    return area / hull.area
-
-
 @pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (3.0, 3.0)])
 def test_coverage_is_that_of_an_exact_overlay(l1, l2):
     design = plane(l1, l2)
-    found, truth = design.coverage(), exact_coverage(design)
+    found, truth = design.coverage(), annuli_coverage(design, design.xy.value)
     assert found.sum() == pytest.approx(1)
     assert np.abs(np.pad(found, (0, 20 - len(found))) - truth).max() < 0.0015
 

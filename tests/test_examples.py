@@ -1,4 +1,4 @@
-"""The example scripts of the documentation, on small input."""
+"""The scripts of the documentation, on small input."""
 
 import importlib.util
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 import rfpsurvey as rs
 
-EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
+SCRIPTS = Path(__file__).parent.parent / "docs" / "examples" / "scripts"
 DATA = Path(__file__).parent.parent / "data"
 
 
@@ -17,7 +17,7 @@ def example(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def load(name):
-        spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+        spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         return module.main

@@ -5,6 +5,7 @@ from rfpsurvey._cli import (
     benchmark_probability,
     compare,
     compare_allocators,
+    design,
     instruments,
     plan,
     probability,
@@ -16,6 +17,6 @@ from rfpsurvey._cli import (
 from rfpsurvey._cli._app import app, main
 
 __all__ = [
-    "app", "benchmark", "benchmark_probability", "compare", "compare_allocators", "instruments", "main", "plan",
-    "probability", "reproduce", "score", "survey", "tile",
+    "app", "benchmark", "benchmark_probability", "compare", "compare_allocators", "design", "instruments", "main",
+    "plan", "probability", "reproduce", "score", "survey", "tile",
 ]  # fmt: skip

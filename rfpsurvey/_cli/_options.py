@@ -99,6 +99,29 @@ SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask sch
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
 ]
+L1Option = Annotated[str, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH.")]
+RatioOption = Annotated[str, typer.Option(help="Eccentric over central arm, likewise.")]
+PitchOption = Annotated[str, typer.Option(help="Distance of neighboring centers, mm, likewise.")]
+ClearanceOption = Annotated[str, typer.Option(help="Radius that an arm keeps free, mm, likewise.")]
+NDesignsOption = Annotated[
+    int | None, typer.Option(help="So many designs between LOW:HIGH instead of a grid, by Sobol points.")
+]
+EstimandOption = Annotated[
+    str | None,
+    typer.Option(help="Loss: independent (targets of one's own), allocated (queues) or collision_free (idle fibers)."),
+]
+DesignMethodOption = Annotated[
+    str, typer.Option(help="surrogate, quadrature, conditional, optimal, repair, or auto: the cheapest good one.")
+]
+EachOption = Annotated[float | None, typer.Option(help="Targets a positioner. None: 4.")]
+DensityOption = Annotated[float | None, typer.Option(help="Targets per mm^2 of the focal plane instead.")]
+SkiesOption = Annotated[int, typer.Option(help="Skies to average over.")]
+DesignObjectiveOption = Annotated[
+    list[str] | None, typer.Option(help="COLUMN=max or COLUMN=min, twice. None: coverage=max and loss=min.")
+]
+DesignOutputOption = Annotated[Path | None, typer.Option(help="Keep the designs here as they come, .fits or .ecsv.")]
+DesignResumeOption = Annotated[bool, typer.Option(help="Continue the scan in the output.")]
+DesignPlotOption = Annotated[Path | None, typer.Option(help="Draw the front, .png, .pdf or .svg.")]
 
 PLAN_EXAMPLES = """\b
 Examples:
@@ -135,6 +158,14 @@ Examples:
   rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --report tiles.html
   rfpsurvey tile --region sky --method spiral --instrument desi
   rfpsurvey tile stars.fits --method sdss --fibers 1000 --completeness 0.95
+"""
+
+DESIGN_EXAMPLES = """\b
+Examples:
+  rfpsurvey design --ratio 1:2:5 --pitch 22:30:9
+  rfpsurvey design --l1 7.25:14.5 --ratio 1:2 --pitch 24.6:35 --n-designs 4096 --plot front.png
+  rfpsurvey design --ratio 1:2:5 --estimand allocated --output designs.ecsv --workers 2
+  rfpsurvey design --ratio 1,1.5 --pitch 25:35:5 --estimand collision_free --targets-per-positioner 1 --processes
 """
 
 SURVEY_EXAMPLES = """\b

@@ -21,7 +21,7 @@ from rfpsurvey.probability._run import Progress
 if TYPE_CHECKING:
     from scipy.interpolate import NdBSpline
 
-__all__ = ["interior_risk", "make_surrogate", "surrogate_probability"]
+__all__ = ["interior_risk", "make_surrogate", "outside_box", "surrogate_probability"]
 
 AXES = {
     "central arm over pitch": np.linspace(0.20, 0.60, 21),
@@ -80,8 +80,7 @@ def surrogate_probability(
         raise InputError("central_arm and pitch must be positive lengths, without NaN")
     shape = l1 / step, l2 / l1, distance / step
     for (name, nodes), value in zip(AXES.items(), shape, strict=True):
-        slack = 1e-9 * nodes[-1]
-        outside = ~((value >= nodes[0] - slack) & (value <= nodes[-1] + slack))
+        outside = outside_box(name, value)
         if outside.any():
             raise InputError(
                 f"{name} must be from {nodes[0]:g} to {nodes[-1]:g}, got {float(value[outside].flat[0]):.6g}: the "
@@ -91,6 +90,13 @@ def surrogate_probability(
     found = _spline()(points.reshape(-1, 3)).reshape(l1.shape)
     cannot_touch = step > 2 * (l1 + l2) + distance
     return np.where(cannot_touch, 0.0, np.clip(found, 0.0, 1.0))
+
+
+def outside_box(name: str, value: np.ndarray) -> np.ndarray:
+    """Mark values of an axis, by its name in `AXES`, that the surrogate refuses."""
+    nodes = AXES[name]
+    slack = 1e-9 * nodes[-1]
+    return ~((value >= nodes[0] - slack) & (value <= nodes[-1] + slack))
 
 
 def interior_risk(shape: tuple[float, float, float], n_points: int, rng: np.random.Generator) -> tuple[float, float]:

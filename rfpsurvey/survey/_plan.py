@@ -13,7 +13,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._plugins import name_of
-from rfpsurvey._units import to_generator, to_scalar
+from rfpsurvey._units import to_scalar, to_seed
 from rfpsurvey.allocation import METHODS, OBJECTIVES, Requirement, as_requirements, find_method
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
@@ -154,7 +154,7 @@ def plan_survey(
         instrument, allocator, requirements, sky_separation, objective, time_limit, start, parked_obstacles
     )
     request = make_request(
-        source, as_tiling(tiles), instrument, options, visits=visits, passes=passes, seed=_seed(rng),
+        source, as_tiling(tiles), instrument, options, visits=visits, passes=passes, seed=to_seed(rng),
         order=check_choice(order, ORDERS, "order"), epoch=None if epoch is None else str(epoch),
         lost_in_collision=bool(lost_in_collision),
     )  # fmt: skip
@@ -203,9 +203,3 @@ def _options(instrument, allocator, requirements, sky_separation, objective, tim
     if others or allocator == "repair":
         options["start"] = start
     return options
-
-
-def _seed(rng) -> int:
-    """Return a seed that is written down."""
-    generator = to_generator(rng)
-    return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))

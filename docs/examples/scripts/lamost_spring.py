@@ -1,6 +1,10 @@
-"""LAMOST over the Tycho-2 stars of a spring block: tiles where the stars are, then a survey of them.
+"""
+LAMOST over a spring block
+==========================
 
-python docs/examples/lamost_spring.py [CATALOG]
+Tiles where Tycho-2 stars are, then a survey of them::
+
+    python docs/examples/scripts/lamost_spring.py [CATALOG]
 """
 
 import sys
@@ -9,7 +13,7 @@ from pathlib import Path
 
 import rfpsurvey as rs
 
-DATA = Path(__file__).parents[2] / "data" / "tycho2_spring_60x20.ecsv.gz"
+DATA = Path(__file__).parents[3] / "data" / "tycho2_spring_60x20.ecsv.gz"
 
 
 def main(path: str | Path = DATA) -> rs.Survey:

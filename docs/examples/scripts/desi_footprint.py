@@ -1,6 +1,10 @@
-"""DESI's real list of tiles with synthetic targets, wanted one to four times each; written as it goes, and resumable.
+"""
+DESI's footprint
+================
 
-python docs/examples/desi_footprint.py desi_tiles_main.ecsv.gz [n_targets] [folder]
+DESI's real list of tiles with synthetic targets, wanted one to four times each; written as it goes, and resumable::
+
+    python docs/examples/scripts/desi_footprint.py desi_tiles_main.ecsv.gz [n_targets] [folder]
 
 The list is that of https://github.com/desihub/desisurveyops.
 """

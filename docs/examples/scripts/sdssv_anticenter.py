@@ -1,6 +1,10 @@
-"""SDSS-V over the Tycho-2 stars around the Galactic anticenter: bright stars first, two visits each, no collisions.
+"""
+SDSS-V over the anticenter
+==========================
 
-python docs/examples/sdssv_anticenter.py [CATALOG]
+Tycho-2 stars around the Galactic anticenter: bright stars first, two visits each, no collisions::
+
+    python docs/examples/scripts/sdssv_anticenter.py [CATALOG]
 """
 
 import sys
@@ -12,7 +16,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 
-DATA = Path(__file__).parents[2] / "data" / "tycho2_anticenter_r8.ecsv.gz"
+DATA = Path(__file__).parents[3] / "data" / "tycho2_anticenter_r8.ecsv.gz"
 
 
 def main(path: str | Path = DATA, passes: int = 6) -> rs.Survey:

@@ -1,0 +1,33 @@
+"""
+A collision in close-up
+=======================
+
+LAMOST's rule does not look at collisions. Which one is the closest, and what does the optimum do there?
+"""
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+
+center = SkyCoord("06h20m00s +23d00m00s")
+stars = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=300 / u.deg**2, rng=1)
+rule, best = (rs.plan_tile(stars, "sdss_apo", center, allocator=name) for name in ("lamost", "optimal"))
+
+worst = rule.table[np.nanargmin(rule.table["clearance"])]
+print(f"{worst['id']} and {worst['colliding_with']} are {-worst['clearance']:.2f} closer than the safe distance")
+
+# %%
+# Arms collide where their shades overlap. Green dots are all stars that some fiber may reach.
+
+middle = u.Quantity([worst["x"], worst["y"]])
+region = u.Quantity([middle - 45 * u.mm, middle + 45 * u.mm])
+dots = rs.Instrument.preset("sdss_apo").projection(center).to_focal_plane(stars).value
+fig, axes = plt.subplots(1, 2, figsize=(11, 5.6), layout="constrained", sharey=True)
+for ax, tile, name in zip(axes, (rule, best), ("LAMOST's rule", "optimum"), strict=True):
+    rs.plot_focal_plane(tile, ax=ax, region=region)
+    ax.plot(*dots.T, ".", color="#009E73", markersize=5, zorder=0)
+    ax.set_title(f"{name}: {tile.summary['n_assigned']} assigned, {tile.summary['n_colliding']} in collision")
+    ax.get_legend().remove()

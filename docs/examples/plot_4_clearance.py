@@ -1,0 +1,38 @@
+"""
+What clearance costs
+====================
+
+Wider arms need more room. How many targets does that cost MOONS, if collisions are avoided, and if they are not?
+"""
+
+from dataclasses import replace
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+
+moons = rs.Instrument.preset("moons")
+center = SkyCoord("10h00m00s +02d12m00s")
+galaxies = rs.synthetic_catalog("uniform", center, moons.field_radius, n_targets=1001, rng=1)
+clearances = np.array([0.25, 1.0, 1.5, 2.0, 2.5, 3.0]) * u.mm
+usable = {"sdss": [], "lamost": [], "optimal": []}
+for clearance in clearances:
+    unit = replace(moons.focal_plane.positioner, clearance=clearance)
+    other = replace(moons, focal_plane=replace(moons.focal_plane, positioner=unit))
+    table = rs.compare_allocators(galaxies, other, center, allocators=list(usable), time_limit=5 * u.s)
+    for name, number in zip(table["allocator"], table["usable"], strict=True):
+        usable[name].append(number)
+
+# %%
+# ``sdss`` finds the most targets for arms that could pass through each other, and loses those that collide. The optimum
+# with a clearance of 3 mm has more targets than both rules with one of 0.25 mm.
+
+fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
+for (name, numbers), color in zip(usable.items(), ("#E69F00", "#009E73", "#0072B2"), strict=True):
+    ax.plot(clearances, numbers, "o-", color=color, label=name)
+ax.axvline(moons.focal_plane.positioner.clearance.value, color="0.6", lw=0.8)
+ax.set(xlabel="clearance d [mm] (line: the preset)", ylabel="targets on arms without collision", ylim=(0, None))
+ax.legend()

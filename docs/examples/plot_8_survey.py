@@ -1,0 +1,31 @@
+"""
+How complete is a survey?
+=========================
+
+Four passes of SDSS-V over real stars, in two classes: bright ones are wanted twice.
+"""
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+table = QTable.read("../../data/tycho2_anticenter_r8.ecsv.gz", format="ascii.ecsv")
+bright = table["vt_mag"] < 10 * u.mag
+table["priority"], table["visits"] = np.where(bright, 2, 1), np.where(bright, 2, 1)
+stars = rs.Catalog.from_table(table).within(SkyCoord("06h20m00s +23d00m00s"), 4 * u.deg)
+tiles = rs.place_tiles(stars, "sdss_apo", passes=4)
+survey = rs.plan_survey(stars, tiles, "sdss_apo", allocator="repair", epoch=2026.5)
+print(survey)
+for outcome, number in survey.summary["outcomes"].items():
+    print(f"{number:>6} {outcome}")
+
+# %%
+# A tile visits a star once, so that the first pass can hardly make more than half of the visits to bright stars.
+
+fig, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
+rs.plot_tiling(survey, ax=left)
+rs.plot_completeness(survey, ax=right)

@@ -1,0 +1,19 @@
+"""Three losses of the same arms, over the ratio of the arms: LAMOST's central arm and pitch, D = 4.5 mm."""
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+
+import rfpsurvey as rs
+from rfpsurvey.plot._style import MARKERS, SERIES
+
+scan = {"l1": 8.25 * u.mm, "ratio": np.linspace(1, 2, 6), "pitch": 25.6 * u.mm, "clearance": 2.25 * u.mm}
+questions = [("independent", None), ("allocated", 4), ("allocated", 1), ("collision_free", 1), ("collision_free", 2)]
+figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
+for k, (estimand, each) in enumerate(questions):
+    table = rs.explore_designs(**scan, estimand=estimand, targets_per_positioner=each, n_skies=16)
+    label = estimand.replace("_", " ") + ("" if each is None else f", {each} targets a positioner")
+    style = {"color": SERIES[k], "marker": MARKERS[k], "markersize": 4, "label": label}
+    ax.errorbar(table["ratio"], table["loss"], table["loss_error"], **style)
+ax.set(xlabel="eccentric over central arm", ylabel="fibers lost to collisions")
+ax.legend(fontsize="small")

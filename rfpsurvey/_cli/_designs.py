@@ -1,0 +1,70 @@
+"""What the command ``design`` needs: axes from text, and a summary."""
+
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app
+
+__all__ = ["axes", "finish", "options"]
+
+MOST_ROWS = 30
+COLUMNS = ("l1", "ratio", "pitch", "clearance", "collision_type", "coverage", "loss", "loss_error", "usable", "method")
+
+
+def axes(n_designs: int | None, **texts: str) -> dict:
+    """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths in mm."""
+    return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
+
+
+def _axis(name, text, n_designs):
+    words = text.split(":") if ":" in text else text.split(",")
+    try:
+        numbers = [float(word) for word in words[:2]] if ":" in text else [float(word) for word in words]
+        nodes = int(words[2]) if ":" in text and len(words) == 3 else None
+        if ":" in text and len(words) > 3:
+            raise ValueError
+    except ValueError:
+        raise rs.InputError(
+            f"--{name} must be a number, or several as 7,8,9 or LOW:HIGH:NODES, or LOW:HIGH with --n-designs, got "
+            f"{text!r}"
+        ) from None
+    if ":" not in text:
+        return np.array(numbers)
+    if n_designs is not None and nodes is not None:
+        raise rs.InputError(f"--{name} {text}: with --n-designs give limits only, as {words[0]}:{words[1]}")
+    if n_designs is None and (nodes is None or nodes < 2):
+        raise rs.InputError(f"--{name} {text}: a grid needs at least two nodes, as {words[0]}:{words[1]}:5")
+    return np.array(numbers) if nodes is None else np.linspace(*numbers, nodes)
+
+
+def options(target_density: float | None, time_limit: float, objective: list[str] | None) -> dict:
+    """Return arguments of explore_designs that need more than to be handed on."""
+    return {
+        "target_density": None if target_density is None else target_density / u.mm**2,
+        "time_limit": time_limit * u.s, "objectives": _app.parse_pairs(objective, "--objective") or None,
+    }  # fmt: skip
+
+
+def finish(table, output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
+    """Print the front and the sensitivities, and draw the front where asked."""
+    front = table[table["pareto"]]
+    wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
+    print(f"{len(table)} designs, loss of fibers: {table['estimand'][0]}; on the front ({wanted}): {len(front)}")
+    front.sort(next(iter(table.meta["objectives"])), reverse=True)
+    _app.print_table(front[list(dict.fromkeys([*COLUMNS, *table.meta["objectives"]]))][:MOST_ROWS])
+    if len(front) > MOST_ROWS:
+        print(f"and {len(front) - MOST_ROWS} more")
+    try:
+        found = rs.design_sensitivities(table)
+    except rs.InputError as error:  # one design, or a few
+        print(f"no sensitivities: {error}")
+    else:
+        print("share of the variance that each parameter explains, and percent of change for one percent more of it:")
+        _app.print_table(found)
+    if plot is not None:
+        _app.write_figure(lambda: rs.plot_designs(table).figure, plot, overwrite=overwrite)
+    for path in filter(None, (output, plot)):
+        print(f"wrote {path}")

@@ -1,0 +1,39 @@
+"""``rfpsurvey design``."""
+
+import sys
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _designs, _options, _surveys
+
+
+@_app.app.command(epilog=_options.DESIGN_EXAMPLES)
+def design(
+    l1: _options.L1Option = "8.25",
+    ratio: _options.RatioOption = "1",
+    pitch: _options.PitchOption = "25.6",
+    clearance: _options.ClearanceOption = "2.25",
+    n_designs: _options.NDesignsOption = None,
+    estimand: _options.EstimandOption = None,
+    method: _options.DesignMethodOption = "auto",
+    targets_per_positioner: _options.EachOption = None,
+    target_density: _options.DensityOption = None,
+    n_skies: _options.SkiesOption = 8,
+    time_limit: _options.TimeLimitOption = 10.0,
+    objective: _options.DesignObjectiveOption = None,
+    seed: _options.SeedOption = 0,
+    workers: _options.WorkersOption = 1,
+    processes: _options.ProcessesOption = False,
+    output: _options.DesignOutputOption = None,
+    resume: _options.DesignResumeOption = False,
+    plot: _options.DesignPlotOption = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Scan designs: what positioners reach, what they lose to collisions, and which designs no other one beats."""
+    _app.check_outputs(None, plot, overwrite=overwrite or resume)
+    scan = _designs.axes(n_designs, l1=l1, ratio=ratio, pitch=pitch, clearance=clearance)
+    scan |= _designs.options(target_density, time_limit, objective)
+    scan |= {"estimand": estimand, "method": method, "targets_per_positioner": targets_per_positioner}
+    scan |= {"n_designs": n_designs, "n_skies": n_skies, "rng": seed, "progress": sys.stderr.isatty()}
+    scan |= {"path": output, "resume": resume, "overwrite": overwrite}
+    with _surveys.workers(workers, None, processes=processes) as executor:
+        _designs.finish(rs.explore_designs(executor=executor, **scan), output, plot, overwrite=overwrite or resume)

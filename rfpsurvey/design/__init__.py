@@ -1,0 +1,7 @@
+"""Which arms, pitch and clearance: a table of methods behind `explore_designs`."""
+
+from rfpsurvey.design._explore import explore_designs
+from rfpsurvey.design._losses import ESTIMANDS, METHODS
+from rfpsurvey.design._sensitivities import design_sensitivities
+
+__all__ = ["ESTIMANDS", "METHODS", "design_sensitivities", "explore_designs"]

@@ -1,0 +1,63 @@
+"""The designs of a scan: all combinations of nodes, or Sobol points between limits."""
+
+import itertools
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import to_mm, to_plain
+from rfpsurvey.errors import InputError
+
+__all__ = ["AXES", "to_axes", "to_designs"]
+
+AXES = ("l1", "ratio", "pitch", "clearance")
+MOST = 10_000_000
+
+
+def to_axes(l1: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quantity) -> dict[str, np.ndarray]:
+    """Return the values of each axis, lengths in mm, checked."""
+    lengths = {"l1": l1, "pitch": pitch, "clearance": clearance}
+    axes = {name: to_mm(value, name) for name, value in lengths.items()}
+    try:
+        axes["ratio"] = to_plain(u.Quantity(ratio, u.dimensionless_unscaled).value).astype(float)
+    except (TypeError, ValueError, u.UnitConversionError):
+        raise InputError(f"ratio must be numbers, eccentric over central arm, got {ratio!r}") from None
+    for name, values in axes.items():
+        wrong = values[~((values >= 0 if name == "clearance" else values > 0) & (values < 1e6))]
+        if wrong.size:
+            what = "of at least 0" if name == "clearance" else "above 0"
+            raise InputError(f"{name} must be finite and {what}, got {wrong.flat[0]:g}")
+        if values.ndim > 1 or values.size == 0:
+            raise InputError(f"{name} must be one value, or values along one axis, got the shape {values.shape}")
+    return {name: np.atleast_1d(axes[name]) for name in AXES}
+
+
+def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) -> np.ndarray:
+    """Return a design a row: l1, ratio, pitch, clearance."""
+    if n_designs is None:
+        for name, values in axes.items():
+            if len(np.unique(values)) < len(values):
+                raise InputError(f"{name} must have different values, got {values}")
+        n = np.prod([float(len(values)) for values in axes.values()])
+        if n > MOST:
+            raise InputError(f"a grid must have at most {MOST:.0e} designs, got {n:.3g}")
+        return np.array(list(itertools.product(*axes.values())))
+    whole = isinstance(n_designs, int | np.integer) and not isinstance(n_designs, bool)
+    if not (whole and 1 <= n_designs <= MOST):
+        raise InputError(f"n_designs must be a whole number from 1 to {MOST:.0e}, got {n_designs!r}")
+    for name, values in axes.items():
+        if len(values) > 2 or (len(values) == 2 and not values[0] < values[1]):
+            raise InputError(f"with n_designs, {name} must be one value or its limits (low, high), got {values}")
+    low, high = (np.array([values[k] for values in axes.values()]) for k in (0, -1))
+    points = np.zeros((n_designs, len(axes)))
+    free = low < high
+    if free.any():
+        points[:, free] = _sobol(int(n_designs), int(free.sum()), seed)
+    return low + points * (high - low)
+
+
+def _sobol(n, n_axes, seed):
+    """Return scrambled points of the unit cube; fewer of the same seed are the first of more."""
+    from scipy.stats import qmc  # takes longer to import than all of this package
+
+    return qmc.Sobol(n_axes, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]

@@ -1,0 +1,111 @@
+"""A scan on disk: the designs that are done, and what was asked."""
+
+import json
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import monotonic
+
+import numpy as np
+
+from rfpsurvey._io import WRITABLE, check_output, read_table, to_path, write_table
+from rfpsurvey.design._axes import AXES
+from rfpsurvey.design._rows import ROW, to_rows, to_table
+from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.tile import versions
+
+__all__ = ["Books"]
+
+EVERY = 10.0  # seconds
+
+
+class Books:
+    """The file of a scan, whole at any time, with the first designs of all.
+
+    Parameters
+    ----------
+    path : str, path-like or None
+        Where it is, or shall be; None keeps nothing.
+    request : dict
+        What is asked: a scan is continued by the same request only.
+    designs : ndarray of float, shape (n, 4)
+        All designs, in the order in which they are done.
+    resume, overwrite : bool
+        Continue what is there, or begin anew?
+    """
+
+    def __init__(self, path: object, request: dict, designs: np.ndarray, *, resume: bool, overwrite: bool):
+        self.meta = {"request": json.loads(json.dumps(request)), "software": versions()}
+        self._path, self._designs = path if path is None else to_path(path), designs
+        self.parts: list[np.ndarray] = []
+        self.done = 0
+        if path is None:
+            if resume:
+                raise InputError("resume needs the path of the scan to continue")
+            return
+        if self._path.exists() and not (resume or overwrite):
+            raise InputError(
+                f"{path} exists; continue it (--resume, resume=True), or ask for it to be overwritten (--overwrite, "
+                "overwrite=True)"
+            )
+        check_output(self._path, WRITABLE, overwrite=True)
+        if resume and self._path.exists():
+            self.add(self._load())
+        self._last = monotonic()
+
+    @property
+    def rows(self) -> np.ndarray:
+        """All that is done."""
+        self.parts = [np.concatenate(self.parts)] if self.parts else [np.zeros(0, ROW)]
+        return self.parts[0]
+
+    def add(self, rows: np.ndarray) -> None:
+        """Take the next designs into the books."""
+        self.parts.append(rows)
+        self.done += len(rows)
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Keep what is done when the work is stopped."""
+        try:
+            yield
+        except BaseException:
+            if self.done:
+                self._write(to_table(self.rows, self.meta))
+            raise
+
+    def save(self) -> None:
+        """Write what is done, if the last time was a while ago."""
+        if self._path is not None and monotonic() - self._last > EVERY:
+            self._write(to_table(self.rows, self.meta))
+            self._last = monotonic()
+
+    def finish(self, table) -> None:
+        """Write the table of all designs."""
+        self._write(table)
+
+    def _write(self, table):
+        if self._path is not None:
+            write_table(table, self._path, overwrite=True)
+
+    def _load(self):
+        """Return the designs that an earlier run has done."""
+        table = read_table(self._path)
+        before, now = table.meta.get("request"), self.meta["request"]
+        if not isinstance(before, dict) or not set(ROW.names) <= set(table.colnames):
+            raise InputError(f"{self._path} holds no scan of designs; give another path")
+        different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+        if different:
+            name = different[0]
+            raise InputError(
+                f"{self._path} holds another scan: {', '.join(different)} differ ({name} was {before.get(name)}, and "
+                f"is {now.get(name)}); give another path"
+            )
+        if table.meta.get("software") != self.meta["software"]:
+            text = f"{self._path} was begun with other versions of the software; its designs may differ in rounding"
+            warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+        rows = to_rows(table)
+        own = np.column_stack([rows[name] for name in AXES])
+        if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):
+            raise InputError(f"{self._path} is damaged: its designs are not those that were asked for")
+        return rows

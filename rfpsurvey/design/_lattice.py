@@ -1,0 +1,111 @@
+"""A design: equal positioners on a hexagonal lattice without an edge, and what geometry alone says of it."""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.positioner import Positioner
+
+__all__ = ["MOST_REACH", "Lattice", "make_lattice"]
+
+MOST_REACH = 4.0
+"""Arms that reach further, in pitches, have hundreds of neighbors, and are not looked at."""
+N_LINES = 256
+DEPTHS = 4
+"""Points in reach of 0, 1, 2 and at least 3 positioners are told apart."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Positioners of one kind at all points of a hexagonal lattice; the pitch in mm."""
+
+    unit: Positioner
+    pitch: float
+
+    @property
+    def cell(self) -> float:
+        """Area that belongs to a positioner, mm^2."""
+        return float(np.sqrt(3) / 2 * self.pitch**2)
+
+    @cached_property
+    def separation(self) -> float:
+        """Safe distance D in mm."""
+        return float(self.unit.min_separation.to_value(u.mm))
+
+    @cached_property
+    def radii(self) -> tuple[float, float]:
+        """Inner and outer radius of a patrol area in mm."""
+        return float(self.unit.inner_radius.to_value(u.mm)), float(self.unit.outer_radius.to_value(u.mm))
+
+    @property
+    def shape(self) -> tuple[float, float, float]:
+        """What the probability depends on: central arm over pitch, ratio of the arms, safe distance over pitch."""
+        l1, l2 = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
+        return float(l1 / self.pitch), float(l2 / l1), self.separation / self.pitch
+
+    @property
+    def multiplicity(self) -> float:
+        """Patrol area over cell: how many positioners reach a point, on average."""
+        inner, outer = self.radii
+        return float(np.pi * (outer**2 - inner**2) / self.cell)
+
+    @property
+    def sight(self) -> float:
+        """Centers so far apart, in mm, or farther are out of each other's way."""
+        return 2 * self.radii[1] + self.separation
+
+    @property
+    def collision_type(self) -> int:
+        """1: no two arms can touch; 2: only those of first neighbors; 3: further ones too."""
+        return 1 if self.sight <= self.pitch else 2 if self.sight <= np.sqrt(3) * self.pitch else 3
+
+    def coverage(self, n_lines: int = N_LINES) -> np.ndarray:
+        """Return the parts of the plane that exactly 0, 1, 2 and at least 3 positioners reach.
+
+        A cell is twelve times one triangle. On lines across it the pieces between the edges of patrol areas are
+        exact; with 256 lines errors are 1e-4 as a rule, and 4e-4 at most.
+        """
+        inner, outer = (r / self.pitch for r in self.radii)
+        x = (np.arange(n_lines) + 0.5) / (2 * n_lines)
+        top = x / np.sqrt(3)
+        centers = _centers(int(np.ceil(outer)))
+        centers = centers[np.hypot(*centers.T) < outer + 1 / np.sqrt(3)]  # nothing in the triangle is farther out
+        away = x[:, None] - centers[:, 0]
+        edges, steps = [], []
+        for r, sign in ((outer, 1), (inner, -1)):
+            half = np.sqrt(np.maximum(r * r - away**2, 0.0))
+            edges += [centers[:, 1] - half, centers[:, 1] + half]
+            steps += [np.full(half.shape, sign), np.full(half.shape, -sign)]
+        edges = np.clip(np.concatenate(edges, axis=1), 0.0, top[:, None])
+        order = np.argsort(edges, axis=1)
+        depth = np.cumsum(np.take_along_axis(np.concatenate(steps, axis=1), order, axis=1), axis=1)
+        edges = np.take_along_axis(edges, order, axis=1)
+        pieces = np.diff(edges, axis=1, append=top[:, None])
+        parts = np.bincount(np.clip(depth, 0, DEPTHS - 1).ravel(), pieces.ravel(), minlength=DEPTHS)
+        parts[0] += edges[:, 0].sum()  # before the first edge
+        return np.round(parts / top.sum(), 9)  # what is covered but for rounding is covered
+
+
+@cache
+def _centers(reach: int) -> np.ndarray:
+    """Return the points of a lattice of pitch 1 that a unit near the origin can have to do with."""
+    k, q = (a.ravel() for a in np.mgrid[-2 * reach : 2 * reach + 1, -2 * reach : 2 * reach + 1])
+    xy = np.column_stack([q + k / 2, np.sqrt(3) / 2 * k])
+    return xy[np.hypot(*xy.T) <= reach + 1]
+
+
+def make_lattice(l1: float, ratio: float, pitch: float, clearance: float, step: float) -> tuple[Lattice | None, str]:
+    """Return a design, or None and why there is none; lengths in mm, the step in radians."""
+    try:
+        unit = Positioner(l1 * u.mm, l1 * ratio * u.mm, clearance * u.mm, step=step * u.rad)
+    except InputError as error:
+        return None, str(error)
+    lattice = Lattice(unit, pitch)
+    if pitch <= lattice.separation:
+        return None, "centers are nearer than the safe distance"
+    if lattice.radii[1] > MOST_REACH * pitch:
+        return None, f"arms reach further than {MOST_REACH:g} pitches"
+    return lattice, ""

@@ -1,0 +1,149 @@
+"""Fibers lost to collisions, by a table of methods; each answers one of three questions."""
+
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.allocation import allocate
+from rfpsurvey.design._lattice import Lattice
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability import collision_probability, surrogate_probability
+from rfpsurvey.probability._surrogate import AXES, interior_risk, outside_box
+from rfpsurvey.probability._targets import Source
+
+__all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
+
+N_POINTS = 256
+"""Of a quadrature: its relative error is about 0.002."""
+SURROGATE_ERROR = 5e-4
+"""Root mean square error of the surrogate in its box, and less; ``tests/benchmarks/design_figures.py`` measures it."""
+SURE = 0.01
+"""Where the surrogate finds less, its error is too large a part of that."""
+CORE = 5.0
+"""Positioners so far from the middle of a patch, in pitches, or nearer count: 91 of them."""
+
+
+class Loss(NamedTuple):
+    """What a method finds for a design."""
+
+    assigned: float
+    """Fibers with a target if arms could pass each other, per positioner."""
+    loss: float
+    """Part of them that is lost."""
+    error: float
+    n_unproven: int = 0
+    """Searches that the time limit cut short."""
+
+
+class Skies(NamedTuple):
+    """The targets of a design."""
+
+    each: float
+    """Targets a positioner."""
+    number: int
+    """Skies to average over."""
+    rng: np.random.Generator
+    time_limit: float
+    """Of a search, in seconds."""
+
+
+def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
+    """Interpolate among quadratures."""
+    l1, ratio, distance = lattice.shape
+    value = surrogate_probability(l1 * u.mm, l1 * ratio * u.mm, 1 * u.mm, distance * u.mm)
+    return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
+
+
+def quadrature(lattice: Lattice, skies: Skies) -> Loss:
+    """Integrate over the targets of a positioner and all its neighbors."""
+    return Loss(1.0, *interior_risk(lattice.shape, N_POINTS, skies.rng))
+
+
+def conditional(lattice: Lattice, skies: Skies) -> Loss:
+    """Average over all configurations that balanced queues allow."""
+
+    def look(points, plane, core):
+        assigned = core & (allocate(points, plane, method="balanced").target_of_positioner >= 0)
+        risk = collision_probability(plane, targets=points, method="conditional").per_positioner
+        return assigned.sum(), risk[assigned].sum(), 0
+
+    return _over_skies(lattice, skies, look, 0.0)
+
+
+def optimal(lattice: Lattice, skies: Skies) -> Loss:
+    """Compare the best plan without a collision with the best one that does not look at collisions."""
+    return _compare(lattice, skies, "optimal")
+
+
+def repair(lattice: Lattice, skies: Skies) -> Loss:
+    """Compare a plan by LAMOST's rule, mended, with the best one that does not look at collisions."""
+    return _compare(lattice, skies, "repair")
+
+
+METHODS = {
+    "surrogate": surrogate, "quadrature": quadrature, "conditional": conditional, "optimal": optimal, "repair": repair,
+}  # fmt: skip
+"""Name to function from a design and its skies to a loss."""
+
+ESTIMANDS = {
+    "surrogate": "independent", "quadrature": "independent", "conditional": "allocated",
+    "optimal": "collision_free", "repair": "collision_free",
+}  # fmt: skip
+
+
+def cheapest(estimand: str, lattice: Lattice) -> str:
+    """Return the cheapest method that is good enough for a design."""
+    if estimand != "independent":
+        return {"allocated": "conditional", "collision_free": "optimal"}[estimand]
+    sure = in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
+    return "surrogate" if sure else "quadrature"
+
+
+def in_box(lattice: Lattice) -> bool:
+    """Say whether the surrogate answers for a design."""
+    return not any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
+
+
+def _compare(lattice, skies, method):
+    """Count the fibers that a plan without collisions leaves idle."""
+    limit = skies.time_limit * u.s
+
+    def look(points, plane, core):
+        plans = {name: allocate(points, plane, method=name, time_limit=limit) for name in ("sdss", method)}
+        blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
+        return blind, blind - found, any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
+
+    return _over_skies(lattice, skies, look, 1.0)
+
+
+def _over_skies(lattice, skies, look, grain):
+    """Return the part that is lost of what is assigned in the middle of a patch, all skies together.
+
+    Positioners near the edge of a patch have fewer neighbors, and do not count. ``grain`` is the smallest
+    number of fibers that a sky can lose: where nothing is lost, the error is one of them.
+    """
+    plane, source = _patch(lattice, skies.each)
+    core = np.hypot(*plane._xy_mm.T) <= (CORE + 0.01) * lattice.pitch
+    found = []
+    for _ in range(skies.number):
+        points = source.draw(skies.rng)
+        found.append(look(points * u.mm, plane, core) if len(points) else (0, 0, 0))
+    assigned, lost, unproven = np.array(found, dtype=float).T
+    total, n = assigned.sum(), skies.number
+    if total == 0:
+        return Loss(0.0, np.nan, np.nan)
+    loss = max(lost.sum() / total, 0.0)  # two plans may differ in who is idle, also across the edge of the middle
+    error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
+    if lattice.collision_type > 1:
+        error = max(error, grain / total)
+    return Loss(float(total / (n * core.sum())), float(loss), float(error), int(unproven.sum()))
+
+
+def _patch(lattice, each):
+    """Return positioners about the origin, all neighbors of those that count among them, and targets for all."""
+    plane = FocalPlane.hexagonal(
+        lattice.unit, pitch=lattice.pitch * u.mm, radius=((CORE + 0.01) * lattice.pitch + lattice.sight) * u.mm
+    )
+    radius = float(np.hypot(*plane._xy_mm.T).max()) + lattice.radii[1]
+    return plane, Source("poisson", number=each * np.pi * radius**2 / lattice.cell, each=each, radius=radius)

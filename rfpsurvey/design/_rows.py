@@ -1,0 +1,49 @@
+"""A row for each design, as records and as a table."""
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.design._axes import AXES
+
+__all__ = ["FIGURES", "ROW", "blank", "to_rows", "to_table"]
+
+UNITS = {
+    **dict.fromkeys(("l1", "l2", "pitch", "clearance", "min_separation"), u.mm),
+    **dict.fromkeys(("positioners_per_area", "usable_per_area"), u.cm**-2),
+}
+FIGURES = (
+    "multiplicity", "reach_0", "reach_1", "reach_2", "reach_3", "coverage", "targets", "empty", "assigned", "loss",
+    "loss_error", "usable", "positioners_per_area", "usable_per_area",
+)  # fmt: skip
+ROW = np.dtype([
+    *((name, float) for name in ("l1", "l2", "ratio", "pitch", "clearance", "min_separation")),
+    ("collision_type", np.int64), *((name, float) for name in FIGURES),
+    ("estimand", "U16"), ("method", "U16"), ("n_unproven", np.int64), ("reason", "U80"),
+])  # fmt: skip
+
+
+def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
+    """Return rows of designs (l1, ratio, pitch, clearance) without figures."""
+    rows = np.zeros(len(designs), ROW)
+    for name in ("min_separation", *FIGURES):
+        rows[name] = np.nan
+    for name, values in zip(AXES, designs.T, strict=True):
+        rows[name] = values
+    rows["l2"], rows["estimand"] = rows["l1"] * rows["ratio"], estimand
+    return rows
+
+
+def to_table(rows: np.ndarray, meta: dict) -> QTable:
+    """Return rows as a table with units."""
+    columns = {name: rows[name] << UNITS[name] if name in UNITS else rows[name] for name in ROW.names}
+    return QTable(columns, meta=meta)
+
+
+def to_rows(table: QTable) -> np.ndarray:
+    """Return the rows of a table that `to_table` made."""
+    rows = np.zeros(len(table), ROW)
+    for name in ROW.names:
+        values = getattr(table[name], "value", table[name])
+        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values  # text that is empty
+    return rows

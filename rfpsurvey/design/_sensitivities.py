@@ -1,0 +1,120 @@
+"""What the figures of designs depend on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.design._axes import AXES
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["design_sensitivities"]
+
+DEGREE = 4
+
+
+def design_sensitivities(
+    table: QTable, *, figures: Sequence[str] = ("coverage", "loss", "usable", "usable_per_area")
+) -> QTable:
+    """Return how much of the variance of each figure over a scan each parameter explains.
+
+    A figure is fitted by a sum of one polynomial for each parameter that varies, of degree four (less where a
+    parameter has fewer than five values). The share of a parameter is the variance of its polynomial over that of
+    the figure: the first-order index of Sobol, exactly so on a grid with at most five nodes an axis. What the sum
+    leaves over is due to parameters that act together, and to the noise of the figure. Chance alone adds about
+    the number of coefficients over the number of designs to a share.
+
+    Parameters
+    ----------
+    table : QTable
+        What `explore_designs` returns; designs without figures are left out.
+    figures : sequence of str, optional
+        Columns to explain.
+
+    Returns
+    -------
+    QTable
+        A row for each figure and parameter that varies, and one for ``rest``. Columns: ``figure``, ``parameter``,
+        ``share`` (0 to 1; NaN for a figure that does not vary), and ``slope``, percent by which the figure changes if
+        the parameter grows by one percent, from a fit that is linear in all parameters, at the mean of the scan.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or holds no numbers, no parameter varies, or there are fewer designs than
+        coefficients.
+
+    See Also
+    --------
+    explore_designs : Scans a box of designs.
+
+    References
+    ----------
+    Sobol, I. M. 2001, Mathematics and Computers in Simulation, 55, 271 (indices).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> options = {"l1": [7, 8, 9] * u.mm, "ratio": [1, 1.2], "pitch": [24, 26] * u.mm, "clearance": 2.25 * u.mm}
+    >>> found = rs.design_sensitivities(rs.explore_designs(**options), figures=["loss"])
+    >>> [str(name) for name in found["parameter"]]
+    ['l1', 'ratio', 'pitch', 'rest']
+    """
+    if not isinstance(table, QTable) or not {*AXES, "loss"} <= set(table.colnames):
+        raise InputError("table must be what explore_designs returns")
+    figures = [figures] if isinstance(figures, str) else list(figures)
+    numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
+    for name in figures:
+        check_choice(name, numbers, "figure of designs")
+    known = np.isfinite(_plain(table, "loss"))
+    values = {name: _plain(table, name)[known] for name in AXES}
+    axes = {name: v for name, v in values.items() if len(v) and np.ptp(v) > 0}
+    if not axes:
+        raise InputError("at least one of l1, ratio, pitch and clearance must vary among designs with figures")
+    blocks = {name: _polynomials(v) for name, v in axes.items()}
+    n_terms = 1 + sum(block.shape[1] for block in blocks.values())
+    if known.sum() <= n_terms:
+        raise InputError(f"sensitivities need more than {n_terms} designs with figures, got {int(known.sum())}")
+    rows = []
+    for figure in figures:
+        y = _plain(table, figure)[known]
+        shares = _shares(y, blocks)
+        slopes = _slopes(y, axes)
+        rows += [(figure, name, shares[name], slopes.get(name, np.nan)) for name in [*axes, "rest"]]
+    return QTable(rows=rows, names=("figure", "parameter", "share", "slope"))
+
+
+def _plain(table, name):
+    column = table[name]
+    return np.asarray(getattr(column, "value", column), dtype=float)
+
+
+def _polynomials(x):
+    """Return polynomials of a parameter without their means, a column each."""
+    degree = min(DEGREE, len(np.unique(x)) - 1)
+    scaled = 2 * (x - x.min()) / np.ptp(x) - 1
+    block = np.polynomial.legendre.legvander(scaled, degree)[:, 1:]
+    return block - block.mean(axis=0)
+
+
+def _shares(y, blocks):
+    """Return the part of the variance that each block explains, and the rest."""
+    variance = float(y.var())
+    if variance <= (1e-12 * np.abs(y).max(initial=0.0)) ** 2:
+        return dict.fromkeys([*blocks, "rest"], np.nan)
+    weights = np.linalg.lstsq(np.column_stack(list(blocks.values())), y - y.mean(), rcond=None)[0]
+    parts = np.split(weights, np.cumsum([block.shape[1] for block in blocks.values()])[:-1])
+    fits = {name: block @ part for (name, block), part in zip(blocks.items(), parts, strict=True)}
+    left = y - y.mean() - sum(fits.values())
+    return {name: float(fit.var() / variance) for name, fit in fits.items()} | {"rest": float(left.var() / variance)}
+
+
+def _slopes(y, axes):
+    """Return relative changes of the figure over relative changes of each parameter, at the mean."""
+    if y.mean() == 0:
+        return {}
+    x = np.column_stack([v / v.mean() - 1 for v in axes.values()])
+    slopes = np.linalg.lstsq(np.column_stack([np.ones(len(y)), x]), y / y.mean(), rcond=None)[0][1:]
+    return dict(zip(axes, slopes.tolist(), strict=True))

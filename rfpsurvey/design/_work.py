@@ -1,0 +1,62 @@
+"""The work on some designs: what processes are sent, and what comes back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey.design._lattice import make_lattice
+from rfpsurvey.design._losses import METHODS, Skies, cheapest, in_box
+from rfpsurvey.design._rows import blank
+
+__all__ = ["MOST_TARGETS", "Task"]
+
+MOST_TARGETS = 1000.0
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked of every design, in plain numbers."""
+
+    estimand: str
+    method: str
+    step: float
+    """Of the motors, in radians."""
+    targets: float
+    """A positioner, or a mm^2."""
+    by_area: bool
+    n_skies: int
+    time_limit: float
+    seed: int
+
+    def __call__(self, first: int, designs: np.ndarray) -> np.ndarray:
+        """Return the rows of designs that are numbered from ``first``: each has random numbers of its own."""
+        rows = blank(designs, self.estimand)
+        for number, row in enumerate(rows, first):
+            self._fill(row, np.random.default_rng([self.seed, number]))
+        return rows
+
+    def _fill(self, row, rng):
+        lattice, reason = make_lattice(row["l1"], row["ratio"], row["pitch"], row["clearance"], self.step)
+        if lattice is None:
+            row["reason"] = reason
+            return
+        row["min_separation"], row["collision_type"] = lattice.separation, lattice.collision_type
+        row["multiplicity"], row["positioners_per_area"] = lattice.multiplicity, 100 / lattice.cell
+        for depth, part in enumerate(lattice.coverage()):
+            row[f"reach_{depth}"] = part
+        row["coverage"] = 1 - row["reach_0"]
+        each = self.targets * (lattice.cell if self.by_area else 1.0)
+        row["targets"], row["empty"] = each, np.exp(-each * lattice.multiplicity)
+        if each > MOST_TARGETS:
+            row["reason"] = f"there are more than {MOST_TARGETS:g} targets a positioner"
+            return
+        method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
+        if method == "surrogate" and not in_box(lattice):
+            row["reason"] = "outside the box of the surrogate"
+            return
+        found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))
+        row["method"], row["assigned"], row["loss"], row["loss_error"], row["n_unproven"] = method, *found
+        row["usable"] = found.assigned * (1 - found.loss)
+        row["usable_per_area"] = row["usable"] * row["positioners_per_area"]
+        if np.isnan(found.loss):
+            row["reason"] = "no fiber has a target"
