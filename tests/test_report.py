@@ -332,6 +332,7 @@ def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message
         "survey --instrument sdss_apo --folder plan",
         "compare-allocators --instrument moons --allocator lamost --allocator repair",
         "compare sdss_apo moons --allocator lamost --realizations 1",
+        "design --ratio 1,1.5 --pitch 24,26",
         "probability sdss_apo --method closed_form",
         "reproduce small --quick --folder small",
         "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
@@ -343,7 +344,7 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
     assert code == 0
     assert out.endswith("wrote page.html\n")
     page = Reader((tmp_path / "page.html").read_text())
-    figures = {"tile": 1, "plan": 2, "survey": 2, "reproduce": 1, "benchmark": 1, "compare": 1}
+    figures = {"tile": 1, "plan": 2, "survey": 2, "reproduce": 1, "benchmark": 1, "compare": 1, "design": 1}
     assert len(page.all("svg")) == figures.get(command.split()[0], 0)
     if command.startswith("plan"):
         assert run("score", "t.ecsv", "--report", "score.html")[0] == 0
@@ -359,7 +360,7 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
 
 WORK = {
     "plan": "plan_tile", "tile --region sky": "place_tiles", "survey": "plan_survey",
-    "compare-allocators": "compare_allocators", "compare": "compare_instruments",
+    "compare-allocators": "compare_allocators", "compare": "compare_instruments", "design": "explore_designs",
     "probability": "collision_probability", "reproduce": "reproduce", "benchmark collisions": "benchmark_collisions",
 }  # fmt: skip
 
