@@ -43,6 +43,7 @@ from rfpsurvey.probability import (
 )  # fmt: skip
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
+from rfpsurvey.report import write_report
 from rfpsurvey.reproduction import reproduce
 from rfpsurvey.survey import Survey, plan_survey
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -110,4 +111,5 @@ __all__ = [
     "score_tile",
     "surrogate_probability",
     "synthetic_catalog",
+    "write_report",
 ]

@@ -48,7 +48,7 @@ def options(target_density: float | None, time_limit: float, objective: list[str
     }  # fmt: skip
 
 
-def finish(table, output: Path | None, plot: Path | None, *, overwrite: bool) -> None:
+def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
     """Print the front and the sensitivities, and draw the front where asked."""
     front = table[table["pareto"]]
     wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
@@ -68,3 +68,7 @@ def finish(table, output: Path | None, plot: Path | None, *, overwrite: bool) ->
         _app.write_figure(lambda: rs.plot_designs(table).figure, plot, overwrite=overwrite)
     for path in filter(None, (output, plot)):
         print(f"wrote {path}")
+    if report is not None:
+        chart = {"The designs, and the front of those that no other one beats.": rs.plot_designs(table)}
+        options = {"title": f"{len(table)} designs", "figures": chart, "data": output}
+        _app.finish_report(table, report, overwrite=overwrite, **options)

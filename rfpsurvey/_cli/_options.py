@@ -51,6 +51,7 @@ MethodOption = Annotated[
     ),
 ]
 MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner, .fits or .ecsv.")]
+ReportOption = Annotated[Path | None, typer.Option(help="Write a page on the result that needs no network, .html.")]
 OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")]
 
 RegionOption = Annotated[
@@ -126,6 +127,7 @@ PLAN_EXAMPLES = """\b
 Examples:
   rfpsurvey plan
   rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
+  rfpsurvey plan stars.fits --output tile.fits --report tile.html
   rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
   rfpsurvey plan stars.fits --allocator optimal --require instrument --sky-separation 10
 """
@@ -133,7 +135,7 @@ Examples:
 COMPARE_ALLOCATORS_EXAMPLES = """\b
 Examples:
   rfpsurvey compare-allocators
-  rfpsurvey compare-allocators stars.fits --instrument moons --output table.ecsv
+  rfpsurvey compare-allocators stars.fits --instrument moons --output table.ecsv --report table.html
   rfpsurvey compare-allocators stars.fits --require instrument --sky-separation 10 --allocator sdss --allocator optimal
 """
 
@@ -142,7 +144,7 @@ Examples:
   rfpsurvey compare
   rfpsurvey compare lamost design.toml --targets 2 --plot comparison.png --output comparison.ecsv
   rfpsurvey compare sdss_apo moons --catalog stars.fits --center "06h20m00s +23d00m00s" --allocator optimal
-  rfpsurvey compare lamost desi pfs --density 1000 --realizations 2
+  rfpsurvey compare lamost desi pfs --density 1000 --realizations 2 --report comparison.html
 """
 
 SCORE_EXAMPLES = """\b
@@ -153,7 +155,7 @@ Examples:
 
 TILE_EXAMPLES = """\b
 Examples:
-  rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --plot tiles.png
+  rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --report tiles.html
   rfpsurvey tile --region sky --method spiral --instrument desi
   rfpsurvey tile stars.fits --method sdss --fibers 1000 --completeness 0.95
 """
@@ -169,7 +171,7 @@ Examples:
 SURVEY_EXAMPLES = """\b
 Examples:
   rfpsurvey survey
-  rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --plot plan.png
+  rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --report plan.html
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --resume
   rfpsurvey survey hats_catalog --tiles tiles.ecsv --instrument desi --scheduler tcp://10.0.0.1:8786 --folder plan
 """
@@ -193,5 +195,5 @@ Examples:
 REPRODUCE_EXAMPLES = """\b
 Examples:
   rfpsurvey reproduce small
-  rfpsurvey reproduce all --quick --folder quick
+  rfpsurvey reproduce all --quick --folder quick --report quick.html
 """

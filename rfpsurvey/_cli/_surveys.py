@@ -11,6 +11,7 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
 from rfpsurvey.plot import draw_survey
+from rfpsurvey.report import survey_facts
 
 __all__ = ["options", "run", "targets_of", "workers"]
 
@@ -71,18 +72,8 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print what came out, a line a figure."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['method']}")
-    labels = {
-        "tiles": s["n_tiles"], "  rounds": s["n_rounds"], "targets wanted": s["n_targets"],
-        "visits wanted": s["n_visits_wanted"], "  observed": s["n_visits_observed"], "completeness": s["completeness"],
-        "  targets complete": s["completeness_targets"], "fibers assigned": s["n_assigned"],
-        "  to science": s["n_science"], "  of all": s["fiber_use"], "positioners in collision": s["n_colliding"],
-        "  collision rate": s["collision_rate"], "requirements not met, all tiles": s["n_unmet"],
-    }  # fmt: skip
-    for label, value in labels.items():
-        if value or not label.startswith("requirements"):
-            print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
-    for outcome, number in s["outcomes"].items():
-        print(f"{'targets ' + outcome:<34}{number:>12}")
+    for label, value in survey_facts(survey).items():
+        print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     print("after each pass:")
     _app.print_table(survey.completeness)
     if s["collision_rate"] > MANY:
@@ -97,7 +88,9 @@ def options(allocator, visits, passes, epoch, require, sky_separation, time_limi
     return {"allocator": allocator, "visits": visits, "passes": passes, "order": order, **common}
 
 
-def run(targets, tiles: Path | None, model: "rs.Instrument", executor, options: dict, plot: Path | None) -> None:
+def run(
+    targets, tiles: Path | None, model: "rs.Instrument", executor, options: dict, plot: Path | None, report: Path | None
+) -> None:
     """Plan a survey, print what came out, and draw it where asked."""
     tiling = _read_tiles(tiles, targets, model)
     begin = perf_counter()
@@ -115,3 +108,4 @@ def run(targets, tiles: Path | None, model: "rs.Instrument", executor, options: 
     if plot is not None:
         _app.write_figure(lambda: draw_survey(survey), plot, overwrite=True)
         print(f"wrote {plot}")
+    _app.finish_report(survey, report, overwrite=True)

@@ -22,13 +22,14 @@ def collisions(
     plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
         "benchmark_collisions.png"
     ),
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Chart the speed of every method of finding collisions against its errors."""
-    output = _app.check_chart(plot, overwrite=overwrite)
+    output = _app.check_chart(plot, report, overwrite=overwrite)
     options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
     table = rs.benchmark_collisions(_app.load_instrument(instrument), **options)
-    _app.finish_table(table, rs.plot_speed_accuracy, output, plot, overwrite=overwrite)
+    _app.finish_table(table, rs.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
 
 
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)

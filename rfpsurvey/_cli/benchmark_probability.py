@@ -19,10 +19,11 @@ def probability(
     plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
         "benchmark_probability.png"
     ),
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Chart the time of every method of collision probability against its error; print the bias of densities."""
-    output, model = _app.check_chart(plot, overwrite=overwrite), _app.load_instrument(instrument)
+    output, model = _app.check_chart(plot, report, overwrite=overwrite), _app.load_instrument(instrument)
     _app.print_table(rs.benchmark_densities(model, rng=seed))
     table = rs.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
-    _app.finish_table(table, rs.plot_probability_accuracy, output, plot, overwrite=overwrite)
+    _app.finish_table(table, rs.plot_probability_accuracy, output, plot, report, overwrite=overwrite)

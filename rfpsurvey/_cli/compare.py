@@ -45,10 +45,11 @@ def compare(
     frame: _options.FrameOption = "icrs",
     output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")] = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Put instruments side by side: reach, fibers, collisions and what they cost."""
-    _app.check_outputs(output, plot, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite)
     options = {"time_limit": time_limit * u.s} | ({"requirements": require} if require else {})
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
@@ -68,3 +69,4 @@ def compare(
         _app.write_figure(lambda: draw_instruments(table), plot, overwrite=overwrite)
     for path in filter(None, (output, plot)):
         print(f"wrote {path}")
+    _app.finish_report(table, report, overwrite=overwrite, data=output)

@@ -29,12 +29,14 @@ def compare_allocators(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Plan one field by several methods, side by side."""
-    _app.check_outputs(output, None, overwrite=overwrite)
+    _app.check_outputs(output, report=report, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
     options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
     options.update(allocators=allocator, rng=seed, parked_obstacles=parked)
-    _app.finish_comparison(rs.compare_allocators(targets, model, field, **options), output, overwrite=overwrite)
+    table = rs.compare_allocators(targets, model, field, **options)
+    _app.finish_comparison(table, output, report, overwrite=overwrite)

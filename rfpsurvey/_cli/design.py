@@ -26,14 +26,17 @@ def design(
     output: _options.DesignOutputOption = None,
     resume: _options.DesignResumeOption = False,
     plot: _options.DesignPlotOption = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Scan designs: what positioners reach, what they lose to collisions, and which designs no other one beats."""
-    _app.check_outputs(None, plot, overwrite=overwrite or resume)
+    again = overwrite or resume
+    _app.check_outputs(None, plot, report, overwrite=again)
     scan = _designs.axes(n_designs, l1=l1, ratio=ratio, pitch=pitch, clearance=clearance)
     scan |= _designs.options(target_density, time_limit, objective)
     scan |= {"estimand": estimand, "method": method, "targets_per_positioner": targets_per_positioner}
     scan |= {"n_designs": n_designs, "n_skies": n_skies, "rng": seed, "progress": sys.stderr.isatty()}
     scan |= {"path": output, "resume": resume, "overwrite": overwrite}
     with _surveys.workers(workers, None, processes=processes) as executor:
-        _designs.finish(rs.explore_designs(executor=executor, **scan), output, plot, overwrite=overwrite or resume)
+        table = rs.explore_designs(executor=executor, **scan)
+    _designs.finish(table, output, plot, report, overwrite=again)

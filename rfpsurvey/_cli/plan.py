@@ -25,12 +25,13 @@ def plan(
     frame: _options.FrameOption = "icrs",
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Assign one field and find the arms that collide."""
-    _app.check_outputs(output, plot, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
     options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
     tile = rs.plan_tile(targets, model, field, allocator=allocator, rng=seed, parked_obstacles=parked, **options)
-    _app.finish(tile, output, plot, overwrite=overwrite)
+    _app.finish(tile, output, plot, report, overwrite=overwrite)

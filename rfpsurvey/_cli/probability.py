@@ -27,10 +27,11 @@ def probability(
     seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
     workers: Annotated[int, typer.Option(help="Threads; the result does not depend on it.", min=1)] = 1,
     output: _options.MapOption = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Estimate how likely arms collide, with an interval."""
-    _app.check_outputs(output, None, overwrite=overwrite)
+    _app.check_outputs(output, report=report, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     options = {"method": method, "estimand": estimand, "precision": precision, "max_iterations": max_iterations}
     options.update(targets=_app.read_targets(targets), n_targets=n_targets, allocator=allocator, density=density)
@@ -38,4 +39,5 @@ def probability(
     options.update(dynamic=dynamic, rng=seed, progress=sys.stderr.isatty())
     with ThreadPoolExecutor(workers) as executor:
         options["executor"] = executor
-        _app.finish_estimate(rs.collision_probability(model, **options), model, output, overwrite=overwrite)
+        estimate = rs.collision_probability(model, **options)
+    _app.finish_estimate(estimate, model, output, report, overwrite=overwrite)

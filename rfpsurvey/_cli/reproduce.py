@@ -19,12 +19,15 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="Few designs and repeats: see that it runs.")] = False,
     workers: Annotated[int | None, typer.Option(help="Threads; as many as cores by default.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Rerun the experiments of the paper, and put its claims beside what comes out."""
+    _app.check_outputs(None, report=report, overwrite=overwrite)
     options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
     claims = rs.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)
     for row in claims:
         print(f"{row['experiment']}: {row['claim']}\n    paper: {row['paper']}\n    here: {row['ours']}")
         print(f"    {row['verdict']} ({row['reading']})")
     print(f"wrote {folder}")
+    _app.finish_report(claims, report, overwrite=overwrite, data="claims.ecsv")

@@ -27,14 +27,15 @@ def score(
     unit: _options.UnitOption = None,
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Find the collisions in an assignment that another planner made."""
-    _app.check_outputs(output, plot, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "equinox": equinox, "epoch": epoch, "parked_obstacles": parked}
     options["center"] = None if center is None else _app.parse_center(center)
     options["position_angle"] = None if pa is None else pa * u.deg
     options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
     tile = rs.score_tile(table, _app.instrument_of(table, instrument), **options)
-    _app.finish(tile, output, plot, overwrite=overwrite)
+    _app.finish(tile, output, plot, report, overwrite=overwrite)

@@ -28,13 +28,14 @@ def survey(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     plot: _options.SurveyPlotOption = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Plan tile after tile until targets are observed as often as they are wanted."""
-    _app.check_outputs(None, plot, overwrite=overwrite)
+    _app.check_outputs(None, plot, report, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame)
     options = _surveys.options(allocator, visits, passes, epoch, require, sky_separation, time_limit, order)
     options.update(parked_obstacles=parked, lost_in_collision=lost, folder=folder, resume=resume, rng=seed)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiles, model, executor, options, plot)
+        _surveys.run(targets, tiles, model, executor, options, plot, report)

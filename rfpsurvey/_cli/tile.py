@@ -21,10 +21,11 @@ def tile(
     frame: _options.FrameOption = "icrs",
     output: _options.TilingOutputOption = None,
     plot: _options.TilingPlotOption = None,
+    report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Decide where the tiles of a survey go."""
-    _app.check_outputs(output, plot, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = _app.load_instrument(instrument)
     if region is not None and catalog is not None:
         raise rs.InputError("give a catalog or --region, not both")
@@ -35,4 +36,4 @@ def tile(
     options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
     options["visits"] = visits
     tiling = rs.place_tiles(field, model, method=method, **options)
-    _app.finish_tiling(tiling, output, plot, overwrite=overwrite)
+    _app.finish_tiling(tiling, output, plot, report, overwrite=overwrite)

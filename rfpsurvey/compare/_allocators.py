@@ -91,6 +91,7 @@ def compare_allocators(
     provenance = tiles[methods[0]].provenance
     software = {name: value for method in methods for name, value in tiles[method].provenance["software"].items()}
     table.meta.update(
+        made_by="compare_allocators",
         unmet={name_of(method): tiles[method].summary["unmet"] for method in methods}, blind_science=blind,
         instrument=provenance["instrument"]["name"], software=software,
         parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},

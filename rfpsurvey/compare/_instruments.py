@@ -169,6 +169,7 @@ def compare_instruments(
     for method in methods:
         software.update(packages(method, options.get("start")))
     table.meta.update(
+        made_by="compare_instruments",
         way=way, comparable=f"{COMPARABLE[way]} {CAUTION}", n_fields=len(fields) // len(models), confidence=CONFIDENCE,
         sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=software,
         instruments={model.name: model._provenance() for model in models},

@@ -20,7 +20,7 @@ from rfpsurvey.reproduction._large import fit, large, poisson
 from rfpsurvey.reproduction._small import small
 from rfpsurvey.reproduction._speed import speed
 
-__all__ = ["EXPERIMENTS", "reproduce"]
+__all__ = ["EXPERIMENTS", "TABLES", "reproduce"]
 
 EXPERIMENTS: dict[str, Callable] = {
     "small": small, "large": large, "poisson": poisson, "fit": fit, "intervals": intervals, "speed": speed,
@@ -30,6 +30,7 @@ TABLES = {
     "small": ("small",), "large": ("large", "large_differences", "large_plain"), "poisson": ("poisson",),
     "fit": ("fit", "surrogate"), "intervals": ("intervals",), "speed": ("speed",),
 }  # fmt: skip
+"""Name to the tables that the experiment writes."""
 
 
 def reproduce(
@@ -68,7 +69,7 @@ def reproduce(
     -------
     QTable
         A row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or cannot be decided
-        from the text), reading.
+        from the text), reading. ``meta`` says how it was made, and in which ``folder`` the tables are.
 
     Raises
     ------
@@ -105,7 +106,9 @@ def reproduce(
                 with output_path(folder / f"{key}.png", (".png",), overwrite=True) as temporary:
                     figure.savefig(temporary, dpi=150, format="png")
             _write_claims(folder, claims, settings)
-    return claims_table(claims)
+    table = claims_table(claims)
+    table.meta.update(_provenance(settings), made_by="reproduce", folder=str(folder))
+    return table
 
 
 def _folder(folder, names, overwrite):

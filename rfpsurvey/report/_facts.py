@@ -1,0 +1,82 @@
+"""What came out, a label and a figure each; a label with two blanks before it is a part of the one above."""
+
+import numpy as np
+
+from rfpsurvey.probability import Estimate
+from rfpsurvey.survey import Survey
+from rfpsurvey.tile import Tile
+
+__all__ = ["estimate_facts", "survey_facts", "tile_aims", "tile_facts"]
+
+TILE = {
+    "n_targets": "targets in the catalog",
+    "n_dropped": "  dropped, no finite coordinates",
+    "n_in_field": "  in the field",
+    "n_set_aside": "  set aside (sky, standard)",
+    "n_reachable": "  in reach of a positioner",
+    "n_rows_ignored": "rows without an assignment",
+    "n_positioners": "positioners",
+    "n_assigned": "  assigned",
+    "n_out_of_reach": "  their target out of reach",
+    "n_wrong_fiber": "  without the fiber type asked for",
+    "n_unusable": "rows for disabled or stuck positioners",
+    "n_parked": "  parked in the way",
+    "n_idle": "  idle, giving way",
+    "n_colliding": "  in collision",
+    "n_colliding_pairs": "colliding pairs",
+    "n_obstacle_collisions": "collisions with obstacles",
+    "collision_rate": "collision rate",
+    "collision_rate_assigned": "  of assigned positioners",
+}
+ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
+
+
+def tile_facts(tile: Tile) -> dict:
+    """Return the counts and rates of a tile, without zeros that say nothing."""
+    values = {key: tile.summary.get(key, 0) for key in TILE}
+    return {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
+
+
+def tile_aims(tile: Tile) -> list[tuple[str, int, str]]:
+    """Return each class of targets, the fibers on it, and where more is not excluded, how many there can be."""
+    aims = tile.summary.get("aims", [])
+    if len(aims) < 2:
+        return []
+    found = []
+    for name, value, bound in aims:
+        label, limit = ("missing of the requirements", "at least") if name == "requirements" else (name, "at most")
+        proof = "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
+        found.append((label, round(abs(value)), proof))
+    return found
+
+
+def survey_facts(survey: Survey) -> dict:
+    """Return the counts and rates of a survey, and what became of the targets."""
+    s = survey.summary
+    facts = {
+        "tiles": s["n_tiles"], "  rounds": s["n_rounds"], "targets wanted": s["n_targets"],
+        "visits wanted": s["n_visits_wanted"], "  observed": s["n_visits_observed"], "completeness": s["completeness"],
+        "  targets complete": s["completeness_targets"], "fibers assigned": s["n_assigned"],
+        "  to science": s["n_science"], "  of all": s["fiber_use"], "positioners in collision": s["n_colliding"],
+        "  collision rate": s["collision_rate"], "requirements not met, all tiles": s["n_unmet"],
+    }  # fmt: skip
+    if not s["n_unmet"]:
+        del facts["requirements not met, all tiles"]
+    return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
+
+
+def estimate_facts(estimate: Estimate) -> dict:
+    """Return the figures of an estimate as text: its error says how many digits count."""
+    formula = np.isnan(estimate.low)
+    interval = "no error is known" if formula else f"{estimate.low:.5f} to {estimate.high:.5f}"
+    lines = {
+        "collision probability": f"{estimate.value:.5f}",
+        f"  {100 * estimate.meta['confidence']:g} % interval": interval,
+        "  standard error": "" if formula else f"{estimate.standard_error:.2g}",
+        "  of assigned positioners": f"{estimate.value_assigned:.5f}",
+        "colliding pairs per positioner": "" if formula else f"{estimate.pairs_per_positioner:.5f}",
+        "iterations": estimate.n or "",
+        "effective trials": "" if formula else f"{estimate.n_effective:.0f}",
+        "seconds": f"{estimate.seconds:.3f}",
+    }
+    return {label: value for label, value in lines.items() if value not in ("", "nan")}

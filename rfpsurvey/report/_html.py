@@ -1,0 +1,178 @@
+"""A page as HTML: one file that fetches nothing."""
+
+import base64
+import hashlib
+import re
+from collections.abc import Callable
+from html import escape
+from importlib.resources import files
+from itertools import groupby
+
+import numpy as np
+
+from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Text
+from rfpsurvey.report._columns import MISSING, cells_of
+from rfpsurvey.report._numbers import number_text
+from rfpsurvey.report._svg import dark_grays, svg_of
+from rfpsurvey.tile import versions
+
+__all__ = ["html_of"]
+
+BREAK = re.compile(r"(\w[._])(?=\w)")  # where a name may go on in the next line
+WIDE = 9  # inches: a wider figure has its caption below
+LONG, LONG_NAME = 30, 12  # characters: a longer text may take several lines
+MOST_ITEMS = 30  # of a list in the provenance
+
+
+def html_of(page: Page, max_rows: int) -> str:
+    """Return a page as text, with tables of at most so many rows."""
+    counter = iter(range(1, 1_000_000))
+    sections = "\n".join(_section(section, counter, max_rows) for section in page.sections)
+    by = f"Written by rfpsurvey {versions()['rfpsurvey']}. This page is complete in itself: it fetches nothing."
+    groups = f'<div class="groups">\n{_provenance(page.provenance)}\n</div>'
+    foot = f"<footer>\n<h2>Provenance</h2>\n{groups}\n<p>{_text(by)}</p>\n</footer>"
+    body = f"{_header(page)}\n<main>\n{sections}\n</main>\n{foot}"
+    style = f"{_asset('page.css')}\n{dark_grays(body)}".strip()
+    script = f"\n{_asset('page.js')}"
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    # the browser itself holds the page to its word: nothing is fetched, and no other script runs
+    policy = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'"
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n<meta name="generator" content="rfpsurvey">\n'
+        f'<title>{_text(page.title)}</title>\n<link rel="icon" href="data:,">\n<style>\n{style}\n</style>\n</head>\n'
+        f"<body>\n{body}\n<script>{script}</script>\n</body>\n</html>\n"
+    )
+
+
+def _asset(name: str) -> str:
+    return (files("rfpsurvey.report") / name).read_text(encoding="utf-8")
+
+
+def _text(value: object) -> str:
+    """Return text for a page; what no page can hold becomes a replacement character."""
+    text = "".join(c if c.isprintable() or c in " \n\t" else "\N{REPLACEMENT CHARACTER}" for c in str(value))
+    return escape(text.encode("utf-8", "replace").decode("utf-8"))
+
+
+def _header(page: Page) -> str:
+    lines = [f'<p class="kind">rfpsurvey · {_text(page.kind)}</p>', f"<h1>{_text(page.title)}</h1>"]
+    if page.lead:
+        lines.append(f'<p class="lead">{_text(page.lead)}</p>')
+    if page.highlights:
+        figures = [f"<div><dt>{_text(k)}</dt><dd>{_text(v)}</dd></div>" for k, v in page.highlights.items()]
+        lines += ['<dl class="highlights">', *figures, "</dl>"]
+    return "<header>\n" + "\n".join(lines) + "\n</header>"
+
+
+def _section(section, counter, max_rows) -> str:
+    parts = []
+    for kind, blocks in groupby(section.blocks, type):
+        made = "\n".join(BLOCKS[kind](block, counter, max_rows) for block in blocks)
+        parts.append(f'<div class="groups">\n{made}\n</div>' if kind is Facts else made)
+    return "\n".join(["<section>", f"<h2>{_text(section.title)}</h2>", *parts, "</section>"])
+
+
+def _paragraph(block: Text, counter, max_rows) -> str:
+    if isinstance(block.words, str):
+        return f"<p>{_text(block.words)}</p>"
+    return "<ul>\n" + "\n".join(f"<li>{_text(words)}</li>" for words in block.words) + "\n</ul>"
+
+
+def _facts(block: Facts, counter, max_rows) -> str:
+    rows = []
+    for label, value in block.values.items():
+        part = ' class="part"' if label.startswith(" ") else ""
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
+        look = f' class="number" data-value="{float(value)!r}"' if number else ""
+        name = BREAK.sub(r"\1<wbr>", _text(label.strip()))
+        rows.append(f'<tr{part}><th scope="row">{name}</th><td{look}>{_text(_plain(value))}</td></tr>')
+    caption = f"<caption>{_text(block.caption)}</caption>\n" if block.caption else ""
+    return "\n".join([f'<table class="facts">\n{caption}<tbody>', *rows, "</tbody>\n</table>"])
+
+
+def _plain(value: object, number: Callable = number_text) -> str:
+    """Return a value of a summary or of the provenance as text."""
+    if isinstance(value, np.ndarray | np.generic) and not hasattr(value, "unit"):
+        value = value.tolist()
+    if value is None or (isinstance(value, str) and not value) or (isinstance(value, float) and np.isnan(value)):
+        return MISSING
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_plain(v, number)}" for k, v in value.items()) or "none"
+    if isinstance(value, list | tuple):
+        more = f", and {len(value) - MOST_ITEMS} more" if len(value) > MOST_ITEMS else ""
+        return (", ".join(_plain(v, number) for v in value[:MOST_ITEMS]) or "none") + more
+    return number(value)
+
+
+def _rows(block: Rows, counter, max_rows) -> str:
+    table = block.table[:max_rows]
+    missing = len(block.table) - len(table) + block.left_out
+    caption = f"<strong>{_text(block.caption)}</strong>"
+    if missing:
+        where = f"; all are in {block.where}" if block.where else ""
+        caption += _text(f" Shown: {len(table)} of {len(table) + missing} rows{where}.")
+    columns = [(name, *cells_of(table[name], name)) for name in table.colnames]
+    heads = []
+    for name, unit, numbers, _ in columns:
+        unit = f' <span class="unit">{_text(unit)}</span>' if unit else ""
+        looks = ["number" if numbers else "", "long" if len(name) > LONG_NAME else ""]
+        heads.append(f'<th scope="col"{_class(looks)}>{_text(name.replace("_", " "))}{unit}</th>')
+    lines = []
+    for k in range(len(table)):
+        cells = []
+        for c, (_, _, numbers, values) in enumerate(columns):
+            text, key = values[k]
+            looks = [
+                "number" if numbers else "", "missing" if key == "" else "", "long" if len(text) > LONG else "",
+                block.marks.get(text, ""),
+            ]  # fmt: skip
+            data = "" if key is None else f' data-value="{key}"'
+            tag = "td" if c else "th"
+            scope = "" if c else ' scope="row"'
+            cells.append(f"<{tag}{scope}{_class(looks)}{data}>{_text(text)}</{tag}>")
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    lines = ["<tbody>", *lines, "</tbody>"]
+    head = f"<caption>{caption}</caption>\n<thead>\n<tr>{''.join(heads)}</tr>\n</thead>"
+    return "\n".join([_scroll(block.caption), '<table class="rows">', head, *lines, "</table>\n</div>"])
+
+
+def _class(looks: list[str]) -> str:
+    return f' class="{" ".join(filter(None, looks))}"' if any(looks) else ""
+
+
+def _picture(block: Picture, counter, max_rows) -> str:
+    svg = svg_of(block.figure, next(counter), block.caption, block.words)
+    words = f" {_text(block.words)}" if block.words else ""
+    caption = f"<figcaption><strong>{_text(block.caption)}</strong>{words}</figcaption>"
+    wide = ' class="wide"' if getattr(block.figure, "figure", block.figure).get_figwidth() > WIDE else ""
+    return f"<figure{wide}>\n{_scroll(block.caption)}{svg}</div>\n{caption}\n</figure>"
+
+
+def _scroll(caption: str) -> str:
+    """Open a part that is scrolled, with the keyboard too, where it is wider than the screen."""
+    return f'<div class="scroll" role="region" aria-label="{_text(caption)}" tabindex="0">'
+
+
+BLOCKS: dict[type, Callable] = {Text: _paragraph, Facts: _facts, Rows: _rows, Picture: _picture}
+
+
+def _provenance(values: dict) -> str:
+    """Return a table for what has no group, and one for each group."""
+    groups = _groups(values, "")
+    return "\n".join(_facts(Facts(name or "general", group), None, 0) for name, group in groups.items() if group)
+
+
+def _groups(values: dict, name: str) -> dict[str, dict]:
+    """Return dicts in dicts beside each other, with a name each; numbers in full."""
+    groups = {name: {k: _plain(v, _exactly) for k, v in values.items() if not isinstance(v, dict)}}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            groups |= _groups(value, f"{name} {key}".strip().replace("_", " "))
+    return groups
+
+
+def _exactly(value: object) -> str:
+    return f"{value:.15g}" if isinstance(value, float) else number_text(value)

@@ -1,0 +1,43 @@
+"""Numbers as people read them: four digits that count, decimals below each other."""
+
+import math
+
+import numpy as np
+
+__all__ = ["column_texts", "number_text"]
+
+DIGITS = 4
+SMALL, LARGE = 1e-4, 1e7  # beyond them, numbers have an exponent
+WIDE = 100  # a column whose numbers differ by more cannot have the same decimals
+
+
+def number_text(value: object) -> str:
+    """Return a number as text."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if not isinstance(value, float | np.floating) or not math.isfinite(value):
+        return str(value)
+    if value == 0 or SMALL <= abs(value) < LARGE:
+        return f"{value:.{_decimals(abs(value))}f}" if abs(value) >= 10 ** (DIGITS - 1) else f"{value:.{DIGITS}g}"
+    return f"{value:.{DIGITS - 1}e}"
+
+
+def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
+    """Return the numbers of a column as text, with the same decimals where that loses no digits."""
+    values = np.asarray(values)
+    if values.dtype.kind != "f":
+        return [number_text(v) for v in values.tolist()]
+    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+    low, high = (sizes.min(), sizes.max()) if len(sizes) else (0, 0)
+    if decimals is None and low >= SMALL and high < LARGE and high < WIDE * low:
+        decimals = _decimals(low)
+        exact = [k for k in range(decimals) if (np.round(sizes, k) == sizes).all()]
+        decimals = exact[0] if exact else decimals
+    if decimals is None:
+        return [number_text(v) for v in values.tolist()]
+    return [f"{v:.{decimals}f}" if math.isfinite(v) else str(v) for v in values.tolist()]
+
+
+def _decimals(size: float) -> int:
+    """Return the decimals that four digits of a number have."""
+    return 0 if size == 0 else max(DIGITS - 1 - math.floor(math.log10(size)), 0)

@@ -1,0 +1,145 @@
+"""Figures as SVG inside a page: no ids that clash, no styles that reach out, colors that follow the page's."""
+
+import base64
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from xml.etree import ElementTree
+
+import numpy as np
+
+__all__ = ["dark_grays", "svg_of"]
+
+# In a figure of more points than this, artists of many points become images inside the SVG: the arms of 4000
+# positioners would be megabytes of paths.
+MOST_POINTS = 60_000
+MANY_POINTS = 2000
+DPI = 200
+STYLE = {"svg.fonttype": "none", "svg.hashsalt": "rfpsurvey", "svg.image_inline": True}
+ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # in XML
+IMAGE = "data:image/png;base64,"
+LONG = re.compile(r"(-?\d+\.\d\d)\d+")
+REFERENCE = re.compile(r"url\(#([^)]*)\)")
+GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
+USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
+# what black and white become on a dark screen, before the style sheet makes figures brighter there
+DARK_INK, DARK_PAPER = np.array([189, 191, 194]), np.array([18, 21, 24])
+
+
+def svg_of(figure, number: int, title: str, words: str) -> str:
+    """Return the SVG of a figure, which is the one of this number on its page."""
+    from matplotlib import rc_context
+
+    figure = getattr(figure, "figure", figure)
+    file = io.BytesIO()
+    with rc_context(STYLE), _heavy_as_images(figure):
+        figure.savefig(file, format="svg", dpi=DPI, transparent=True, metadata={"Date": None})
+    root = ElementTree.fromstring(ILLEGAL.sub(b"?", file.getvalue()))
+    _remove(root, {"metadata", "style"})
+    names = _new_names(root, f"f{number}-")
+    for element in root.iter():
+        element.tag = _local(element.tag)
+        element.attrib = {_local(k): v for k, v in element.attrib.items()}
+        _rename(element.attrib, names)
+    width = root.attrib.pop("width")
+    box = root.attrib["viewBox"]
+    inside = "".join(ElementTree.tostring(child, encoding="unicode") for child in root)
+    # browsers show the title as a hint, screen readers read it with the description
+    label = f'<title id="f{number}-title">{escape(title)}</title><desc id="f{number}-words">{escape(words)}</desc>'
+    return (
+        f'<svg viewBox="{box}" style="max-width:{width}" role="img" '
+        f'aria-labelledby="f{number}-title f{number}-words">{label}{inside}</svg>'
+    )
+
+
+def dark_grays(page: str) -> str:
+    """Return the style sheet that gives the grays of a page's figures another value on a dark screen."""
+    lines = []
+    for gray in sorted(set(USED_GRAY.findall(page))):
+        light = int(gray, 16) / 255
+        red, green, blue = np.rint(light * DARK_PAPER + (1 - light) * DARK_INK).astype(int)
+        lines.append(f"--g{gray}:#{red:02x}{green:02x}{blue:02x}")
+    return f"@media screen and (prefers-color-scheme: dark) {{ :root {{ {'; '.join(lines)} }} }}" if lines else ""
+
+
+@contextmanager
+def _heavy_as_images(figure) -> Iterator[None]:
+    """Have artists of very many points drawn as images."""
+    points = {artist: _points(artist) for artist in figure.findobj(lambda a: not a.get_rasterized())}
+    crowded = sum(points.values()) > MOST_POINTS
+    heavy = [artist for artist, number in points.items() if crowded and number > MANY_POINTS]
+    for artist in heavy:
+        artist.set_rasterized(True)
+    try:
+        yield
+    finally:
+        for artist in heavy:
+            artist.set_rasterized(False)
+
+
+def _points(artist) -> int:
+    """Return about how many points an artist puts into a file."""
+    from matplotlib.collections import Collection
+    from matplotlib.lines import Line2D
+
+    if isinstance(artist, Line2D):
+        return len(artist.get_xdata(orig=False))
+    if not isinstance(artist, Collection):
+        return 0
+    paths = artist.get_paths() or ()
+    copies = max(len(artist.get_offsets()) // max(len(paths), 1), 1)  # a path may be drawn at many places
+    return copies * sum(map(len, paths))
+
+
+def _local(name: str) -> str:
+    """Return the name without its namespace; a page of HTML needs none."""
+    return name.rpartition("}")[2]
+
+
+def _remove(root, names) -> None:
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if _local(child.tag) in names:
+                parent.remove(child)
+
+
+def _new_names(root, prefix: str) -> dict[str, str]:
+    """Return new names of the ids that something refers to, in the order of the document."""
+    used = set()
+    for element in root.iter():
+        for name, value in element.attrib.items():
+            used.update([value[1:]] if _local(name) == "href" and value.startswith("#") else REFERENCE.findall(value))
+    ids = [e.attrib["id"] for e in root.iter() if e.attrib.get("id") in used]
+    return {name: f"{prefix}{k}" for k, name in enumerate(ids)}
+
+
+def _rename(attributes: dict, names: dict[str, str]) -> None:
+    """Give ids and references their new names, drop ids that nobody needs, and let grays follow the page."""
+    if attributes.get("id") not in names:
+        attributes.pop("id", None)
+    for key, value in attributes.items():
+        if key == "id":
+            attributes[key] = names[value]
+        elif key == "href" and value.startswith("#"):
+            attributes[key] = f"#{names[value[1:]]}"
+        elif key == "href" and value.startswith(IMAGE):
+            attributes[key] = IMAGE + _with_palette(value[len(IMAGE) :])
+        elif key == "d":  # a hundredth of a point is enough
+            attributes[key] = LONG.sub(r"\1", value)
+        elif key == "style":
+            value = REFERENCE.sub(lambda m: f"url(#{names[m[1]]})", value)
+            attributes[key] = GRAY.sub(lambda m: f"var(--g{m[1]},{m[0]})", value)
+        elif key == "clip-path":
+            attributes[key] = REFERENCE.sub(lambda m: f"url(#{names[m[1]]})", value)
+
+
+def _with_palette(image: str) -> str:
+    """Return a PNG with 256 colors, a third of the size: lines have few."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    picture = Image.open(io.BytesIO(base64.b64decode(image))).convert("RGBA")
+    picture.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(file, "png", optimize=True)
+    return base64.b64encode(file.getvalue()).decode()

@@ -1,0 +1,164 @@
+"""The page of a tile."""
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey.plot import plot_focal_plane
+from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
+from rfpsurvey.report._facts import tile_aims, tile_facts
+from rfpsurvey.tile import Tile
+
+__all__ = ["page_of_tile"]
+
+COLUMNS = (
+    "id", "colliding_with", "clearance", "status", "target_id", "kind", "fiber_type", "spectrograph", "ra", "dec",
+    "x", "y", "theta", "phi",
+)  # fmt: skip
+WIDTH = 7.2  # inches
+NARROW = 25
+MARGIN = 4  # radii of patrol areas about the place that is shown larger
+LITTLE = 60  # positioners that need no part shown larger
+
+
+def page_of_tile(tile: Tile, where: str) -> Page:
+    """Return a page on a tile; ``where`` names the file with all rows."""
+    summary, parameters = tile.summary, tile.provenance["parameters"]
+    name = tile.provenance["instrument"]["name"]
+    counts = f"{summary['n_assigned']} of {summary['n_positioners']} positioners have a target"
+    arms = f"{summary['n_colliding'] or 'none'} of their arms {'is' if summary['n_colliding'] == 1 else 'are'}"
+    highlights = {
+        f"of {summary['n_positioners']} positioners assigned": summary["n_assigned"],
+        "in collision": summary["n_colliding"],
+        "collision rate": f"{100 * summary['collision_rate']:.2f} %",
+    }
+    if "n_in_field" in summary:
+        highlights = {"targets in the field": summary["n_in_field"], **highlights}
+    sections = [
+        Section(
+            "Request and result",
+            [
+                Facts("What was asked", _asked(tile)),
+                Facts("What came out", tile_facts(tile)),
+                *_aims(tile),
+                Facts("Seconds", summary["seconds"]),
+            ],
+        ),
+    ]
+    if summary.get("unmet") or parameters.get("requirements"):
+        unmet = summary.get("unmet") or ["All requirements are met."]
+        sections.append(Section("Requirements", [Text(list(unmet))]))
+    sections.append(Section("Focal plane", _pictures(tile)))
+    sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
+    lead = f"{counts}; {arms} in collision."
+    return Page("Tile", _title(name, parameters), lead, highlights, sections, tile.provenance)
+
+
+def _title(name, parameters) -> str:
+    if "ra_deg" not in parameters:
+        return f"A tile of {name}"
+    place = SkyCoord(parameters["ra_deg"], parameters["dec_deg"], unit="deg")
+    return f"{name} at {place.to_string('hmsdms', sep=':', precision=0)}"
+
+
+def _asked(tile) -> dict:
+    """Return the request, with units in words."""
+    p, catalog = tile.provenance["parameters"], tile.provenance["catalog"]
+    asked = {"instrument": tile.provenance["instrument"]["name"], "allocator": p["allocator"]}
+    if "ra_deg" in p:
+        asked["center (ICRS)"] = f"{p['ra_deg']:.6f} {p['dec_deg']:+.6f} deg"
+        asked["position angle"] = f"{p['position_angle_deg']:g} deg from the north of {p['north_of']}"
+    asked["catalog"] = catalog.get("file") or catalog.get("synthetic") or "given in memory"
+    asked["epoch"] = p.get("epoch") or "as given"
+    asked["requirements"] = p.get("requirements") or "none"
+    if p.get("required"):
+        asked["required targets"] = p["required"]
+    if p.get("sky_separation_mm"):
+        asked["blank sky, away from all targets"] = f"{p['sky_separation_mm']:.4g} mm"
+    if p["allocator"] in ("sdss", "optimal"):
+        asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
+    asked["idle arms stand in the way"] = p.get("parked_obstacles", True)
+    return asked
+
+
+def _aims(tile) -> list:
+    """Return the classes of targets, and how far the plan is proven."""
+    aims, gap = tile_aims(tile), tile.summary.get("gap")
+    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in aims}
+    if gap is not None:
+        values["gap to the best plan"] = gap
+    return [Facts("Classes of targets, in order of priority", values)] if values else []
+
+
+def _pictures(tile) -> list:
+    whole = "Circles are patrol areas, and the shade around an arm is half the safe distance wide."
+    pictures = [Picture("The whole focal plane.", _draw(tile), whole)]
+    if len(tile.table) > LITTLE:
+        corner = _crowded(tile)
+        red = " Arms whose shades overlap collide, and are red." if tile.summary["n_colliding"] else ""
+        words = f"{'The most collisions are here.' if red else 'The narrowest passage is here.'}{red}"
+        pictures.append(Picture("A part of it, larger.", _draw(_part(tile, corner), corner), words))
+    return pictures
+
+
+def _draw(tile, region=None):
+    from matplotlib.figure import Figure
+
+    ax = plot_focal_plane(tile, ax=Figure(layout="constrained").add_subplot(), region=region)
+    ax.set_title("")
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    ax.figure.set_size_inches(WIDTH, WIDTH * (y1 - y0) / (x1 - x0))
+    return ax
+
+
+def _xy(tile):
+    return np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
+
+
+def _crowded(tile) -> u.Quantity:
+    """Return the corners of a square with the most collisions in it, or with the least clearance."""
+    xy, colliding = _xy(tile), np.asarray(tile.table["in_collision"])
+    outer = np.max(tile.table.meta["geometry"]["outer_radius_mm"])
+    half = MARGIN * outer
+    if colliding.any():
+        near = (np.abs(xy[colliding][:, None] - xy[colliding][None]) < half).all(axis=2).sum(axis=1)
+        middle = xy[colliding][near == near.max()]
+        middle = middle[np.hypot(*middle.T).argmin()]
+    else:
+        clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
+        middle = xy[clearance.argmin()]
+    # no farther out than there are positioners
+    middle = np.clip(middle, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
+    return np.stack([middle - half, middle + half]) * u.mm
+
+
+def _part(tile, corners) -> Tile:
+    """Return a tile of the positioners that can be seen between two corners, so that no others are drawn."""
+    geometry, corners = tile.table.meta["geometry"], corners.to_value(u.mm)
+    reach = 2 * np.max(geometry["outer_radius_mm"])
+    seen = ((_xy(tile) > corners[0] - reach) & (_xy(tile) < corners[1] + reach)).all(axis=1)
+    part = tile.table[seen]
+    own = {k: np.array(geometry[k])[seen].tolist() for k in ("inner_radius_mm", "outer_radius_mm")
+           if isinstance(geometry[k], list)}  # fmt: skip
+    part.meta = {**tile.table.meta, "geometry": {**geometry, **own}}
+    return Tile(part)
+
+
+def _collisions(tile, where) -> list:
+    """Return the positioners that collide, and those that barely do not."""
+    table = tile.table[[c for c in COLUMNS if c in tile.table.colnames and not _empty(tile.table[c])]]
+    colliding = np.asarray(tile.table["in_collision"])
+    clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
+    free = np.flatnonzero(~colliding & np.isfinite(clearance))
+    narrow = free[np.argsort(clearance[free], kind="stable")]
+    words = "The clearance is how much farther than the safe distance the nearest other arm is away."
+    blocks = [Text(f"{words}{'' if colliding.any() else ' No arm is in collision.'}")]
+    if colliding.any():
+        blocks.append(Rows("Positioners in collision.", table[colliding], where))
+    rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
+    left_out = len(narrow) - len(rest)
+    return [*blocks, Rows("The narrowest passages of arms that do not collide.", rest, where, left_out)]
+
+
+def _empty(column) -> bool:
+    return column.dtype.kind == "U" and not (np.ma.filled(column, "") != "").any()

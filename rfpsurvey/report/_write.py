@@ -1,0 +1,133 @@
+"""From a result to a file."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from astropy.table import Table
+
+from rfpsurvey._io import check_output, output_path
+from rfpsurvey.errors import InputError
+from rfpsurvey.probability import Estimate
+from rfpsurvey.report._blocks import Page, Picture, Section
+from rfpsurvey.report._html import html_of
+from rfpsurvey.report._survey import page_of_survey, page_of_tiling
+from rfpsurvey.report._tables import (
+    page_of_allocators,
+    page_of_claims,
+    page_of_estimate,
+    page_of_instruments,
+    page_of_table,
+)
+from rfpsurvey.report._tile import page_of_tile
+from rfpsurvey.survey import Survey
+from rfpsurvey.tile import Tile
+from rfpsurvey.tiling import Tiling
+
+__all__ = ["MADE_BY", "PAGES", "check_report", "write_report"]
+
+PAGES: dict[type, Callable[..., Page]] = {
+    Tile: page_of_tile, Survey: page_of_survey, Tiling: page_of_tiling, Estimate: page_of_estimate,
+    Table: page_of_table,
+}  # fmt: skip
+"""Type of a result to function of the result, and the name of the file with all of it -> page."""
+MADE_BY: dict[str, Callable[..., Page]] = {
+    "compare_allocators": page_of_allocators, "compare_instruments": page_of_instruments, "reproduce": page_of_claims,
+}  # fmt: skip
+"""What ``meta["made_by"]`` of a table says, to the function for it; other tables get a plain page."""
+ENDINGS = (".html", ".htm")
+MAX_ROWS = 1000
+
+
+def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
+    """Return the path if a report can go there."""
+    return check_output(path, ENDINGS, overwrite=overwrite)
+
+
+def write_report(
+    result: "Tile | Survey | Tiling | Estimate | Table",
+    path: str | os.PathLike,
+    *,
+    overwrite: bool = False,
+    title: str | None = None,
+    figures: object = (),
+    data: str | os.PathLike | None = None,
+    max_rows: int = MAX_ROWS,
+) -> None:
+    """Write one page of HTML on a result: figures, tables that can be sorted, and where it comes from.
+
+    The page is a single file that needs no network: styles, script and figures (as SVG) are in it, and it fetches
+    nothing. The same result gives the same bytes.
+
+    Parameters
+    ----------
+    result : Tile, Survey, Tiling, Estimate, Table or QTable
+        What the page is about. A table is shown with its ``meta``; those of `compare_allocators`,
+        `compare_instruments` and `reproduce` get pages of their own.
+    path : str or path-like
+        Ends in ``.html`` or ``.htm``.
+    overwrite : bool, optional
+        Replace a file that exists.
+    title : str, optional
+        Heading of the page; by default it says what the result is.
+    figures : matplotlib Figure or Axes, sequence of them, or dict, optional
+        Further figures, for example ``rs.plot_speed_accuracy(table)``; the keys of a dict are their captions.
+    data : str or path-like, optional
+        File that holds the whole result. Where a table leaves out rows, the page names this file, without its folder.
+    max_rows : int, optional
+        Rows that a table shows at most; it says how many there are.
+
+    Raises
+    ------
+    InputError
+        If there is no page for such a result, the path has another ending or exists, or a figure is none.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> import rfpsurvey as rs
+    >>> box = rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg)
+    >>> with TemporaryDirectory() as folder:
+    ...     rs.write_report(rs.place_tiles(box, "lamost"), Path(folder) / "tiles.html", title="My tiles")
+    ...     print((Path(folder) / "tiles.html").read_text().count("<svg"))
+    1
+    """
+    path = check_report(path, overwrite=overwrite)
+    if isinstance(max_rows, bool) or not isinstance(max_rows, int) or max_rows < 1:
+        raise InputError(f"max_rows must be a whole number of at least 1, got {max_rows!r}")
+    if not (title is None or isinstance(title, str)):
+        raise InputError(f"title must be text, got {title!r}")
+    pictures = _pictures(figures)
+    page = _page_of(result, "" if data is None else Path(data).name)
+    if title is not None:
+        page = replace(page, title=title)
+    if pictures:
+        page = replace(page, sections=[Section("Figures", pictures), *page.sections])
+    content = html_of(page, max_rows).encode()
+    with output_path(path, ENDINGS, overwrite=overwrite) as temporary:
+        temporary.write_bytes(content)
+
+
+def _page_of(result, where: str) -> Page:
+    """Return the page for a result of this kind."""
+    for kind, build in PAGES.items():
+        if isinstance(result, kind):
+            own = MADE_BY.get(result.meta.get("made_by")) if isinstance(result, Table) else None
+            return (own or build)(result, where)
+    known = ", ".join(kind.__name__ for kind in PAGES)
+    raise InputError(f"a report is about one of: {known}; got {type(result).__name__}")
+
+
+def _pictures(figures) -> list[Picture]:
+    """Return figures with captions."""
+    named = figures if isinstance(figures, Mapping) else None
+    if named is None:
+        several = figures if isinstance(figures, Iterable) else [figures]
+        named = {f"Figure {k}.": figure for k, figure in enumerate(several, 1)}
+    for figure in named.values():
+        if not hasattr(getattr(figure, "figure", figure), "savefig"):
+            raise InputError(f"figures must be Figures or Axes of matplotlib, got {type(figure).__name__}")
+    return [Picture(str(caption), figure) for caption, figure in named.items()]

@@ -1,0 +1,42 @@
+"use strict";
+// Tables sort by any column: a click or the Enter key on its head. What is missing goes to the end either way.
+const words = new Intl.Collator(undefined, { numeric: true });
+
+function keysOf(body, column) {
+  const keys = Array.from(body.rows, (row) => {
+    const cell = row.cells[column];
+    return cell.classList.contains("missing") ? null : cell.dataset.value ?? cell.textContent;
+  });
+  const numbers = keys.map((key) => (key === null || key.trim() === "" ? null : Number(key)));
+  return numbers.some(Number.isNaN) ? keys : numbers;
+}
+
+function sort(table, column, sign) {
+  const body = table.tBodies[0];
+  const keys = keysOf(body, column);
+  const order = Array.from(body.rows, (row, k) => [keys[k], row]);
+  order.sort(([a], [b]) => {
+    if (a === null || b === null) return (a === null) - (b === null);
+    if (typeof a === "string") return sign * words.compare(a, b);
+    return a === b ? 0 : sign * (a < b ? -1 : 1);
+  });
+  body.append(...order.map(([, row]) => row));
+}
+
+for (const table of document.querySelectorAll("table.rows")) {
+  if (table.tBodies[0].rows.length < 2) continue;
+  const heads = Array.from(table.tHead.rows[0].cells);
+  heads.forEach((head, column) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(...head.childNodes);
+    head.append(button);
+    head.setAttribute("aria-sort", "none");
+    button.addEventListener("click", () => {
+      const up = head.getAttribute("aria-sort") !== "ascending";
+      for (const other of heads) other.setAttribute("aria-sort", "none");
+      head.setAttribute("aria-sort", up ? "ascending" : "descending");
+      sort(table, column, up ? 1 : -1);
+    });
+  });
+}

@@ -1,0 +1,380 @@
+import base64
+import hashlib
+import os
+import re
+import subprocess
+import sys
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, QTable
+from astropy.time import Time
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+import rfpsurvey as rs
+from pages import LOADING, Reader, full
+from rfpsurvey import reproduction
+from rfpsurvey.report import _svg, _tile
+from rfpsurvey.report._numbers import column_texts
+
+CENTER = SkyCoord(95, 23, unit="deg")
+NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
+
+
+@pytest.fixture(scope="module")
+def tile(presets):
+    sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+
+
+@pytest.fixture(scope="module")
+def survey(small):
+    sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=60 / u.deg**2, rng=3)
+    return rs.plan_survey(sky, rs.place_tiles(sky, small, passes=2), small)
+
+
+def nasty_table():
+    table = QTable(
+        {
+            "name": [NASTY, "plain", ""],
+            "<b>length": [1.23456789, np.nan, -3e-9] * u.mm,
+            "count": MaskedColumn([10, 9, 100], mask=[False, True, False]),
+            "pair": [[1, 2], [3, 4], [5, 6]],
+            "when": Time(["2026-01-01", "2026-02-01", "2026-03-01"]),
+        }
+    )
+    table.meta.update(
+        title="x", note=NASTY, nested={NASTY: {"deeper": [NASTY, None]}}, length=[1, 2] * u.mm, nan=np.nan
+    )
+    return table
+
+
+def nasty_figure():
+    ax = Figure().add_subplot()
+    ax.plot([1, 10, 100], [1, 2, 3], color="0.5")
+    ax.set_xscale("log")
+    ax.set_xlabel(NASTY.replace("\x07", ""))
+    return ax
+
+
+def claims():
+    """What `reproduce` returns, without its folder."""
+    one = reproduction._claims.Claim("small", "it is so", "1", "1.1", "reproduced", "as read")
+    other = reproduction._claims.Claim("small", "it is not", "2", "1.1", "not reproduced", "as read")
+    table = reproduction._claims.claims_table([one, other])
+    table.meta.update(made_by="reproduce", quick=True)
+    return table
+
+
+@pytest.fixture(scope="module")
+def results(tile, survey, small):
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.3 * u.deg, n_targets=60, rng=1)
+    return {
+        "tile": tile,
+        "survey": survey,
+        "tiling": rs.place_tiles(rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg), "lamost"),
+        "estimate": rs.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
+        "table": nasty_table(),
+        "allocators": rs.compare_allocators(sky, small, CENTER, allocators=["nearest", "repair"]),
+        "claims": claims(),
+    }
+
+
+KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators", "claims")
+
+
+def written(result, folder, **options):
+    path = folder / "page.html"
+    rs.write_report(result, path, overwrite=True, **options)
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_is_well_formed_complete_and_fetches_nothing(results, tmp_path, kind):
+    text = written(results[kind], tmp_path, figures={NASTY: nasty_figure(), "again": nasty_figure()})
+    page = Reader(text)
+    assert page.all("html") == [{"lang": "en"}]
+    assert [len(page.all(tag)) for tag in ("title", "h1", "main", "footer")][1:] == [1, 1, 1]
+    metas = {a.get("name", a.get("http-equiv")): a.get("content") for a in page.all("meta")}
+    assert "width=device-width" in metas["viewport"]
+    # the only script is the page's own, and the only one that the browser would run
+    (script,) = page.text("script")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert metas["Content-Security-Policy"].startswith("default-src 'none'")
+    assert f"script-src 'sha256-{digest}'" in metas["Content-Security-Policy"]
+    ids = [attrs["id"] for _, attrs, _ in page.elements if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    for tag, attrs, _ in page.elements:
+        assert not any(name.startswith("on") for name in attrs), (tag, attrs)
+        for name in LOADING & set(attrs):
+            assert attrs[name].startswith(("#", "data:image/png;base64,", "data:,")), (tag, name, attrs[name][:80])
+            assert not attrs[name].startswith("#") or attrs[name][1:] in ids
+        for value in attrs.values():
+            assert all(name in ids for name in re.findall(r"url\(([^)]*)\)", value or "") if name[:1] != "#")
+            assert all(name in ids for name in re.findall(r"url\(#([^)]*)\)", value or ""))
+    (style,) = page.text("style")
+    assert not re.search(r"@import|url\(|https?:", style)
+    assert all(attrs.get("scope") in ("col", "row") for attrs in page.all("th"))
+    for tag, attrs, above in page.elements:
+        if tag == "svg":
+            assert attrs["role"] == "img"
+            assert set(attrs["aria-labelledby"].split()) <= set(ids)
+            assert above[-2:] == ("figure", "div")
+    titles = [above[-1] for tag, _, above in page.elements if tag == "title"]
+    assert titles.count("svg") == len(page.all("svg")) == len(page.all("figcaption")) >= 2
+
+
+def test_what_others_wrote_is_shown_as_text(tmp_path):
+    page = Reader(written(nasty_table(), tmp_path, title=NASTY, figures={NASTY: nasty_figure()}))
+    shown = NASTY.replace("\x07", "\N{REPLACEMENT CHARACTER}")
+    assert "".join(page.text("h1")) == shown
+    heads, rows = page.table("x.")
+    assert rows[0][0]["text"] == shown
+    assert heads == ["name", "<b>length mm", "count", "pair", "when"]
+    assert page.facts()["note"] == shown
+    assert page.facts()["deeper"].startswith(shown)
+    assert shown in page.text("figcaption") + page.text("strong")
+    assert NASTY.replace("\x07", "") in "".join(page.text("text"))
+    assert len(page.all("script")) == 1
+
+
+def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
+    _, rows = Reader(written(nasty_table(), tmp_path)).table("x.")
+    assert [row[1]["text"] for row in rows] == ["1.235", "\N{EN DASH}", "-3.000e-09"]
+    np.testing.assert_array_equal([full(row[1]) for row in rows], [1.23456789, np.nan, -3e-9])
+    assert [row[2]["text"] for row in rows] == ["10", "\N{EN DASH}", "100"]
+    assert ["missing" in row[2]["class"] for row in rows] == [False, True, False]
+    assert rows[2][0]["class"] == "missing"
+    assert rows[0][3]["text"] == "[1 2]"
+    assert rows[1][4]["text"].startswith("2026-02-01")
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))
+def test_numbers_keep_four_digits(values):
+    for value, text in zip(values, column_texts(np.array(values)), strict=True):
+        assert abs(float(text) - value) <= 0.5001e-3 * abs(value)
+
+
+def test_numbers_of_a_column_have_the_same_decimals():
+    assert column_texts(np.array([1.5, 12.25, 3.0])) == ["1.50", "12.25", "3.00"]
+    assert column_texts(np.array([0.1234567, 1.0])) == ["0.1235", "1.0000"]
+    assert column_texts(np.array([1e-7, 12345678.0, 12345.6])) == ["1.000e-07", "1.235e+07", "12346"]
+    assert column_texts(np.array([True, False])) == ["yes", "no"]
+
+
+def test_a_tile_has_its_own_numbers(tile, tmp_path):
+    page = Reader(written(tile, tmp_path, data="/some/where/tile.fits"))
+    t, facts = tile.table, page.facts()
+    colliding = t[t["in_collision"]]
+    heads, rows = page.table("Positioners in collision.")
+    assert len(rows) == len(colliding) == int(facts["in collision"]) > 20
+    for name, head in (("clearance", "clearance mm"), ("ra", "ra deg"), ("x", "x mm"), ("target_id", "target id")):
+        values = [full(row[heads.index(head)]) for row in rows]
+        np.testing.assert_array_equal(values, getattr(colliding[name], "value", colliding[name]))
+    assert [row[0]["text"] for row in rows] == colliding["id"].tolist()
+    assert facts["digest"] == tile.provenance["instrument"]["digest"]
+    assert facts["rng"] == str(tile.provenance["parameters"]["rng"])
+    # the foot gives numbers in full
+    assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
+    # those that barely do not collide: the same as by hand
+    heads, rows = page.table("The narrowest passages")
+    free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
+    np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The narrowest")]
+    assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
+    assert "/some/where" not in "".join(text for _, text in page.texts)
+
+
+def test_a_survey_has_its_own_numbers(survey, tmp_path):
+    page = Reader(written(survey, tmp_path))
+    heads, rows = page.table("The tiles of the survey")
+    assert len(rows) == len(survey)
+    for name in ("n_observed", "collision_rate", "completeness"):
+        values = [full(row[heads.index(name.replace("_", " "))]) for row in rows]
+        np.testing.assert_array_equal(values, survey.tiles[name])
+    heads, rows = page.table("Completeness after each pass")
+    np.testing.assert_array_equal(
+        [full(row[heads.index("n observed")]) for row in rows], survey.completeness["n_observed"]
+    )
+    assert int(page.facts()["visits wanted"]) == survey.summary["n_visits_wanted"]
+    assert len(page.all("svg")) == 2
+
+
+def test_claims_have_verdicts_and_their_experiments(tmp_path):
+    page = Reader(written(claims(), tmp_path))
+    _, rows = page.table("What the paper says")
+    assert [(row[3]["text"], row[3]["class"]) for row in rows] == [("reproduced", "good"), ("not reproduced", "bad")]
+    assert page.text("dd")[:2] == ["1", "1"]
+
+
+def test_no_row_is_left_out_in_silence(tmp_path):
+    table = QTable({"k": np.arange(150)})
+    page = Reader(written(table, tmp_path, max_rows=100, data="all.fits"))
+    _, rows = page.table("Table.")
+    assert [full(row[0]) for row in rows] == list(range(100))
+    assert page.tables[0]["caption"] == "Table. Shown: 100 of 150 rows; all are in all.fits."
+    assert page.tables[0]["caption"] != Reader(written(table, tmp_path)).tables[0]["caption"] == "Table."
+    assert "no rows" in written(QTable({"k": []}), tmp_path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_same_result_gives_the_same_bytes(results, tmp_path, kind):
+    assert written(results[kind], tmp_path) == written(results[kind], tmp_path)
+
+
+def test_another_process_writes_the_same_bytes(tmp_path):
+    code = (
+        "import sys; from matplotlib.figure import Figure; from astropy.table import QTable; import rfpsurvey as rs\n"
+        "ax = Figure().add_subplot(); ax.plot([1, 2], 'o-', label='a'); ax.scatter([1, 2], [3, 4]); ax.legend()\n"
+        "rs.write_report(QTable({'a': [1.5]}), sys.argv[1], figures=ax)"
+    )
+    environment = {**os.environ, "PYTHONHASHSEED": "7"}
+    subprocess.run([sys.executable, "-c", code, tmp_path / "there.html"], check=True, env=environment)
+    ax = Figure().add_subplot()
+    ax.plot([1, 2], "o-", label="a")
+    ax.scatter([1, 2], [3, 4])
+    ax.legend()
+    rs.write_report(QTable({"a": [1.5]}), tmp_path / "here.html", figures=ax)
+    assert (tmp_path / "here.html").read_bytes() == (tmp_path / "there.html").read_bytes()
+
+
+def test_heavy_figures_become_images_and_are_left_as_they_were(presets, tmp_path):
+    ax = Figure().add_subplot()
+    lines = ax.add_collection(LineCollection(np.random.default_rng(1).random((31_000, 2, 2))))
+    text = written(QTable({"a": [1]}), tmp_path, figures=ax)
+    assert text.count("data:image/png") == 1
+    assert len(text) < 1_000_000
+    assert not lines.get_rasterized()
+    sky = rs.synthetic_catalog("poisson", CENTER, 2.5 * u.deg, density=800 / u.deg**2, rng=1)
+    assert len(written(rs.plan_tile(sky, presets["lamost"], CENTER), tmp_path)) < 2_000_000
+
+
+def test_grays_follow_the_page_and_colors_do_not(tmp_path):
+    ax = Figure().add_subplot()
+    ax.plot([1, 2], color="#444444")
+    ax.plot([1, 3], color="#d00000")
+    text = written(QTable({"a": [1]}), tmp_path, figures=ax)
+    assert "stroke: var(--g44,#444444)" in text
+    assert "stroke: #d00000" in text
+    dark = dict(re.findall(r"--g([0-9a-f]{2}):#([0-9a-f]{6})", text))
+    assert {"00", "44"} <= set(dark)
+    assert set(dark) == set(re.findall(r"var\(--g([0-9a-f]{2}),", text.partition("<body>")[2]))
+    assert int(dark["00"][:2], 16) > int(dark["44"][:2], 16) > 0x80  # light on dark, in the same order
+
+
+def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
+    low, high = _tile._crowded(tile).to_value(u.mm)
+    xy = np.column_stack([tile.table["x"].value, tile.table["y"].value])
+    red = xy[tile.table["in_collision"]]
+    inside = ((red >= low) & (red <= high)).all(axis=1).sum()
+    half = (high - low) / 2
+    assert inside >= max((np.abs(red - middle) < half).all(axis=1).sum() for middle in red) > 3
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_part_is_drawn_like_the_whole(tile, several):
+    """Radii are one number or one for each positioner."""
+    table = tile.table.copy()
+    if several:
+        table.meta["geometry"] = {**table.meta["geometry"], "outer_radius_mm": [22.4] * len(table)}
+    corners = _tile._crowded(tile)
+    part = _tile._part(rs.Tile(table), corners).table
+    assert 5 < len(part) < len(table)
+    tip = np.column_stack([table["tip_x"].value, table["tip_y"].value])
+    low, high = corners.to_value(u.mm)
+    seen = ((tip > low) & (tip < high)).all(axis=1)
+    assert set(table["id"][seen]) <= set(part["id"])
+    assert np.size(part.meta["geometry"]["outer_radius_mm"]) == (len(part) if several else 1)
+    assert rs.plot_focal_plane(rs.Tile(part), region=corners).get_xlim() == (low[0], high[0])
+
+
+def test_ids_of_figures_never_clash():
+    """Matplotlib makes ids from what is drawn: the same figure twice has the same ones."""
+    first, second = (_svg.svg_of(nasty_figure(), k, "t", "w") for k in (1, 2))
+    names = [set(re.findall(r'id="([^"]*)"', text)) for text in (first, second)]
+    assert len(names[0]) == len(names[1]) > 3
+    assert not names[0] & names[1]
+    assert "<style" not in first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"path": "page.pdf"}, "must end in .html or .htm"),
+        ({"path": "no/page.html"}, "does not exist"),
+        ({"path": "there.html"}, "exists; ask for it to be overwritten"),
+        ({"result": [1, 2]}, "a report is about one of: Tile, Survey, Tiling, Estimate, Table; got list"),
+        ({"figures": ["x"]}, "figures must be Figures or Axes of matplotlib, got str"),
+        ({"max_rows": 0}, "max_rows must be a whole number of at least 1, got 0"),
+        ({"title": 3}, "title must be text, got 3"),
+    ],
+)
+def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message):
+    (tmp_path / "there.html").write_text("old")
+    options = {"result": QTable({"a": [1]}), "path": "page.html", **arguments}
+    options["path"] = tmp_path / options["path"]
+    with pytest.raises(rs.InputError, match=re.escape(message)):
+        rs.write_report(options.pop("result"), options.pop("path"), **options)
+    assert [p.name for p in tmp_path.iterdir()] == ["there.html"]
+    assert (tmp_path / "there.html").read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "plan --instrument sdss_apo --output t.ecsv",
+        "tile --region sky --method spiral --instrument lamost --output t.ecsv",
+        "survey --instrument sdss_apo --folder plan",
+        "compare-allocators --instrument moons --allocator lamost --allocator repair",
+        "compare sdss_apo moons --allocator lamost --realizations 1",
+        "design --ratio 1,1.5 --pitch 24,26",
+        "probability sdss_apo --method closed_form",
+        "reproduce small --quick --folder small",
+        "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
+    ],
+)
+def test_commands_write_pages(run, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run(*command.split(), "--report", "page.html")
+    assert code == 0
+    assert out.endswith("wrote page.html\n")
+    page = Reader((tmp_path / "page.html").read_text())
+    figures = {"tile": 1, "plan": 2, "survey": 2, "reproduce": 1, "benchmark": 1, "compare": 1, "design": 1}
+    assert len(page.all("svg")) == figures.get(command.split()[0], 0)
+    if command.startswith("plan"):
+        assert run("score", "t.ecsv", "--report", "score.html")[0] == 0
+        scored = Reader((tmp_path / "score.html").read_text()).facts()
+        assert scored["in collision"] == page.facts()["in collision"]
+    elif command.startswith("tile"):
+        assert re.search(r"Shown: 1000 of \d+ rows; all are in t.ecsv", "".join(t["caption"] for t in page.tables))
+    elif command.startswith("reproduce"):
+        table = QTable.read(tmp_path / "small" / "small.ecsv")
+        heads, rows = page.table("Table small.")
+        np.testing.assert_array_equal([full(row[heads.index("value")]) for row in rows], table["value"])
+
+
+WORK = {
+    "plan": "plan_tile", "tile --region sky": "place_tiles", "survey": "plan_survey",
+    "compare-allocators": "compare_allocators", "compare": "compare_instruments", "design": "explore_designs",
+    "probability": "collision_probability", "reproduce": "reproduce", "benchmark collisions": "benchmark_collisions",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", WORK)
+def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
+    def work(*_, **__):
+        raise AssertionError("the work was begun")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(rs, WORK[command], work)
+    (tmp_path / "old.html").write_text("old")
+    for name, message in (("old.html", "old.html exists"), ("page.txt", "must end in .html or .htm")):
+        code, _, err = run(*command.split(), "--report", name)
+        assert code == 2
+        assert message in err
+    assert [p.name for p in tmp_path.iterdir()] == ["old.html"]
