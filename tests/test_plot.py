@@ -45,6 +45,22 @@ def test_every_arm_is_drawn_once_in_its_color(tile):
     assert len(ax.collections) < 20
 
 
+def test_a_part_shows_the_same_as_the_whole_does_there(tile):
+    """What is out of sight is not drawn: pages on results would be large, and legends name what nobody sees."""
+    low, high = np.array([40.0, -130.0]), np.array([140.0, 0.0])
+    ax = rs.plot_focal_plane(tile, region=[low, high] * u.mm)
+    t, seen = tile.table, {}
+    for color, rows in ((COLLISION, t["in_collision"]), (ARM, (t["status"] == "assigned") & ~t["in_collision"])):
+        whole = np.column_stack([t["tip_x"].value, t["tip_y"].value])[rows]
+        drawn = np.array(artists(ax, LineCollection, color)[1].get_segments())[:, 1]
+        seen[color] = ((whole > low) & (whole < high)).all(axis=1).sum()
+        assert ((drawn > low) & (drawn < high)).all(axis=1).sum() == seen[color]
+        assert len(drawn) < len(whole)
+    assert min(seen.values()) > 0
+    away = rs.plot_focal_plane(tile, region=[[1000, 1000], [1100, 1100]] * u.mm)
+    assert away.get_legend() is None
+
+
 def test_shades_are_half_the_safe_distance_wide(tile):
     ax = rs.plot_focal_plane(tile)
     body = artists(ax, PolyCollection, COLLISION)[0].get_paths()[0].vertices

@@ -15,24 +15,24 @@ from astropy.coordinates import SkyCoord
 import rfpsurvey as rs
 from rfpsurvey._cli._print import (
     PICTURES,
+    files,
     finish,
     finish_comparison,
     finish_estimate,
-    finish_report,
     finish_table,
     finish_tiling,
     print_table,
-    write_figure,
 )  # fmt: skip
 from rfpsurvey._io import WRITABLE, check_output, read_table
 from rfpsurvey.catalog import UNITS, as_catalog
+from rfpsurvey.instrument import as_instrument
 from rfpsurvey.report import check_report
 
 __all__ = [
-    "app", "check_chart", "check_outputs", "finish", "finish_comparison", "finish_estimate", "finish_report",
-    "finish_table", "finish_tiling", "instrument_of", "load_instrument", "main", "parse_center", "parse_pairs",
+    "app", "check_chart", "check_outputs", "files", "finish", "finish_comparison", "finish_estimate",
+    "finish_table", "finish_tiling", "instrument_of", "main", "parse_center", "parse_pairs",
     "plan_options", "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm",
-    "units_of", "write_figure",
+    "units_of",
 ]  # fmt: skip
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
@@ -111,11 +111,6 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
     return found
 
 
-def load_instrument(name: str) -> "rs.Instrument":
-    """Return a preset by name, or the instrument that a TOML file describes."""
-    return rs.Instrument.read(name) if name.endswith(".toml") else rs.Instrument.preset(name)
-
-
 def instrument_of(table, name: str | None) -> "rs.Instrument":
     """Return the instrument asked for, or that of a tile of ours."""
     provenance = table.meta.get("provenance")
@@ -123,7 +118,7 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
     if name is None and own is None:
         known = ", ".join(rs.available_instruments())
         raise rs.InputError(f"--instrument must say what the assignment was made for: {known}, or a TOML file")
-    instrument = load_instrument(name or own)
+    instrument = as_instrument(name or own)
     if own is not None and own != instrument.name:
         raise rs.InputError(f"the tile was made for {own}, and cannot be scored for {instrument.name}")
     return instrument

@@ -49,26 +49,27 @@ def options(target_density: float | None, time_limit: float, objective: list[str
 
 
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Print the front and the sensitivities, and draw the front where asked."""
-    front = table[table["pareto"]]
-    wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
-    print(f"{len(table)} designs, loss of fibers: {table['estimand'][0]}; on the front ({wanted}): {len(front)}")
-    front.sort(next(iter(table.meta["objectives"])), reverse=True)
-    _app.print_table(front[list(dict.fromkeys([*COLUMNS, *table.meta["objectives"]]))][:MOST_ROWS])
-    if len(front) > MOST_ROWS:
-        print(f"and {len(front) - MOST_ROWS} more")
-    try:
-        found = rs.design_sensitivities(table)
-    except rs.InputError as error:  # one design, or a few
-        print(f"no sensitivities: {error}")
-    else:
-        print("share of the variance that each parameter explains, and percent of change for one percent more of it:")
-        _app.print_table(found)
-    if plot is not None:
-        _app.write_figure(lambda: rs.plot_designs(table).figure, plot, overwrite=overwrite)
-    for path in filter(None, (output, plot)):
-        print(f"wrote {path}")
+    """Draw the front and write a page where asked, and print the front and the sensitivities."""
+    page = {"title": f"{len(table)} designs", "data": output}
     if report is not None:
-        chart = {"The designs, and the front of those that no other one beats.": rs.plot_designs(table)}
-        options = {"title": f"{len(table)} designs", "figures": chart, "data": output}
-        _app.finish_report(table, report, overwrite=overwrite, **options)
+        page["figures"] = {"The designs, and the front of those that no other one beats.": rs.plot_designs(table)}
+    draw = (plot, lambda: rs.plot_designs(table).figure)
+    with _app.files(overwrite=overwrite, plot=draw, report=(report, table, page)):
+        front = table[table["pareto"]]
+        wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
+        print(f"{len(table)} designs, loss of fibers: {table['estimand'][0]}; on the front ({wanted}): {len(front)}")
+        front.sort(next(iter(table.meta["objectives"])), reverse=True)
+        _app.print_table(front[list(dict.fromkeys([*COLUMNS, *table.meta["objectives"]]))][:MOST_ROWS])
+        if len(front) > MOST_ROWS:
+            print(f"and {len(front) - MOST_ROWS} more")
+        try:
+            found = rs.design_sensitivities(table)
+        except rs.InputError as error:  # one design, or a few
+            print(f"no sensitivities: {error}")
+        else:
+            print(
+                "share of the variance that each parameter explains, and percent of change for one percent more of it:"
+            )
+            _app.print_table(found)
+        if output is not None:
+            print(f"wrote {output}")

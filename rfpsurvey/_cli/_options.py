@@ -70,6 +70,10 @@ CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this par
 FibersOption = Annotated[int | None, typer.Option(help="Targets of a tile at most. None: one a positioner.")]
 NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
 TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
+ChartOption = Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")]
+MapPlotOption = Annotated[
+    Path | None, typer.Option(help="Draw the probability of each positioner, .png, .pdf or .svg.")
+]
 TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .png, .pdf or .svg.")]
 SurveyCatalogArgument = Annotated[
     Path | None,
@@ -135,7 +139,7 @@ Examples:
 COMPARE_ALLOCATORS_EXAMPLES = """\b
 Examples:
   rfpsurvey compare-allocators
-  rfpsurvey compare-allocators stars.fits --instrument moons --output table.ecsv --report table.html
+  rfpsurvey compare-allocators stars.fits --instrument moons --plot allocators.png --report allocators.html
   rfpsurvey compare-allocators stars.fits --require instrument --sky-separation 10 --allocator sdss --allocator optimal
 """
 
@@ -189,7 +193,7 @@ Examples:
   rfpsurvey probability lamost
   rfpsurvey probability sdss_apo --method monte_carlo --precision 0.002 --workers 2
   rfpsurvey probability moons --estimand independent --density shared
-  rfpsurvey probability lamost --targets stars.fits --output map.fits
+  rfpsurvey probability lamost --targets stars.fits --output map.fits --plot map.png
 """
 
 REPRODUCE_EXAMPLES = """\b

@@ -1,5 +1,8 @@
 """What commands print, and the files that they write when the work is done."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,86 +13,112 @@ from rfpsurvey._io import output_path, write_table
 from rfpsurvey.report import estimate_facts, tile_aims, tile_facts
 
 __all__ = [
-    "PICTURES", "finish", "finish_comparison", "finish_estimate", "finish_report", "finish_table", "finish_tiling",
-    "print_table", "write_figure",
+    "PICTURES", "files", "finish", "finish_comparison", "finish_estimate", "finish_table", "finish_tiling",
+    "print_table",
 ]  # fmt: skip
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_AIMS = 12
 
 
-def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Write the table and the picture where asked, and print the summary."""
-    if output is not None:
-        tile.write(output, overwrite=overwrite)
-    if plot is not None:
-        write_figure(lambda: rs.plot_focal_plane(tile).figure, plot, overwrite=overwrite)
-    print_summary(tile)
-    for path in filter(None, (output, plot)):
+@contextmanager
+def files(*, overwrite: bool, output=None, plot=None, report=None) -> Iterator[None]:
+    """Write files, each given as its path and what it holds, before others speak of them; then name them.
+
+    Whoever reads what is printed may go away at any time, and that must cost no file. ``output`` comes with a function
+    that writes to a path, ``plot`` with one that makes a figure, ``report`` with a result and options of a page.
+    """
+    written = []
+    if output is not None and output[0] is not None:
+        path, write = output
+        write(path, overwrite=overwrite)
+        written.append(path)
+    if plot is not None and plot[0] is not None:
+        path, draw = plot
+        with output_path(path, PICTURES, overwrite=overwrite) as temporary:
+            draw().savefig(temporary, dpi=200, format=path.suffix[1:].lower())
+        written.append(path)
+    if report is not None and report[0] is not None:
+        path, result, options = report
+        rs.write_report(result, path, overwrite=overwrite, **options)
+        written.append(path)
+    yield
+    for path in written:
         print(f"wrote {path}")
-    finish_report(tile, report, overwrite=overwrite, data=output)
+
+
+def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
+    """Write a tile, its picture and page where asked, and print its summary."""
+    with files(
+        overwrite=overwrite, output=(output, tile.write), plot=(plot, lambda: rs.plot_focal_plane(tile).figure),
+        report=(report, tile, {"data": output}),
+    ):  # fmt: skip
+        print_summary(tile)
 
 
 def finish_tiling(
     tiling: "rs.Tiling", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Print how a tiling was made, and write and draw it where asked."""
-    for name, value in tiling.summary.items():
-        if value != "":
-            print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
-    if output is not None:
-        tiling.write(output, overwrite=overwrite)
-    if plot is not None:
-        write_figure(lambda: rs.plot_tiling(tiling).figure, plot, overwrite=overwrite)
-    for path in filter(None, (output, plot)):
-        print(f"wrote {path}")
-    finish_report(tiling, report, overwrite=overwrite, data=output)
+    """Write a tiling, its picture and page where asked, and print how it was made."""
+    with files(
+        overwrite=overwrite, output=(output, tiling.write), plot=(plot, lambda: rs.plot_tiling(tiling).figure),
+        report=(report, tiling, {"data": output}),
+    ):  # fmt: skip
+        for name, value in tiling.summary.items():
+            if value != "":
+                print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
 
 
-def finish_comparison(table, output: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Print methods side by side, and write the table where asked."""
-    print(f"{table.meta['instrument']}; {table.meta['blind_science']} science targets if arms could pass each other")
-    print_table(table)
-    for name, sentences in table.meta["unmet"].items():
-        for sentence in sentences:
-            print(f"{name}: not met: {sentence}")
-    if output is not None:
-        write_table(table, output, overwrite=overwrite)
-        print(f"wrote {output}")
-    finish_report(table, report, overwrite=overwrite, data=output)
+def finish_comparison(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
+    """Write methods side by side, their chart and page where asked, and print them."""
+    with files(
+        overwrite=overwrite, output=(output, partial(write_table, table)),
+        plot=(plot, lambda: rs.plot_allocators(table).figure), report=(report, table, {"data": output}),
+    ):  # fmt: skip
+        print(
+            f"{table.meta['instrument']}; {table.meta['blind_science']} science targets if arms could pass each other"
+        )
+        print_table(table)
+        for name, sentences in table.meta["unmet"].items():
+            for sentence in sentences:
+                print(f"{name}: not met: {sentence}")
 
 
 def finish_estimate(
-    estimate, model: "rs.Instrument", output: Path | None, report: Path | None, *, overwrite: bool
+    estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Print an estimate, a line a figure, and write its map where asked."""
-    print(f"{model.name}, {estimate.method}, {estimate.estimand} targets")
-    for label, value in estimate_facts(estimate).items():
-        print(f"{label:<34}{value}")
-    meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
-    print(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
-    if output is not None:
-        xy = model.focal_plane.xy
-        table = QTable(
-            {"id": model.focal_plane.id, "x": xy[:, 0], "y": xy[:, 1], "probability": estimate.per_positioner}
-        )
-        table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
-        write_table(table, output, overwrite=overwrite)
-        print(f"wrote {output}")
-    title = f"Collision probability of {model.name}"
-    finish_report(estimate, report, overwrite=overwrite, title=title)
+    """Write the map of an estimate, its picture and page where asked, and print it, a line a figure."""
+    plane = model.focal_plane
+    table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
+    table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
+
+    def draw():
+        return rs.plot_collision_map(estimate, plane).figure
+
+    page = {"title": f"Collision probability of {model.name}"}
+    if report is not None:
+        page["figures"] = {"How likely each positioner collides.": draw()}
+    with files(
+        overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, draw),
+        report=(report, estimate, page),
+    ):  # fmt: skip
+        print(f"{model.name}, {estimate.method}, {estimate.estimand} targets")
+        for label, value in estimate_facts(estimate).items():
+            print(f"{label:<34}{value}")
+        meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
+        print(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
 
 
 def finish_table(table, draw, output: Path, plot: Path, report: Path | None, *, overwrite: bool) -> None:
-    """Print a table of results, write it, draw its chart, and write a page where asked."""
-    print_table(table)
-    write_table(table, output, overwrite=overwrite)
-    write_figure(lambda: _first(draw(table)).figure, plot, overwrite=overwrite)
-    print(f"wrote {output}\nwrote {plot}")
+    """Write a table of results, its chart and page where asked, and print it."""
+    name, page = table.meta["instrument"], {"data": output}
     if report is not None:
-        chart = {f"Time against error, on {table.meta['instrument']}.": _first(draw(table))}
-        title = f"Benchmark: {table.meta['instrument']}"
-        finish_report(table, report, overwrite=overwrite, title=title, figures=chart, data=output)
+        page |= {"title": f"Benchmark: {name}", "figures": {f"Time against error, on {name}.": _first(draw(table))}}
+    with files(
+        overwrite=overwrite, output=(output, partial(write_table, table)),
+        plot=(plot, lambda: _first(draw(table)).figure), report=(report, table, page),
+    ):  # fmt: skip
+        print_table(table)
 
 
 def _first(axes):
@@ -132,16 +161,3 @@ def print_table(table) -> None:
         if column.dtype.kind == "f":
             column.info.format = ".4g"
     print("\n".join(table.pformat(max_lines=-1, max_width=-1)))
-
-
-def finish_report(result, path: Path | None, **options) -> None:
-    """Write a page on a result where asked."""
-    if path is not None:
-        rs.write_report(result, path, **options)
-        print(f"wrote {path}")
-
-
-def write_figure(make_figure, path: Path, *, overwrite: bool) -> None:
-    """Write the figure that a function makes."""
-    with output_path(path, PICTURES, overwrite=overwrite) as temporary:
-        make_figure().savefig(temporary, dpi=200, format=path.suffix[1:].lower())

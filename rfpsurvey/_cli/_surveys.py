@@ -102,10 +102,8 @@ def run(
         )
         print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
         raise
-    _print_survey(survey, perf_counter() - begin)
-    if survey.folder is not None:
-        print(f"wrote {survey.folder}")
-    if plot is not None:
-        _app.write_figure(lambda: draw_survey(survey), plot, overwrite=True)
-        print(f"wrote {plot}")
-    _app.finish_report(survey, report, overwrite=True)
+    seconds = perf_counter() - begin
+    with _app.files(overwrite=True, plot=(plot, lambda: draw_survey(survey)), report=(report, survey, {})):
+        _print_survey(survey, seconds)
+        if survey.folder is not None:
+            print(f"wrote {survey.folder}")

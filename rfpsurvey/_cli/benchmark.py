@@ -8,6 +8,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
+from rfpsurvey.instrument import as_instrument
 
 benchmark = typer.Typer(no_args_is_help=True, help="Time the methods side by side, on the arms of an instrument.")
 _app.app.add_typer(benchmark, name="benchmark")
@@ -28,7 +29,7 @@ def collisions(
     """Chart the speed of every method of finding collisions against its errors."""
     output = _app.check_chart(plot, report, overwrite=overwrite)
     options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
-    table = rs.benchmark_collisions(_app.load_instrument(instrument), **options)
+    table = rs.benchmark_collisions(as_instrument(instrument), **options)
     _app.finish_table(table, rs.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
 
 
@@ -38,4 +39,4 @@ def batches(
     repeats: Annotated[int, typer.Option(help="Calls of each kind, of which the median counts.")] = 5,
 ) -> None:
     """Time the scoring of many configurations at once, on processor threads and a GPU if there is one."""
-    _app.print_table(rs.benchmark_batches(_app.load_instrument(instrument), repeats=repeats))
+    _app.print_table(rs.benchmark_batches(as_instrument(instrument), repeats=repeats))

@@ -9,6 +9,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey._cli.benchmark import benchmark
+from rfpsurvey.instrument import as_instrument
 
 
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
@@ -23,7 +24,7 @@ def probability(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Chart the time of every method of collision probability against its error; print the bias of densities."""
-    output, model = _app.check_chart(plot, report, overwrite=overwrite), _app.load_instrument(instrument)
+    output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
     _app.print_table(rs.benchmark_densities(model, rng=seed))
     table = rs.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
     _app.finish_table(table, rs.plot_probability_accuracy, output, plot, report, overwrite=overwrite)

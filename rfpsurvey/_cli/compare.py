@@ -1,6 +1,7 @@
 """``rfpsurvey compare``."""
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Annotated
@@ -44,7 +45,7 @@ def compare(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")] = None,
+    plot: _options.ChartOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
@@ -58,15 +59,12 @@ def compare(
             targets_per_positioner=targets, density=None if density is None else density / u.deg**2,
             n_realizations=realizations, rng=seed, executor=pool if workers > 1 else None, **options,
         )  # fmt: skip
-    for title, columns in PARTS.items():
-        print(f"\n{title}" if title else table.meta["way"])
-        part = table[["instrument", *columns]]
-        _app.print_table(part if title else unique(part, "instrument"))
-    print(f"\n{fill(table.meta['comparable'], 100)}")
-    if output is not None:
-        write_table(table, output, overwrite=overwrite)
-    if plot is not None:
-        _app.write_figure(lambda: draw_instruments(table), plot, overwrite=overwrite)
-    for path in filter(None, (output, plot)):
-        print(f"wrote {path}")
-    _app.finish_report(table, report, overwrite=overwrite, data=output)
+    with _app.files(
+        overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, lambda: draw_instruments(table)),
+        report=(report, table, {"data": output}),
+    ):  # fmt: skip
+        for title, columns in PARTS.items():
+            print(f"\n{title}" if title else table.meta["way"])
+            part = table[["instrument", *columns]]
+            _app.print_table(part if title else unique(part, "instrument"))
+        print(f"\n{fill(table.meta['comparable'], 100)}")

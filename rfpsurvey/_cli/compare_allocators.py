@@ -7,6 +7,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
+from rfpsurvey.instrument import as_instrument
 
 
 @_app.app.command(epilog=_options.COMPARE_ALLOCATORS_EXAMPLES)
@@ -29,14 +30,15 @@ def compare_allocators(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
+    plot: _options.ChartOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Plan one field by several methods, side by side."""
-    _app.check_outputs(output, report=report, overwrite=overwrite)
-    model = _app.load_instrument(instrument)
+    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
     options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
     options.update(allocators=allocator, rng=seed, parked_obstacles=parked)
     table = rs.compare_allocators(targets, model, field, **options)
-    _app.finish_comparison(table, output, report, overwrite=overwrite)
+    _app.finish_comparison(table, output, plot, report, overwrite=overwrite)

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from rfpsurvey._cli import _app
-from rfpsurvey.instrument import every_instrument
+from rfpsurvey.instrument import as_instrument, every_instrument
 
 EXAMPLES = """\b
 Examples:
@@ -28,7 +28,7 @@ def instruments(
             )
             print(f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>10}{model.layout:>10}  {model.title}")
         return
-    model = _app.load_instrument(name)
+    model = as_instrument(name)
     print(f"{model.name}: {model.title}\n{len(model.focal_plane)} positioners, layout {model.layout}")
     print(f"{model.notes.strip()}\n")
     for row in model.to_table():

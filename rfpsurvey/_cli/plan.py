@@ -2,6 +2,7 @@
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
+from rfpsurvey.instrument import as_instrument
 
 
 @_app.app.command(epilog=_options.PLAN_EXAMPLES)
@@ -30,7 +31,7 @@ def plan(
 ) -> None:
     """Assign one field and find the arms that collide."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.load_instrument(instrument)
+    model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
     options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
     tile = rs.plan_tile(targets, model, field, allocator=allocator, rng=seed, parked_obstacles=parked, **options)

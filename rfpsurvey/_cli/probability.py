@@ -8,6 +8,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
+from rfpsurvey.instrument import as_instrument
 
 
 @_app.app.command(epilog=_options.PROBABILITY_EXAMPLES)
@@ -27,12 +28,13 @@ def probability(
     seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
     workers: Annotated[int, typer.Option(help="Threads; the result does not depend on it.", min=1)] = 1,
     output: _options.MapOption = None,
+    plot: _options.MapPlotOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Estimate how likely arms collide, with an interval."""
-    _app.check_outputs(output, report=report, overwrite=overwrite)
-    model = _app.load_instrument(instrument)
+    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    model = as_instrument(instrument)
     options = {"method": method, "estimand": estimand, "precision": precision, "max_iterations": max_iterations}
     options.update(targets=_app.read_targets(targets), n_targets=n_targets, allocator=allocator, density=density)
     options.update(target_radius=_app.to_mm(target_radius), min_separation=_app.to_mm(min_separation))
@@ -40,4 +42,4 @@ def probability(
     with ThreadPoolExecutor(workers) as executor:
         options["executor"] = executor
         estimate = rs.collision_probability(model, **options)
-    _app.finish_estimate(estimate, model, output, report, overwrite=overwrite)
+    _app.finish_estimate(estimate, model, output, plot, report, overwrite=overwrite)

@@ -26,8 +26,8 @@ def reproduce(
     _app.check_outputs(None, report=report, overwrite=overwrite)
     options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
     claims = rs.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)
-    for row in claims:
-        print(f"{row['experiment']}: {row['claim']}\n    paper: {row['paper']}\n    here: {row['ours']}")
-        print(f"    {row['verdict']} ({row['reading']})")
-    print(f"wrote {folder}")
-    _app.finish_report(claims, report, overwrite=overwrite, data="claims.ecsv")
+    with _app.files(overwrite=overwrite, report=(report, claims, {"data": "claims.ecsv"})):
+        for row in claims:
+            print(f"{row['experiment']}: {row['claim']}\n    paper: {row['paper']}\n    here: {row['ours']}")
+            print(f"    {row['verdict']} ({row['reading']})")
+        print(f"wrote {folder}")

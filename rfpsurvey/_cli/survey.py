@@ -1,6 +1,7 @@
 """``rfpsurvey survey``."""
 
 from rfpsurvey._cli import _app, _options, _surveys
+from rfpsurvey.instrument import as_instrument
 
 
 @_app.app.command(epilog=_options.SURVEY_EXAMPLES)
@@ -33,7 +34,7 @@ def survey(
 ) -> None:
     """Plan tile after tile until targets are observed as often as they are wanted."""
     _app.check_outputs(None, plot, report, overwrite=overwrite)
-    model = _app.load_instrument(instrument)
+    model = as_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame)
     options = _surveys.options(allocator, visits, passes, epoch, require, sky_separation, time_limit, order)
     options.update(parked_obstacles=parked, lost_in_collision=lost, folder=folder, resume=resume, rng=seed)

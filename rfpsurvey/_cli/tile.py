@@ -2,6 +2,7 @@
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
+from rfpsurvey.instrument import as_instrument
 
 
 @_app.app.command(epilog=_options.TILE_EXAMPLES)
@@ -26,7 +27,7 @@ def tile(
 ) -> None:
     """Decide where the tiles of a survey go."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.load_instrument(instrument)
+    model = as_instrument(instrument)
     if region is not None and catalog is not None:
         raise rs.InputError("give a catalog or --region, not both")
     if region is not None:

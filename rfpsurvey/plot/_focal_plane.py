@@ -1,6 +1,6 @@
 """Positioners, their arms, and what is in their way."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -104,6 +104,8 @@ def plot_focal_plane(
     scene = _of_tile(thing) if isinstance(thing, Tile) else _of_plane(thing)
     arms, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
     ax = focal_plane_axes(ax, scene.centers, scene.outer, region)
+    if region is not None:
+        scene = _in_sight(scene, ax)
     handles = [
         *_draw_groups(ax, scene, color),
         *_draw_patrol_areas(ax, scene, color, patrol),
@@ -149,6 +151,21 @@ def _of_plane(thing):
         plane.positioner._separation_mm / 2, status, np.zeros(n, bool), plane._obstacles_mm,
         {"spectrograph": spectrograph, "fiber_type": plane.fiber_type},
     )  # fmt: skip
+
+
+def _in_sight(scene, ax):
+    """Return what can be seen of a scene, so that nothing else is drawn or has an entry in the legend."""
+    corners = np.array([ax.get_xlim(), ax.get_ylim()])
+
+    def near(points, margin):
+        return ((points > corners[:, 0] - margin) & (points < corners[:, 1] + margin)).all(axis=1)
+
+    rows = near(scene.centers, 2 * scene.outer.max())  # arms end where patrol areas do
+    columns = ("centers", "inner", "outer", "elbows", "tips", "bodies", "status", "colliding")
+    own = {name: getattr(scene, name)[rows] for name in columns}
+    own["groups"] = {name: values[rows] for name, values in scene.groups.items()}
+    seen = near(scene.obstacles[:, :2], scene.obstacles[:, 2:])
+    return replace(scene, obstacles=scene.obstacles[seen], **own)
 
 
 def _draw_groups(ax, scene, color):

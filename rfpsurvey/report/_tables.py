@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._io import read_table
-from rfpsurvey.plot import draw_instruments, draw_reproduction
+from rfpsurvey.plot import draw_instruments, draw_reproduction, plot_allocators
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import estimate_facts
@@ -68,7 +68,9 @@ def page_of_allocators(table: Table, where: str) -> Page:
         "observed if arms could pass each other, as a part of these. gap: how far the plan may be from the best one, "
         "where that is known. missing: what the requirements lack."
     )
-    blocks = [Rows("Allocators side by side.", table, where), Text(notes)]
+    seen = "Usable fibers and those lost to collisions; the line is what could be if arms could pass each other."
+    picture = Picture("What each allocator gives.", plot_allocators(table), seen)
+    blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
     sections = [Section("Side by side", blocks)]
     if unmet:
         sections.append(Section("Requirements that are not met", [Text(unmet)]))

@@ -95,9 +95,9 @@ def _pictures(tile) -> list:
     pictures = [Picture("The whole focal plane.", _draw(tile), whole)]
     if len(tile.table) > LITTLE:
         corner = _crowded(tile)
-        red = " Arms whose shades overlap collide, and are red." if tile.summary["n_colliding"] else ""
-        words = f"{'The most collisions are here.' if red else 'The narrowest passage is here.'}{red}"
-        pictures.append(Picture("A part of it, larger.", _draw(_part(tile, corner), corner), words))
+        more = " Arms whose shades overlap collide, and are hatched." if tile.summary["n_colliding"] else ""
+        words = f"{'The most collisions are here.' if more else 'The narrowest passage is here.'}{more}"
+        pictures.append(Picture("A part of it, larger.", _draw(tile, corner), words))
     return pictures
 
 
@@ -130,18 +130,6 @@ def _crowded(tile) -> u.Quantity:
     # no farther out than there are positioners
     middle = np.clip(middle, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
     return np.stack([middle - half, middle + half]) * u.mm
-
-
-def _part(tile, corners) -> Tile:
-    """Return a tile of the positioners that can be seen between two corners, so that no others are drawn."""
-    geometry, corners = tile.table.meta["geometry"], corners.to_value(u.mm)
-    reach = 2 * np.max(geometry["outer_radius_mm"])
-    seen = ((_xy(tile) > corners[0] - reach) & (_xy(tile) < corners[1] + reach)).all(axis=1)
-    part = tile.table[seen]
-    own = {k: np.array(geometry[k])[seen].tolist() for k in ("inner_radius_mm", "outer_radius_mm")
-           if isinstance(geometry[k], list)}  # fmt: skip
-    part.meta = {**tile.table.meta, "geometry": {**geometry, **own}}
-    return Tile(part)
 
 
 def _collisions(tile, where) -> list:
