@@ -225,6 +225,11 @@ class FocalPlane:
         -------
         scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
             Its ``indptr`` and ``indices`` list the targets of each positioner, ascending.
+
+        Raises
+        ------
+        InputError
+            If the targets are not lengths of this shape, or there are fiber types and these are others.
         """
         points = to_points_mm(xy, "xy")
         indptr, target, _ = self._reach(points, fiber_type).by_positioner
@@ -246,6 +251,11 @@ class FocalPlane:
         -------
         ndarray of int, shape (n,)
             Number of positioners.
+
+        Raises
+        ------
+        InputError
+            If the points are not lengths of this shape.
         """
         return np.diff(self._reach(to_points_mm(xy, "xy")).indptr)
 
