@@ -82,7 +82,7 @@ class RadialMap:
         for name in ("unit_tangent", "factor"):
             try:
                 number = u.Quantity(getattr(self, name))
-            except TypeError:
+            except (TypeError, ValueError):
                 raise InputError(f"{name} must be a number, got {getattr(self, name)!r}") from None
             to_scalar(number, u.dimensionless_unscaled, name, low=0)
         if (self.form == "sine") != (self.radius is not None):
