@@ -11,15 +11,18 @@ import ast
 import copy
 import fnmatch
 import hashlib
+import importlib
 import os
 import resource
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+
+import numba
+import pytest
 
 ROOT = Path(__file__).parents[1]
 COLLISION = "count_collisions collision collision_methods scenes predicate regressions bad_input doors"
@@ -46,6 +49,8 @@ TESTS = {
     "rfpsurvey/_kernels/repair.py": "repair quotas sky_fibers allocation",
     "rfpsurvey/_kernels/simulate.py": "probability_targets probability_troubles probability",
 }
+# What rfpsurvey and its tests import: once, and not once a mutant.
+IMPORTS = "astropy.coordinates astropy.table matplotlib.figure scipy.optimize scipy.spatial scipy.stats shapely"
 EXCEPT = ("*/__init__.py", "rfpsurvey/collision/_gpu.py")
 
 COMPARISONS = {
@@ -146,17 +151,24 @@ def tests_of(name):
 
 
 def survives(folder, tests, seconds, cache):
-    """Run the tests in the copy; their processor time is limited, since others may use the machine."""
-    call = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:xdist", *tests]
-    done = subprocess.run(
-        call, cwd=folder, capture_output=True, text=True, check=False,
-        env={
-            **os.environ, "PYTHONPATH": str(folder), "MPLBACKEND": "agg", "PYTHONHASHSEED": "0",
-            "NUMBA_CACHE_DIR": str(folder.parent / cache),
-        },
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds)),
-    )  # fmt: skip
-    return done.returncode == 0, done.stdout
+    """Run the tests in the copy, in a child that has all but rfpsurvey imported; its processor time is limited."""
+    child = os.fork()
+    if child == 0:
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        with (folder.parent / "output").open("w") as output:
+            os.dup2(output.fileno(), 1)
+            os.dup2(output.fileno(), 2)
+        os.environ.update(PYTHONPATH=str(folder), MPLBACKEND="agg")
+        numba.config.CACHE_DIR = str(folder.parent / cache)
+        sys.path[:0] = [str(folder)]
+        os.chdir(folder)
+        code = 1
+        try:
+            code = pytest.main(["-x", "-q", "--no-header", "-p", "no:xdist", *tests])
+        finally:
+            sys.stdout.flush()
+            os._exit(int(code))
+    return os.waitpid(child, 0)[1] == 0
 
 
 def main():
@@ -167,6 +179,8 @@ def main():
     parser.add_argument("--seconds", type=int, default=90, help="processor time of a mutant")
     parser.add_argument("--part", default="1/1", help="run a part of the drawn mutants, such as 1/2")
     options = parser.parse_args()
+    for module in IMPORTS.split():
+        importlib.import_module(module)
     files = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "rfpsurvey").rglob("*.py"))
     pool = [
         (name, *mutant)
@@ -184,16 +198,15 @@ def main():
         ignored = shutil.ignore_patterns(".*", "__pycache__", "_build", "*.egg-info")
         shutil.copytree(ROOT, folder, ignore=ignored)
         everything = sorted({test for mutant in drawn for test in tests_of(mutant[0])})
-        passed, output = survives(folder, everything, 1200, "cache")
-        if not passed:
-            sys.exit("the tests fail without a mutant:\n" + output)
+        if not survives(folder, everything, 1200, "cache"):
+            sys.exit("the tests fail without a mutant:\n" + (Path(scratch) / "output").read_text())
         for name, line, old, new, source in drawn:
             start = time.monotonic()
             text = (folder / name).read_text()
             (folder / name).write_text(source)
             # what is compiled from mutants is of no use to others
             cache = "mutant" if "_kernels" in name else "cache"
-            alive, _ = survives(folder, tests_of(name), options.seconds, cache)
+            alive = survives(folder, tests_of(name), options.seconds, cache)
             (folder / name).write_text(text)
             n_killed += not alive
             label = "SURVIVED" if alive else "killed"
