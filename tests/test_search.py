@@ -267,17 +267,18 @@ def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
     assert found.n_assigned == n
 
 
+@pytest.mark.parametrize("n_required", [0, 12])
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
-def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method):
+def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_required):
     """Whether the solver ends in time is not in the hands of a test: here it says that it did not."""
     plane, n = dense_plane(rings=2), 120
     rng = np.random.default_rng(0)
-    required = rng.permutation(n) < 12
-    options = {
-        "method": method, "priority": rng.integers(0, 2, n), "kind": rng.choice(["science", "sky"], n, p=[0.8, 0.2]),
-        "required": required, "requirements": "sky=4",
-    }  # fmt: skip
+    priority, kind = rng.integers(0, 2, n), rng.choice(["science", "sky"], n, p=[0.8, 0.2])
     xy = rng.uniform(-50, 50, (n, 2)) * MM
+    xy[0], priority[0], kind[0] = 3 * MM, 1, "science"  # the first of all counts, too
+    options = {"method": method, "priority": priority, "kind": kind, "requirements": "sky=4"}
+    if n_required:
+        options["required"] = rng.permutation(n) < n_required
     best = rs.allocate(xy, plane, **options)
     late = OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
     monkeypatch.setattr("scipy.optimize.milp", lambda *_, **__: late)
