@@ -278,3 +278,4 @@ def test_arms_that_cannot_touch_have_an_empty_report(method):
     report = rs.find_collisions(plane, plane.xy, method=method)
     assert (report.pairs.shape, report.distances.shape, report.n_borderline) == ((0, 2), (0,), 0)
     assert report.colliding_with == [[], []]
+    assert not report.in_collision.any()
