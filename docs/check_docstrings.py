@@ -1,37 +1,85 @@
-"""Validate the docstrings of all public names against the numpydoc standard; print what is wrong and exit with 1."""
+"""Validate the docstrings of all public names; print what is wrong and exit with 1.
 
+All must follow the numpydoc standard. Functions and classes show an example, which the tests run. What can raise an
+InputError, itself or in a function of the package that it calls, says so.
+"""
+
+import ast
 import inspect
 import sys
+import textwrap
 import tomllib
+from functools import cached_property
 from pathlib import Path
 
-from numpydoc.validate import validate
+from numpydoc.docscrape import get_doc_object
+from numpydoc.validate import ERROR_MSGS, validate
 
 import rfpsurvey
 
 CONFIG = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["tool"]["numpydoc_validation"]
+CHECKS = set(CONFIG["checks"])
+CHECKS = set(ERROR_MSGS) - CHECKS if "all" in CHECKS else CHECKS
+OTHERS = (property, cached_property, classmethod, staticmethod)
 
 
 def public_names():
-    """Yield the dotted names of public objects and their public methods and properties."""
+    """Yield the dotted names of public objects and their public methods and properties, and what they are."""
     for name in rfpsurvey.__all__:
         thing = getattr(rfpsurvey, name)
         if name.startswith("_") or (inspect.isclass(thing) and issubclass(thing, Exception)):
             continue
-        yield f"rfpsurvey.{name}"
+        yield f"rfpsurvey.{name}", thing
         if inspect.isclass(thing):
             for member, value in vars(thing).items():
-                documented = callable(value) or isinstance(value, property | classmethod)
+                documented = callable(value) or isinstance(
+                    value, property | cached_property | classmethod | staticmethod
+                )
                 if documented and not member.startswith("_"):
-                    yield f"rfpsurvey.{name}.{member}"
+                    yield f"rfpsurvey.{name}.{member}", getattr(thing, member)
+
+
+def raises(thing, owner=None, seen=None):
+    """Say whether a function can raise an InputError: its own, or one of a function of the package that it calls."""
+    seen = set() if seen is None else seen
+    if inspect.isclass(thing):
+        thing, owner = getattr(thing, "__post_init__", None), thing
+    thing = inspect.unwrap(getattr(thing, "__func__", thing)) if thing else None
+    if not inspect.isfunction(thing) or not thing.__module__.startswith("rfpsurvey") or thing in seen:
+        return False
+    seen.add(thing)
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(thing)))):
+        if isinstance(node, ast.Raise) and "InputError" in ast.dump(node):
+            return True
+        if isinstance(node, ast.Call) and raises(*called(node.func, thing, owner), seen):
+            return True
+    return False
+
+
+def called(node, function, owner):
+    """Return what a call in a function refers to, and the class that it is a method of; None where that is unclear."""
+    match node:
+        case ast.Name(id=name):
+            return function.__globals__.get(name), None
+        case ast.Attribute(value=ast.Name(id="self" | "cls"), attr=name):
+            return getattr(owner, name, None), owner
+        case ast.Attribute(value=ast.Name(id=module), attr=name):
+            return getattr(function.__globals__.get(module), name, None), None
+    return None, None
+
+
+def problems(name, thing):
+    """Yield what is wrong with one docstring."""
+    yield from (f"{code} {text}" for code, text in validate(name)["errors"] if code in CHECKS)
+    doc = get_doc_object(thing)
+    owner = getattr(rfpsurvey, name.split(".")[1])
+    if name.count(".") == 1 and ">>> " not in "".join(doc["Examples"]):
+        yield "no example"
+    if not isinstance(thing, property | cached_property) and raises(thing, owner) and not doc["Raises"]:
+        yield "can raise an InputError and does not say when"
 
 
 if __name__ == "__main__":
-    problems = [
-        f"{name}: {code} {text}"
-        for name in public_names()
-        for code, text in validate(name)["errors"]
-        if code in CONFIG["checks"]
-    ]
-    print("\n".join(problems) or "docstrings: all well")
-    sys.exit(bool(problems))
+    found = [f"{name}: {problem}" for name, thing in public_names() for problem in problems(name, thing)]
+    print("\n".join(found) or "docstrings: all well")
+    sys.exit(bool(found))

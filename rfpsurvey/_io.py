@@ -199,7 +199,7 @@ def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
         try:
             body[name] = np.where(column, ord("T"), ord("F")) if column.dtype.kind == "b" else column
         except UnicodeEncodeError as error:
-            raise InputError(f"FITS holds ASCII text only ({error}); give the targets other ids") from None
+            raise InputError(f"FITS files hold ASCII text only, but the column {name!r} has other: {error}") from None
     return b"".join([primary, header.tostring().encode("ascii"), body.tobytes(), bytes(-body.nbytes % 2880)])
 
 

@@ -190,9 +190,15 @@ class Positioner:
 
         Returns
         -------
-        theta, phi : Quantity, shape (n,)
-            In deg; theta in [-180, 180] (that of home at the center), phi in [0, 180] ("right") or [-180, 0]. NaN out
-            of reach.
+        theta : Quantity, shape (n,)
+            In deg, in [-180, 180]; that of home at the center, NaN out of reach.
+        phi : Quantity, shape (n,)
+            In deg, in [0, 180] ("right") or [-180, 0]; NaN out of reach.
+
+        Raises
+        ------
+        InputError
+            If the points are not lengths of this shape, or the handedness is unknown.
         """
         points = to_points_mm(xy, "xy")
         choice = check_choice(handedness or self.handedness, HANDEDNESS, "handedness")
@@ -217,6 +223,11 @@ class Positioner:
         -------
         Quantity, shape (n, 2)
             Points relative to the center, in mm.
+
+        Raises
+        ------
+        InputError
+            If the joint angles are not angles of this shape.
         """
         theta, phi = np.atleast_1d(to_radian(theta, "theta")), np.atleast_1d(to_radian(phi, "phi"))
         if theta.ndim != 1 or phi.ndim != 1 or len({theta.size, phi.size} - {1}) > 1:

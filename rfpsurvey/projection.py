@@ -82,7 +82,7 @@ class RadialMap:
         for name in ("unit_tangent", "factor"):
             try:
                 number = u.Quantity(getattr(self, name))
-            except TypeError:
+            except (TypeError, ValueError):
                 raise InputError(f"{name} must be a number, got {getattr(self, name)!r}") from None
             to_scalar(number, u.dimensionless_unscaled, name, low=0)
         if (self.form == "sine") != (self.radius is not None):
@@ -128,6 +128,11 @@ class RadialMap:
         -------
         Quantity
             In mm; NaN beyond ``max_angle``.
+
+        Raises
+        ------
+        InputError
+            If what is given is not an angle.
         """
         theta = to_radian(angle, "angle")
         out = np.empty(theta.size)
@@ -146,6 +151,11 @@ class RadialMap:
         -------
         Quantity
             In deg; NaN beyond the map.
+
+        Raises
+        ------
+        InputError
+            If what is given is not a length.
         """
         r = to_mm(radius, "radius")
         out = np.empty(r.size)
@@ -233,6 +243,11 @@ class TangentPlane:
         -------
         TangentPlane
             With the plate scale focal_length / rad.
+
+        Raises
+        ------
+        InputError
+            If the center is not one direction, the focal length not one positive length, or the rotation not one angle.
         """
         return cls(center, to_mm(focal_length, "focal_length") * _SCALE, rotation)
 
@@ -267,6 +282,11 @@ class TangentPlane:
         -------
         Quantity, shape (n, 2)
             Columns x and y in mm; NaN where there is no image.
+
+        Raises
+        ------
+        InputError
+            If what is given are not directions on the sky, or types of fibers that have maps are others.
         """
         vectors = getattr(coord, "_vectors", None)
         if vectors is None:
@@ -301,6 +321,11 @@ class TangentPlane:
         -------
         SkyCoord, shape (n,)
             ICRS directions; NaN outside the distortion map.
+
+        Raises
+        ------
+        InputError
+            If the points are not lengths of this shape, or types of fibers that have maps are others.
         """
         points = to_points_mm(xy, "xy")
         vectors = np.empty((len(points), 3))

@@ -270,3 +270,12 @@ def test_bad_input_is_named(arguments, message):
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
     with pytest.raises(rs.InputError, match=message):
         rs.find_collisions(plane, **arguments)
+
+
+@pytest.mark.parametrize("method", ["exact", "sampled", "sweep", "scipy"])
+def test_arms_that_cannot_touch_have_an_empty_report(method):
+    plane = rs.FocalPlane([[0, 0], [100, 0]] * u.mm, rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm))
+    report = rs.find_collisions(plane, plane.xy, method=method)
+    assert (report.pairs.shape, report.distances.shape, report.n_borderline) == ((0, 2), (0,), 0)
+    assert report.colliding_with == [[], []]
+    assert not report.in_collision.any()

@@ -141,11 +141,12 @@ def test_monte_carlo_draws_every_configuration_alike(rng):
     assert (np.abs(mean - per_positioner) <= 4 * error).all()
 
 
-def test_few_entries_are_drawn_alike(rng):
+@pytest.mark.parametrize("most", [1, 2])
+def test_few_entries_are_drawn_alike(rng, most):
     plane = TINY["equal arms"]
     xy = rng.uniform(-10, 40, (14, 2))
     exact = rs.collision_probability(plane, targets=xy * MM)
-    got = batches(plane, 3, targets=xy * MM, max_iterations=400, most_entries=2)
+    got = batches(plane, 3, targets=xy * MM, max_iterations=400, most_entries=most)
     assert max(len(q) for q in queues_of(plane, xy)) > 3
     mean, error = mean_and_error([np.append(fields(e), e.per_positioner) for e in got])
     assert (error > 0).any()

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import rfpsurvey as rs
-from rfpsurvey.probability._intervals import converged, effective_number, quantile, wilson
+from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from scenes import MM, both_hands, lamost_like, sdss_like
 
 FIELDS = ("value", "value_assigned", "low", "high", "standard_error", "n", "n_effective", "pairs_per_positioner")
@@ -57,6 +57,14 @@ def test_effective_trials_would_have_the_error():
         n = effective_number(p, error, 7)
         assert np.sqrt(p * (1 - p) / n) == pytest.approx(error)
     assert effective_number(0.3, 0.0, 7) == effective_number(0.0, 0.1, 7) == effective_number(1.0, 0.1, 7) == 7
+
+
+def test_a_bootstrap_in_pieces_is_one_in_a_piece():
+    """Many rates are drawn from in several goes, so that memory suffices."""
+    rates, n = np.random.default_rng(1).random(1000), 1500
+    drawn = rates[np.random.default_rng(2).integers(0, len(rates), (n, len(rates)))].mean(axis=1)
+    found = INTERVALS["bootstrap"](rates, rates.mean(), 1000.0, 1000, 2.0, 0.9, np.random.default_rng(2), n_samples=n)
+    assert found == pytest.approx(np.quantile(drawn, [0.05, 0.95]).tolist(), abs=1e-12)
 
 
 def test_quantiles():

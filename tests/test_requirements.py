@@ -1,5 +1,6 @@
 """Requirements as text and as fields, and the sentences on what is lacking."""
 
+import astropy.units as u
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -136,3 +137,11 @@ def test_sentences_put_spectrographs_together():
 
 def test_blanks_do_not_matter():
     assert rs.Requirement.parse(" sky = 3 - 4 / spectrograph") == rs.Requirement("sky", 3, 4, "spectrograph")
+
+
+@pytest.mark.parametrize(("what", "hint"), [("brihgt", "; did you mean 'bright'?"), ("sky", ""), ("zzz", "")])
+def test_a_name_that_no_target_has_is_guessed_at(what, hint):
+    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm)
+    plane = rs.FocalPlane([[0, 0]] * u.mm, unit)
+    found = rs.allocate([[1, 2]] * u.mm, plane, category=["bright"], requirements=f"{what}=3")
+    assert [str(one) for one in found.unmet] == [f"{what} targets: 0 of 3, 3 missing; none is in reach{hint}"]

@@ -6,7 +6,7 @@ from itertools import combinations, product
 import astropy.units as u
 import numpy as np
 import pytest
-from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import csr_array
 
 import rfpsurvey as rs
@@ -256,3 +256,36 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
     found = rs.allocate(xy, plane, kind=["sky"], requirements=["sky=1-2"], sky_separation=1 * MM, **options)
     assert found.n_assigned == 2
     assert found.unmet == ()
+
+
+@pytest.mark.parametrize("method", ["optimal", "repair"])
+@pytest.mark.parametrize(("gap", "n"), [(4.5, 2), (np.nextafter(4.5, 0), 1), (np.nextafter(4.5, 5), 2)])
+def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
+    """Stretched arms beside each other: no collision at the safe distance, one a rounding nearer."""
+    plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, rs.Positioner(4 * MM, 4 * MM, 2.25 * MM))
+    found = rs.allocate([[8, 0], [8, gap]] * MM, plane, method=method, parked_obstacles=False)
+    assert found.n_assigned == n
+
+
+@pytest.mark.parametrize("n_required", [0, 12])
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_required):
+    """Whether the solver ends in time is not in the hands of a test: here it says that it did not."""
+    plane, n = dense_plane(rings=2), 120
+    rng = np.random.default_rng(0)
+    priority, kind = rng.integers(0, 2, n), rng.choice(["science", "sky"], n, p=[0.8, 0.2])
+    xy = rng.uniform(-50, 50, (n, 2)) * MM
+    xy[0], priority[0], kind[0] = 3 * MM, 1, "science"  # the first of all counts, too
+    options = {"method": method, "priority": priority, "kind": kind, "requirements": "sky=4"}
+    if n_required:
+        options["required"] = rng.permutation(n) < n_required
+    best = rs.allocate(xy, plane, **options)
+    late = OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
+    monkeypatch.setattr("scipy.optimize.milp", lambda *_, **__: late)
+    found = rs.allocate(xy, plane, **options)
+    assert best.gap == 0 < found.gap
+    assert any(level.value < level.bound for level in found.levels)
+    assert found.levels[0].bound >= best.levels[0].value
+    # no plan has more targets than there are positioners
+    first, second = (level for level in found.levels if level.name.startswith("priority"))
+    assert first.bound == first.value + second.bound == len(plane)

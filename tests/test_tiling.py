@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from astropy_healpix import HEALPix
 from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
@@ -135,8 +136,6 @@ def test_a_pass_or_a_program_makes_another_tile():
 
 
 def test_coverage_agrees_with_brute_force():
-    from astropy_healpix import HEALPix
-
     tiling = as_tiling(SkyCoord([0, 3, 359, 100, 20] * DEG, [0, 1, -1, 90, -88] * DEG))
     hp = HEALPix(32, order="nested", frame="icrs")
     pixels = hp.healpix_to_skycoord(np.arange(hp.npix))
@@ -212,6 +211,18 @@ def test_every_pass_covers_the_region(method, text):
     assert tiling.summary["covering_fraction"] == 1
     first, second = (tiling._vectors[tiling.table["pass"] == number] for number in (1, 2))
     assert angles(first, second).min() > 1e-3
+
+
+@pytest.mark.parametrize("method", ["hexagonal", "spiral"])
+def test_pixels_are_covered_to_their_edges(method):
+    tiling = rs.place_tiles(rs.Region.healpix([270, 300], 8), radius=2 * DEG, method=method)
+    fine = HEALPix(8 * 32, order="nested").healpix_to_xyz((np.array([[270], [300]]) * 32**2 + np.arange(32**2)).ravel())
+    assert np.rad2deg(angles(np.transpose(fine), tiling._vectors).max()) <= 2
+
+
+def test_a_polygon_may_be_closed():
+    corners = [0, 40, 40, 0, 0] * DEG, [0, 0, 20, 20, 0] * DEG
+    assert rs.Region.polygon(SkyCoord(*corners)).area == rs.Region.polygon(SkyCoord(*(c[:4] for c in corners))).area
 
 
 def test_a_covering_is_close_to_the_best():

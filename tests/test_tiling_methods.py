@@ -378,3 +378,15 @@ def test_nothing_to_observe_is_an_error(small):
         rs.place_tiles(sky(n=20), dead)
     with pytest.raises(rs.InputError, match="the catalog must have at least one target with finite coordinates"):
         rs.place_tiles(SkyCoord([] * DEG, [] * DEG), "lamost")
+
+
+@pytest.mark.parametrize("method", ["max_density", "density_gradient", "mean_shift"])
+def test_a_target_that_no_tile_can_serve_keeps_nobody_from_the_others(method):
+    """It lies on the only center near it, inside the hole of the patrol area."""
+    plane = rs.FocalPlane([[0, 0]] * u.mm, rs.Positioner(5 * u.mm, 8 * u.mm, 2 * u.mm))
+    ring = rs.Instrument("ring", plane, plate_scale=200 * u.mm / u.deg)
+    centers = SkyCoord([95, 100] * u.deg, [23, 23] * u.deg)
+    targets = SkyCoord([centers[0], centers[1].directional_offset_by(0 * u.deg, 0.04 * u.deg)])
+    tiling = rs.place_tiles(targets, ring, method=method, allocator="balanced", centers=centers)
+    assert tiling.coord.ra.deg.tolist() == pytest.approx([100])
+    assert (tiling.table["n_new"].tolist(), tiling.summary["n_observed"]) == ([1], 1)

@@ -52,6 +52,16 @@ class Allocation:
         Requirements that are not met; as text each is a sentence.
     meta : dict
         How the solution was found.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> plan = rs.allocate([[12, 0], [14, 0], [2, 5]] * u.mm, plane, method="nearest")
+    >>> plan.target_of_positioner, plan.positioner_of_target, plan.n_assigned
+    (array([2, 1]), array([-1,  1,  0]), 2)
     """
 
     method: str
@@ -114,6 +124,11 @@ class Allocation:
         -------
         Arms
             Poses of all positioners.
+
+        Raises
+        ------
+        InputError
+            If this is no focal plane, or one of other positioners.
         """
         return place_arms(
             focal_plane, self.tips, handedness=self.handedness, fiber_type=self.fiber_type,

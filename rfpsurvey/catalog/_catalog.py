@@ -354,6 +354,11 @@ class Catalog:
         -------
         Catalog
             The targets at most ``radius`` from ``center``, in the same order.
+
+        Raises
+        ------
+        InputError
+            If the center is not one direction, or the radius not one angle of at least 0.
         """
         return self._take(self._within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))
 

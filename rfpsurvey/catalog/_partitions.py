@@ -67,6 +67,18 @@ class PartitionedCatalog:
     See Also
     --------
     partition_catalog : Makes such a folder.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> stars = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 5 * u.deg, n_targets=1000, rng=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = rs.partition_catalog(stars, f"{folder}/stars", order=3)
+    ...     print(len(rs.PartitionedCatalog(f"{folder}/stars")))
+    1000
     """
 
     folder: Path
@@ -173,6 +185,11 @@ class PartitionedCatalog:
         -------
         Catalog
             All targets.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be read, or holds values that no `Catalog` may have.
         """
         tables = [self._table(k, self._names) for k in range(len(self._files))]
         merged = Table({name: np.concatenate([table[name] for table in tables]) for name in self._names})

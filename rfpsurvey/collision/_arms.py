@@ -54,6 +54,7 @@ def place_arms(
 
     With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
     """
+    check_plane(focal_plane)
     n, columns = len(focal_plane), focal_plane._columns
     idle = columns.idle(parked_obstacles)
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):

@@ -38,6 +38,16 @@ class CollisionCounts:
         distance decides.
     per_positioner : ndarray of int, shape (n,)
         Configurations in which each positioner is in collision.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> counts = rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm)
+    >>> counts.rate, counts.per_positioner
+    (array([1., 0.]), array([1, 1]))
     """
 
     n_pairs: np.ndarray

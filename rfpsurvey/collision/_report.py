@@ -33,6 +33,16 @@ class CollisionReport:
         Pairs so near to the safe distance (or arms to the clearance from an obstacle) that rounding could put them on
         either side; ``exact`` and ``cuda`` settle them in rational arithmetic, as obstacles always are. None: the
         method has no proven error. 0 where no two arms can touch.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> report = rs.find_collisions(plane, [[12, 0], [14, 0]] * u.mm)
+    >>> report.distances, report.rate, report.colliding_with
+    (<Quantity [2.] mm>, 1.0, [[1], [0]])
     """
 
     pairs: np.ndarray

@@ -33,7 +33,7 @@ def check_columns(plane) -> None:
         object.__setattr__(plane, name, value)
     if len(np.unique(columns["id"])) < n:
         names, counts = np.unique(columns["id"], return_counts=True)
-        raise InputError(f"id must be unique, but {names[counts > 1][0]!r} occurs more than once")
+        raise InputError(f"id must be unique, but {names[counts > 1].tolist()[0]!r} occurs more than once")
     names = ["+".join(part.strip() for part in row.split("+")) for row in columns["fiber_type"].tolist()]
     object.__setattr__(plane, "fiber_type", np.array(names))
     if len(plane.fiber_types) > 1 and "" in plane.fiber_types:

@@ -225,6 +225,11 @@ class FocalPlane:
         -------
         scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
             Its ``indptr`` and ``indices`` list the targets of each positioner, ascending.
+
+        Raises
+        ------
+        InputError
+            If the targets are not lengths of this shape, or there are fiber types and these are others.
         """
         return self._reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
@@ -242,6 +247,11 @@ class FocalPlane:
         -------
         ndarray of int, shape (n,)
             Number of positioners.
+
+        Raises
+        ------
+        InputError
+            If the points are not lengths of this shape.
         """
         return np.diff(self._reach(to_points_mm(xy, "xy")).indptr)
 

@@ -109,6 +109,11 @@ class Instrument:
         -------
         TangentPlane
             The projection.
+
+        Raises
+        ------
+        InputError
+            If the center is not one direction, or the position angle not one angle.
         """
         return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
 

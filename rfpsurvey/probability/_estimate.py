@@ -38,6 +38,16 @@ class Estimate:
         Time it took.
     meta : dict
         How it was made.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
+    >>> answer = rs.collision_probability(plane, n_targets=500)
+    >>> answer.method, answer.estimand, answer.per_positioner.shape
+    ('conditional', 'allocated', (37,))
     """
 
     value: float

@@ -32,6 +32,16 @@ class PolynomialFit:
         Coefficient of determination on the designs it was fitted to.
     r2_held_back : float
         The same on designs that it never saw.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> l1, ratio, pitch = np.random.default_rng(1).uniform((8, 1, 25), (14, 2, 35), (80, 3)).T
+    >>> fit = rs.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, 0.1 * ratio**2)
+    >>> fit.predict([10] * u.mm, [1.5], [30] * u.mm).round(3)
+    array([0.225])
     """
 
     coefficients: np.ndarray
@@ -57,6 +67,11 @@ class PolynomialFit:
         -------
         ndarray of float, shape (n,)
             Probabilities.
+
+        Raises
+        ------
+        InputError
+            If the designs are not finite columns of one length.
         """
         designs = _designs(central_arm, ratio, pitch)
         return _features((designs - self.mean) / self.scale) @ self.coefficients

@@ -262,6 +262,11 @@ class Region:
         -------
         ndarray of bool, shape (n,)
             True inside; the border of caps and boxes belongs to them.
+
+        Raises
+        ------
+        InputError
+            If what is given are not directions on the sky.
         """
         return self._contains(to_vectors(coord))
 

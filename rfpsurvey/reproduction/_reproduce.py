@@ -79,6 +79,15 @@ def reproduce(
     References
     ----------
     Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi Positioners".
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import rfpsurvey as rs
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     claims = rs.reproduce("small", f"{folder}/paper", quick=True)
+    >>> print(claims["claim"][0])
+    the probability increases rapidly with the arm ratio
     """
     check_choice(experiment, ["all", *EXPERIMENTS], "experiment")
     names = list(EXPERIMENTS) if experiment == "all" else [experiment]

@@ -42,6 +42,16 @@ class Survey:
         Where the visits are.
     parts : tuple of ndarray, optional
         The visits of each tile, where there is no folder.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 1 * u.deg, n_targets=500, rng=1)
+    >>> survey = rs.plan_survey(sky, SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg), "moons")
+    >>> survey
+    <Survey of 2 tiles: 33 of 500 visits, completeness 0.0660>
     """
 
     tiles: QTable

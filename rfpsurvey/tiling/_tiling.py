@@ -289,7 +289,9 @@ def _integers(column, tile):
     try:
         numbers = values.astype(float)
     except ValueError:
-        raise InputError(f"pass must be a whole number for every tile, got text such as {values.flat[0]!r}") from None
+        raise InputError(
+            f"pass must be a whole number for every tile, got text such as {str(values.flat[0])!r}"
+        ) from None
     bad = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
     if len(bad):
         raise InputError(f"pass must be a whole number for every tile, got {numbers[bad[0]]:g} for tile {tile[bad[0]]}")
