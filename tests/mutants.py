@@ -32,6 +32,8 @@ PROBABILITY = (
     "probability designs bad_input"
 )
 TESTS = {
+    "rfpsurvey/*/_plugin.py": "plugins",
+    "rfpsurvey/probability/_run.py": "compare_instruments " + PROBABILITY,
     "rfpsurvey/collision/*": COLLISION,
     "rfpsurvey/allocation/*": ALLOCATION,
     "rfpsurvey/probability/*": PROBABILITY,
