@@ -8,20 +8,12 @@ from typing import Annotated
 
 import astropy.units as u
 import typer
-from astropy.table import unique
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey._io import write_table
+from rfpsurvey.compare import parts_of
 from rfpsurvey.plot import draw_instruments
-
-PARTS = {
-    "": ("positioners", "field", "footprint", "type", "multiplicity", "reach_0", "reach_1", "reach_2", "reach_3"),
-    "fibers of a field": (
-        "allocator", "targets", "assigned", "assigned_part", "usable", "usable_per_area", "usable_per_solid_angle",
-    ),
-    "collisions": ("allocator", "probability", "low", "high", "pairs_per_positioner", "loss", "gap", "seconds"),
-}  # fmt: skip
 
 
 @_app.app.command(epilog=_options.COMPARE_EXAMPLES)
@@ -63,8 +55,8 @@ def compare(
         overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, lambda: draw_instruments(table)),
         report=(report, table, {"data": output}),
     ):  # fmt: skip
-        for title, columns in PARTS.items():
-            print(f"\n{title}" if title else table.meta["way"])
-            part = table[["instrument", *columns]]
-            _app.print_table(part if title else unique(part, "instrument"))
+        print(table.meta["way"])
+        for title, part in parts_of(table).items():
+            print(f"\n{title}")
+            _app.print_table(part)
         print(f"\n{fill(table.meta['comparable'], 100)}")

@@ -18,7 +18,7 @@ from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
 
-__all__ = ["compare_instruments"]
+__all__ = ["compare_instruments", "parts_of"]
 
 ALLOCATORS = ("lamost", "optimal")
 SYNTHETIC = ("poisson", "uniform")
@@ -43,6 +43,16 @@ CAUTION = (
     "Telescopes, exposure times and spectrographs do not enter. Layouts are those of the descriptions, most of them "
     "nominal lattices; idle arms stand in the way where the arms are equal, and give way elsewhere."
 )
+PARTS = {
+    "instruments": (
+        "positioners", "field", "footprint", "type", "multiplicity", "reach_0", "reach_1", "reach_2", "reach_3",
+    ),
+    "fibers of a field": (
+        "allocator", "targets", "targets_per_positioner", "assigned", "assigned_part", "usable", "usable_per_area",
+        "usable_per_solid_angle",
+    ),
+    "collisions": ("allocator", "probability", "low", "high", "pairs_per_positioner", "loss", "gap", "seconds"),
+}  # fmt: skip
 UNITS = {
     "field": u.deg, "footprint": u.mm**2, "usable_per_area": u.mm**-2, "usable_per_solid_angle": u.deg**-2,
     "seconds": u.s,
@@ -180,6 +190,13 @@ def compare_instruments(
     elif way == "same density":
         table.meta["density_per_deg2"] = float(density.to_value(u.deg**-2))
     return table
+
+
+def parts_of(table: QTable) -> dict[str, QTable]:
+    """Return a comparison as tables that fit a page: what instruments are, their fibers, their collisions."""
+    parts = {title: table[["instrument", *columns]] for title, columns in PARTS.items()}
+    rows = np.unique(np.asarray(table["instrument"]), return_index=True)[1]
+    return parts | {"instruments": parts["instruments"][np.sort(rows)]}
 
 
 def _models(instruments) -> list[Instrument]:

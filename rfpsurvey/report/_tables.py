@@ -6,6 +6,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._io import read_table
+from rfpsurvey.compare import parts_of
 from rfpsurvey.plot import draw_instruments, draw_reproduction, plot_allocators
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
@@ -85,7 +86,7 @@ def page_of_instruments(table: Table, where: str) -> Page:
     seen = "Reach, what the positioners do, and the collision probability with its interval."
     blocks = [
         Picture("Instruments side by side.", draw_instruments(table), seen),
-        Rows("A row for each instrument and allocator, on average over its fields.", table, where),
+        *(Rows(f"{title.capitalize()}.", part, where) for title, part in parts_of(table).items()),
         Text(meta["comparable"]),
     ]
     title = f"Comparison of {len(names)} instruments"
