@@ -1,5 +1,6 @@
+import pickle
 import shutil
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from astropy.stats import binom_conf_interval
 from astropy.table import QTable
 from matplotlib.patches import Rectangle
 from scipy.sparse.csgraph import maximum_bipartite_matching
-from shapely import Point
+from shapely import MultiPoint, Point, contains_xy
 from shapely.ops import unary_union
 
 import rfpsurvey as rs
+from rfpsurvey.compare._fields import synthetic_fields
 from rfpsurvey.plot import draw_instruments
 from rfpsurvey.probability import rate_interval
 
@@ -141,7 +143,60 @@ def test_workers_change_nothing_but_the_seconds():
         together = table(rng=5, executor=pool)
     for name in alone.colnames:
         np.testing.assert_array_equal(alone[name], together[name])
-    assert (table(rng=6)["targets"] != alone["targets"]).all()
+    assert (table(rng=6)["targets"] != alone["targets"]).any()
+
+
+def test_an_instrument_has_the_same_skies_whatever_it_is_compared_with():
+    options = {"n_realizations": 2, "allocators": "nearest", "rng": 3}
+    alone = rs.compare_instruments("poisson", [design("wide", 8.25, 8.25)], **options)
+    among = rs.compare_instruments("poisson", [design(), design("wide", 8.25, 8.25)], **options)
+    for name in ("targets", "usable", "probability"):
+        assert alone[name][0] == among[name][1]
+
+
+@pytest.mark.parametrize("name", ["pfs", "desi", "sdss_apo"])
+def test_the_footprint_holds_as_many_targets_as_asked_though_optics_distort(name):
+    model = rs.Instrument.preset(name)
+    (field,) = synthetic_fields("uniform", [model], None, 40.0, None, 1, 3)
+    xy = model.projection(field.center)._project(field.catalog._vectors, model._needs(None, len(field.catalog)))
+    hull = MultiPoint(model.focal_plane.xy.value).convex_hull
+    inside = contains_xy(hull, *xy.T).sum()
+    assert inside == pytest.approx(40.0 * len(model.focal_plane), rel=0.015)
+
+
+class Copies(Executor):
+    """Hands on copies, as processes do."""
+
+    def map(self, work, tasks):
+        return [pickle.loads(pickle.dumps(work))(pickle.loads(pickle.dumps(task))) for task in tasks]
+
+
+class Picky:
+    """An allocator that knows one focal plane only, and is another one when it has been copied."""
+
+    __hash__ = None
+
+    def __call__(self, problem):
+        assert len(problem.focal_plane) == 61
+        return np.full(61, -1)
+
+
+def test_allocators_that_are_objects():
+    methods = [Picky(), "nearest"]
+    options = {"n_realizations": 2, "executor": Copies()}
+    found = rs.compare_instruments("poisson", design(), allocators=methods, **options)
+    assert found["assigned"][0] == 0 < found["assigned"][1]
+
+
+def test_what_cannot_be_compared_is_said_before_any_work_is_done():
+    line = rs.FocalPlane([[0, 0], [50, 0], [100, 0]] * MM, design().focal_plane.positioner)
+    flat = rs.Instrument("flat", line, plate_scale=1 * MM / u.arcmin)
+
+    def never(problem):
+        raise AssertionError
+
+    with pytest.raises(rs.InputError, match="flat: a footprint needs three centers"):
+        rs.compare_instruments("poisson", [design(), flat], allocators=[never])
 
 
 def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independent_trials():
@@ -187,7 +242,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
         ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
         ({"density": 5}, "density must be a Quantity"),
-        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "a catalog is seen once at each center"),
+        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "a catalog is seen once a center"),
         ({"catalog": CENTER.reshape(1), "center": "here"}, "center must be a SkyCoord, one or in a row, got 'here'"),
         ({"catalog": CENTER.reshape(1)[:0]}, "at least one target with finite coordinates, got none"),
         ({"catalog": CENTER.reshape(1), "center": SkyCoord("5h +5d")}, "mine: no target lies within"),
@@ -215,6 +270,9 @@ def test_chart(table):
     assert "hatch" in bars[len(table)].properties()
     assert bars[len(table)].get_hatch()
     assert f"{100 * table['loss'][0]:.1f} %" in {t.get_text() for t in ax.texts}
+    mixed = rs.plot_instruments(table[[0, 2, 1, 3]])
+    places = np.sort([bar.get_y() for bar in mixed.patches][:4])
+    assert np.diff(places).min() >= 1 - 1e-9
     figure = draw_instruments(table)
     left, _, right = figure.axes
     parts = np.array([bar.get_width() for bar in left.patches]).reshape(4, -1)

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -19,8 +20,9 @@ from matplotlib.figure import Figure
 import rfpsurvey as rs
 from pages import LOADING, Reader, full
 from rfpsurvey import reproduction
-from rfpsurvey.report import _svg, _tile
+from rfpsurvey.report import _svg, _tile, estimate_facts
 from rfpsurvey.report._numbers import column_texts
+from rfpsurvey.report._text import text_of
 
 CENTER = SkyCoord(95, 23, unit="deg")
 NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
@@ -360,3 +362,40 @@ def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path,
         assert code == 2
         assert message in err
     assert [p.name for p in tmp_path.iterdir()] == ["old.html"]
+
+
+def test_text_of_any_language_stays_as_it_is():
+    """No-break and ideographic spaces and joiners are text; what turns the direction of a page is not."""
+    words = ["a\u00a0b", "\u65e5\u672c\u3000\u8a9e", "x\u200dy", "1\u202f000"]
+    for word in words:
+        assert text_of(word) == word
+    assert text_of("a\r\nb\tc") == "a\nb\tc"
+    assert text_of("a\x00b\u202ec\ud800") == "a\ufffdb\ufffdc\ufffd"
+
+
+@pytest.mark.parametrize("made_by", [None, 3, ["x"], "compare_instruments", "compare_allocators", "reproduce"])
+def test_tables_that_are_not_what_they_seem(tmp_path, made_by):
+    table = QTable({"n": [1]}, meta={"made_by": made_by, 5: 1, "deep": {6: {7: "x"}}})
+    rs.write_report(table, tmp_path / "page.html", max_rows=np.int64(3), figures={"\x00\ud800": Figure()})
+    assert "deep 6" in (tmp_path / "page.html").read_text()
+
+
+def test_nothing_of_the_provenance_is_lost(tmp_path):
+    meta = {
+        "x": "first",
+        "": {"y": "second"},
+        "a b": {"p": "third"},
+        "a": {"b": {"q": "fourth"}},
+        "a_b": {"r": "fifth"},
+    }
+    rs.write_report(QTable({"n": [1]}, meta={**meta, "none here": {}}), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert all(word in text for word in ("first", "second", "third", "fourth", "fifth", "none here"))
+
+
+def test_small_probabilities_keep_their_digits(presets):
+    estimate = rs.collision_probability(presets["desi"], method="closed_form")
+    rare = replace(estimate, value=3.2e-7, low=2.8e-7, high=3.6e-7, standard_error=2e-8)
+    facts = estimate_facts(rare)
+    assert facts["collision probability"].startswith("0.00000032")
+    assert "0.00000028 to 0.00000036" in "".join(facts.values()).replace("280 ", "28 ").replace("360", "36")

@@ -4,16 +4,17 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache, partial
+from zlib import crc32
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import find_method
+from rfpsurvey.allocation import METHODS, find_method
 from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.errors import InputError
-from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Progress
@@ -21,6 +22,7 @@ from rfpsurvey.tile import plan_tile
 
 __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
 
+SAMPLE = 100_000
 BLIND = "sdss"
 """The method whose arms pass through each other, and which assigns as many as that allows."""
 
@@ -58,7 +60,7 @@ def allocators_of(allocators, options) -> list[str | Callable]:
         raise InputError("allocators must name at least one method, got none")
     for method in methods:
         find_method(method)
-    return list(dict.fromkeys(methods))
+    return [method for k, method in enumerate(methods) if method not in methods[:k]]
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
@@ -68,17 +70,25 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise InputError(f"targets_per_positioner must be a positive number, got {each!r}")
     center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
-    fields = []
-    for model, own in zip(models, to_generator(rng).spawn(len(models)), strict=True):
-        plane, size = model.focal_plane, {"density": density}
-        if density is None:  # in the circle that the positioners reach, as dense as in the footprint
-            edge = (np.hypot(*plane._xy_mm.T) + plane._outer_mm).max() * u.mm
-            size = {"n_targets": float(each * len(plane) * np.pi * edge**2 / plane.footprint)}
-            size["n_targets"] = round(size["n_targets"]) if kind == "uniform" else size["n_targets"]
+    seed, fields = int(to_generator(rng).integers(2**63)), []
+    for model in models:
+        size = {"density": density}
+        if density is None:
+            expected = each * len(model.focal_plane) / _part_on_footprint(model, center)
+            size = {"n_targets": round(expected) if kind == "uniform" else expected}
+        # by its name, so that an instrument has the same skies whatever it is compared with
+        own = np.random.default_rng([seed, crc32(model.name.encode())])
         for one in own.spawn(int(number)):
             sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)
             fields.append(Field(model, sky, center, int(one.integers(2**31))))
     return fields
+
+
+def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
+    """Return the part of a uniform sky, as wide as the field, whose image is on the footprint."""
+    sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
+    needs = model._needs(None, SAMPLE)
+    return float(on_footprint(model.focal_plane, model.projection(center)._project(sky._vectors, needs)).mean())
 
 
 def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
@@ -95,10 +105,10 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
 
 def plan_fields(
     fields: list[Field], allocators: Sequence[str | Callable], options: dict, executor: Executor | None, progress: bool
-) -> list[dict[str | Callable, Plan]]:
-    """Plan every field by every method, and by the blind one."""
+) -> list[list[Plan]]:
+    """Plan every field by the blind method, and by every other one, in this order."""
     bar, plans = Progress(progress), []
-    work = partial(plan_field, allocators=tuple(dict.fromkeys([BLIND, *allocators])), options=options)
+    work = partial(plan_field, allocators=(BLIND, *allocators), options=options)
     for plan in (map if executor is None else executor.map)(work, fields):
         plans.append(plan)
         bar(len(plans) / len(fields))
@@ -106,11 +116,12 @@ def plan_fields(
     return plans
 
 
-def plan_field(field: Field, allocators: Sequence[str | Callable], options: dict) -> dict[str | Callable, Plan]:
+def plan_field(field: Field, allocators: Sequence[str | Callable], options: dict) -> list[Plan]:
     """Plan one field by each method."""
-    found = {}
+    found = []
     for name in allocators:
-        _compile(name)
+        if isinstance(name, str) and name in METHODS:
+            _compile(name)
         try:
             tile = plan_tile(
                 field.catalog, field.instrument, field.center, allocator=name, **{"rng": field.seed, **options}
@@ -120,11 +131,13 @@ def plan_field(field: Field, allocators: Sequence[str | Callable], options: dict
         table, summary = tile.table, tile.summary
         counted = np.isin(table["status"], ("assigned", "out_of_reach", "parked"))
         times = summary["seconds"]
-        found[name] = Plan(
-            summary["n_reachable"], on_kind(tile, "science"),
-            int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"])), summary["n_colliding_pairs"],
-            np.where(counted, table["in_collision"], np.nan), np.nan if summary["gap"] is None else summary["gap"],
-            times["reach"] + times["allocation"],
+        usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
+        found.append(
+            Plan(
+                summary["n_reachable"], on_kind(tile, "science"), usable, summary["n_colliding_pairs"],
+                np.where(counted, table["in_collision"], np.nan), np.nan if summary["gap"] is None else summary["gap"],
+                times["reach"] + times["allocation"],
+            )
         )  # fmt: skip
     return found
 
@@ -135,7 +148,7 @@ def on_kind(tile, kind: str) -> int:
 
 
 @cache
-def _compile(allocator: str | Callable) -> None:
+def _compile(allocator: str) -> None:
     """Plan a small crowded field once in each process, so that compilation is not timed."""
     robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
     small = Instrument(

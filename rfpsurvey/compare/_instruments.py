@@ -12,13 +12,13 @@ from astropy.table import QTable
 from rfpsurvey._plugins import name_of
 from rfpsurvey.allocation import packages
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import BLIND, allocators_of, catalog_fields, plan_fields, synthetic_fields
+from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
 
-__all__ = ["compare_instruments", "parts_of"]
+__all__ = ["PARTS", "compare_instruments", "parts_of"]
 
 ALLOCATORS = ("lamost", "optimal")
 SYNTHETIC = ("poisson", "uniform")
@@ -87,8 +87,8 @@ def compare_instruments(
     allocators : list of str or callable, optional
         Methods of `allocate`.
     targets_per_positioner : float, optional
-        Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), the same for all
-        instruments.
+        Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), on average over it, the
+        same for all instruments.
     density : Quantity, optional
         Synthetic targets per solid angle instead, the same for all instruments.
     n_realizations : int, optional
@@ -110,14 +110,15 @@ def compare_instruments(
         collide, 2: those of first neighbors, 3: further ones too); ``multiplicity`` (positioners that reach a point of
         the footprint, on average); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (part of the footprint in reach
         of none, one, two, three or more). What a field gets, on average over fields: ``allocator``; ``targets``
-        (science targets in reach); ``targets_per_positioner``; ``assigned`` (fibers on science targets);
-        ``assigned_part`` (of the positioners); ``probability``, ``low``, ``high`` (of a positioner to be in collision,
-        of those with a target and those parked in the way, with its 95 % interval); ``pairs_per_positioner`` (colliding
-        pairs for each of the same); ``usable`` (fibers on science targets without a collision); ``usable_per_area`` (of
-        the footprint); ``usable_per_solid_angle`` (of the field); ``loss`` (``usable`` against the fibers of the best
-        plan whose arms could pass through each other, as a part of these: for ``optimal`` what collisions really
-        cost); ``gap`` (the largest; NaN where nothing is proven); ``seconds`` (reach and allocation of a field, median,
-        once compiled). ``meta`` says what of this can be compared, and the provenance.
+        (science targets in reach); ``targets_per_positioner`` (of these, a positioner that can take one); ``assigned``
+        (fibers on science targets); ``assigned_part`` (of the positioners); ``probability``, ``low``, ``high`` (of a
+        positioner to be in collision, of those with a target and those parked in the way, with its 95 % interval);
+        ``pairs_per_positioner`` (colliding pairs over the number of the same); ``usable`` (fibers on science targets
+        without a collision); ``usable_per_area`` (of the footprint); ``usable_per_solid_angle`` (of the field);
+        ``loss`` (``usable`` against the fibers of the best plan whose arms could pass through each other, as a part of
+        these: for ``optimal`` what collisions really cost; it can be negative for methods that do not look at
+        requirements); ``gap`` (the largest; NaN where nothing is proven); ``seconds`` (reach and allocation of a field,
+        median, once compiled). ``meta`` says what of this can be compared, and the provenance.
 
     Raises
     ------
@@ -148,32 +149,25 @@ def compare_instruments(
     """
     models = _models(instruments)
     methods = allocators_of(allocators, options)
+    what = [_describe(model) for model in models]
     if isinstance(catalog, str):
         check_choice(catalog, SYNTHETIC, "kind of synthetic sky")
-        fields = synthetic_fields(
-            catalog,
-            models,
-            center,
-            targets_per_positioner,
-            density,
-            4 if n_realizations is None else n_realizations,
-            rng,
-        )
+        number = 4 if n_realizations is None else n_realizations
+        fields = synthetic_fields(catalog, models, center, targets_per_positioner, density, number, rng)
         way = "same density" if density is not None else "same targets per positioner"
     else:
         if n_realizations is not None or density is not None:
-            raise InputError(
-                "n_realizations and density are for synthetic skies: a catalog is seen once at each center"
-            )
+            raise InputError("n_realizations and density are for synthetic skies: a catalog is seen once a center")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, options, executor, progress)
     rows = []
-    for model in models:
-        what = _describe(model)
-        own = [plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model]
-        rows += [{**what, **_gains(model, method, own)} for method in methods]
-        log.info("compared %s: %d fields", model.name, len(own))
+    for model, facts in zip(models, what, strict=True):
+        blind, *others = zip(
+            *(plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model), strict=True
+        )
+        rows += [{**facts, **_gains(model, *both, blind)} for both in zip(methods, others, strict=True)]
+        log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
     software = dict(versions())
     for method in methods:
@@ -216,7 +210,10 @@ def _models(instruments) -> list[Instrument]:
 def _describe(model: Instrument) -> dict:
     """Return what an instrument is, whatever it looks at."""
     plane = model.focal_plane
-    parts = plane.coverage()
+    try:
+        parts = plane.coverage()
+    except InputError as error:
+        raise InputError(f"{model.name}: {error}") from None
     exact = np.pad(parts, (0, max(0, 4 - len(parts))))
     return {
         "instrument": model.name,
@@ -230,16 +227,15 @@ def _describe(model: Instrument) -> dict:
     }
 
 
-def _gains(model: Instrument, allocator: str | Callable, plans: list[dict]) -> dict:
+def _gains(model: Instrument, allocator: str | Callable, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
     """Return what a method makes of the fields of an instrument, on average."""
-    own, n = [plan[allocator] for plan in plans], len(plans)
-    blind = sum(plan[BLIND].n_science for plan in plans)
+    n, most = len(own), sum(plan.n_science for plan in blind)
     targets, science, usable, pairs = (
         sum(getattr(plan, name) for plan in own) for name in ("n_targets", "n_science", "n_usable", "n_pairs")
     )
     risks = [plan.risk for plan in own]
     value, low, high = rate_interval(model.focal_plane, risks, CONFIDENCE)
-    if value == 0 and allocator in WITHOUT_COLLISIONS:
+    if value == 0 and isinstance(allocator, str) and allocator in WITHOUT_COLLISIONS:
         high = 0.0  # by construction
     counted = np.count_nonzero(~np.isnan(risks))
     number = int(model.focal_plane._usable.sum())
@@ -255,7 +251,7 @@ def _gains(model: Instrument, allocator: str | Callable, plans: list[dict]) -> d
         "usable": usable / n,
         "usable_per_area": usable / n / model.focal_plane.footprint.to_value(u.mm**2),
         "usable_per_solid_angle": usable / n / (4 * np.pi * u.sr.to(u.deg**2) * np.sin(half) ** 2),
-        "loss": 1 - usable / blind if blind else np.nan,
-        "gap": max(plan.gap for plan in own),
+        "loss": 1 - usable / most if most else np.nan,
+        "gap": float(np.max([plan.gap for plan in own])),
         "seconds": float(np.median([plan.seconds for plan in own])),
     }  # fmt: skip

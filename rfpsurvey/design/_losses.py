@@ -65,10 +65,12 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
 
     def look(points, plane, core):
         assigned = core & (allocate(points, plane, method="balanced").target_of_positioner >= 0)
+        if not assigned.any():
+            return 0, 0, 0
         risk = collision_probability(plane, targets=points, method="conditional").per_positioner
         return assigned.sum(), risk[assigned].sum(), 0
 
-    return _over_skies(lattice, skies, look, 0.0)
+    return _over_skies(lattice, skies, look)
 
 
 def optimal(lattice: Lattice, skies: Skies) -> Loss:
@@ -114,14 +116,14 @@ def _compare(lattice, skies, method):
         blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
         return blind, blind - found, any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
 
-    return _over_skies(lattice, skies, look, 1.0)
+    return _over_skies(lattice, skies, look, whole=True)
 
 
-def _over_skies(lattice, skies, look, grain):
+def _over_skies(lattice, skies, look, *, whole=False):
     """Return the part that is lost of what is assigned in the middle of a patch, all skies together.
 
-    Positioners near the edge of a patch have fewer neighbors, and do not count. ``grain`` is the smallest
-    number of fibers that a sky can lose: where nothing is lost, the error is one of them.
+    Positioners near the edge of a patch have fewer neighbors, and do not count. Where nothing is lost, the error is one
+    fiber, and where fibers are lost as a ``whole`` it is never less.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane._xy_mm.T) <= (CORE + 0.01) * lattice.pitch
@@ -135,15 +137,14 @@ def _over_skies(lattice, skies, look, grain):
         return Loss(0.0, np.nan, np.nan)
     loss = max(lost.sum() / total, 0.0)  # two plans may differ in who is idle, also across the edge of the middle
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
-    if lattice.collision_type > 1:
-        error = max(error, grain / total)
+    if lattice.collision_type > 1 and (whole or loss == 0):
+        error = max(error, 1 / total)
     return Loss(float(total / (n * core.sum())), float(loss), float(error), int(unproven.sum()))
 
 
 def _patch(lattice, each):
-    """Return positioners about the origin, all neighbors of those that count among them, and targets for all."""
-    plane = FocalPlane.hexagonal(
-        lattice.unit, pitch=lattice.pitch * u.mm, radius=((CORE + 0.01) * lattice.pitch + lattice.sight) * u.mm
-    )
+    """Return positioners about the origin, the neighbors of those that count, their rivals, and targets for all."""
+    edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
+    plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
     radius = float(np.hypot(*plane._xy_mm.T).max()) + lattice.radii[1]
     return plane, Source("poisson", number=each * np.pi * radius**2 / lattice.cell, each=each, radius=radius)

@@ -1,7 +1,8 @@
 """All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
 
+from rfpsurvey.focal_plane._coverage import on_footprint
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, joints_allow
 
-__all__ = ["FocalPlane", "Reach", "accepted_types", "hexagonal_cells", "joints_allow"]
+__all__ = ["FocalPlane", "Reach", "accepted_types", "hexagonal_cells", "joints_allow", "on_footprint"]

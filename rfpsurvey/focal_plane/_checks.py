@@ -34,6 +34,9 @@ def check_columns(plane) -> None:
     if len(np.unique(columns["id"])) < n:
         names, counts = np.unique(columns["id"], return_counts=True)
         raise InputError(f"id must be unique, but {names[counts > 1].tolist()[0]!r} occurs more than once")
+    blank = [name for name in columns["id"].tolist() if isinstance(name, str) and (not name or len(name.split()) != 1)]
+    if blank:
+        raise InputError(f"id must be text without blanks, by which tables list several, got {blank[0]!r}")
     names = ["+".join(part.strip() for part in row.split("+")) for row in columns["fiber_type"].tolist()]
     object.__setattr__(plane, "fiber_type", np.array(names))
     if len(plane.fiber_types) > 1 and "" in plane.fiber_types:

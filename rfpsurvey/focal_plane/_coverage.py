@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 from rfpsurvey._units import to_generator
 from rfpsurvey.errors import InputError
 
-__all__ = ["find_coverage", "footprint_of"]
+__all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
 
 def footprint_of(plane) -> ConvexHull:
@@ -15,6 +15,14 @@ def footprint_of(plane) -> ConvexHull:
         return ConvexHull(plane._xy_mm)
     except (QhullError, ValueError):
         raise InputError(f"a footprint needs three centers that are not on a line, got {len(plane)} centers") from None
+
+
+def on_footprint(plane, points: np.ndarray) -> np.ndarray:
+    """Mark points in mm on the footprint; NaN is not."""
+    hull = footprint_of(plane)
+    inside = np.isfinite(points).all(axis=1)
+    inside[inside] = Delaunay(hull.points[hull.vertices]).find_simplex(points[inside]) >= 0
+    return inside
 
 
 def find_coverage(plane, n_points, rng) -> np.ndarray:
@@ -29,7 +37,7 @@ def find_coverage(plane, n_points, rng) -> np.ndarray:
     n = int(np.ceil(np.sqrt(n_points)))
     cells = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2)
     points = corners.min(axis=0) + (cells + to_generator(rng).random((n * n, 2))) / n * np.ptp(corners, axis=0)
-    inside = points[Delaunay(corners).find_simplex(points) >= 0]
+    inside = points[on_footprint(plane, points)]
     if len(inside) == 0:
         raise InputError(f"n_points must be large enough for a point in the footprint, got {n_points}")
     return np.bincount(np.diff(plane._reach(inside).indptr)) / len(inside)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.collision import CollisionCounts, CollisionReport
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
@@ -118,7 +119,7 @@ def _values(collisions):
         pairs = [(k, row[name]) for k, names in partners for name in names.split() if k < row.get(name, -1)]
         return _flags(np.asarray(collisions.table["in_collision"]), np.array(pairs, dtype=int).reshape(-1, 2))
     try:
-        values = np.asarray(collisions)
+        values = to_plain(collisions)
         values = values if values.dtype.kind == "b" else values.astype(float)
     except (TypeError, ValueError):
         raise InputError(

@@ -54,9 +54,9 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     y, labels = _places(table)
     style = {"height": 0.8, "linewidth": 0.5, "edgecolor": "white", **kwargs}
     pieces = (
-        (usable, "on a target", {"color": ARM}),
-        (assigned - usable, "on a target, in collision", {"color": COLLISION, "hatch": HATCH}),
-        (number - assigned, "no target", {"color": IDLE, "alpha": 0.4}),
+        (usable, "on a science target", {"color": ARM}),
+        (assigned - usable, "on one, in collision", {"color": COLLISION, "hatch": HATCH}),
+        (number - assigned, "no science target", {"color": IDLE, "alpha": 0.4}),
     )
     left, handles = np.zeros(len(table)), []
     for sizes, label, colors in pieces:
@@ -121,6 +121,7 @@ def _draw_probability(table, ax):
 
 def _places(table):
     """Return the height of each row, with room between instruments, and its label."""
-    names = list(dict.fromkeys(np.asarray(table["instrument"]).tolist()))
-    y = np.array([-k - 0.5 * names.index(name) for k, name in enumerate(np.asarray(table["instrument"]).tolist())])
+    names = np.asarray(table["instrument"])
+    changes = np.concatenate([[False], names[1:] != names[:-1]])
+    y = -np.arange(len(names)) - 0.5 * np.cumsum(changes)
     return y, [f"{row['instrument']}, {row['allocator']}" for row in table]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError
 from rfpsurvey.plot._axes import check_columns, labeled, new_axes, values_of
 from rfpsurvey.plot._style import DIVERGING, MARKERS, SERIES
@@ -79,6 +80,9 @@ def plot_probability(
     if not names:
         raise InputError("values must name at least one column, got none")
     ax = new_axes() if ax is None else ax
+    if by:
+        known = np.array([value == value for value in to_plain(table[by]).tolist()])  # NaN does not equal itself
+        table = table[known & ~np.ma.getmaskarray(np.ma.asarray(table[by]))]
     groups = list(dict.fromkeys(np.asarray(table[by]).tolist())) if by else [None]
     k, shaded = 0, False
     for group in groups:
@@ -161,7 +165,7 @@ def plot_residuals(
     most = np.abs(away[known]).max() or 1.0
     across, up = values_of(table, x), values_of(table, y)
     style = {"cmap": DIVERGING, "vmin": -most, "vmax": most, "edgecolors": "0.3", "linewidths": 0.6, "s": 42, **kwargs}
-    for rows, marker in ((away > 0, "^"), (away < 0, "v"), (away == 0, "o")):
+    for rows, marker in ((known & (away > 0), "^"), (known & (away < 0), "v"), (away == 0, "o")):
         points = ax.scatter(across[rows], up[rows], c=away[rows], marker=marker, **style)
     label = f"{value} - {reference}".replace("_", " ")
     ax.figure.colorbar(points, ax=ax, label=label)

@@ -126,8 +126,11 @@ def _checked(question: Question, given: object) -> dict:
     answer = {name: _number(name, number) for name, number in answer.items()}
     value, error, low, high, n_effective = answer["value"], answer.get("standard_error", np.nan), *[np.nan] * 3
     if error >= 0:
-        n_effective = effective_number(value, error, np.inf)
-        low, high = wilson(value, n_effective, quantile(question.precision.confidence, np.inf))
+        n_effective, width = effective_number(value, error, np.inf), quantile(question.precision.confidence, np.inf)
+        if n_effective >= 1 and 0 < value < 1:
+            low, high = wilson(value, n_effective, width)
+        else:  # no number of trials has such an error
+            low, high = max(value - width * error, 0.0), min(value + width * error, 1.0)
     usual = {
         "value_assigned": value, "low": low, "high": high, "standard_error": error, "n": 0, "n_effective": n_effective,
         "pairs_per_positioner": np.nan,

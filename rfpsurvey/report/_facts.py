@@ -67,13 +67,15 @@ def survey_facts(survey: Survey) -> dict:
 
 def estimate_facts(estimate: Estimate) -> dict:
     """Return the figures of an estimate as text: its error says how many digits count."""
-    formula = np.isnan(estimate.low)
-    interval = "no error is known" if formula else f"{estimate.low:.5f} to {estimate.high:.5f}"
+    formula, error = np.isnan(estimate.low), estimate.standard_error
+    digits = 5 if formula or not 0 < error < 1e-5 else 1 - int(np.floor(np.log10(error)))
+    digits = max(digits, 1 - int(np.floor(np.log10(estimate.value)))) if 0 < estimate.value < 1e-4 else digits
+    interval = "no error is known" if formula else f"{estimate.low:.{digits}f} to {estimate.high:.{digits}f}"
     lines = {
-        "collision probability": f"{estimate.value:.5f}",
+        "collision probability": f"{estimate.value:.{digits}f}",
         f"  {100 * estimate.meta['confidence']:g} % interval": interval,
         "  standard error": "" if formula else f"{estimate.standard_error:.2g}",
-        "  of assigned positioners": f"{estimate.value_assigned:.5f}",
+        "  of assigned positioners": f"{estimate.value_assigned:.{digits}f}",
         "colliding pairs per positioner": "" if formula else f"{estimate.pairs_per_positioner:.5f}",
         "iterations": estimate.n or "",
         "effective trials": "" if formula else f"{estimate.n_effective:.0f}",

@@ -4,7 +4,6 @@ import base64
 import hashlib
 import re
 from collections.abc import Callable
-from html import escape
 from importlib.resources import files
 from itertools import groupby
 
@@ -14,6 +13,7 @@ from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Text
 from rfpsurvey.report._columns import MISSING, cells_of
 from rfpsurvey.report._numbers import number_text
 from rfpsurvey.report._svg import dark_grays, svg_of
+from rfpsurvey.report._text import text_of
 from rfpsurvey.tile import versions
 
 __all__ = ["html_of"]
@@ -30,7 +30,7 @@ def html_of(page: Page, max_rows: int) -> str:
     sections = "\n".join(_section(section, counter, max_rows) for section in page.sections)
     by = f"Written by rfpsurvey {versions()['rfpsurvey']}. This page is complete in itself: it fetches nothing."
     groups = f'<div class="groups">\n{_provenance(page.provenance)}\n</div>'
-    foot = f"<footer>\n<h2>Provenance</h2>\n{groups}\n<p>{_text(by)}</p>\n</footer>"
+    foot = f"<footer>\n<h2>Provenance</h2>\n{groups}\n<p>{text_of(by)}</p>\n</footer>"
     body = f"{_header(page)}\n<main>\n{sections}\n</main>\n{foot}"
     style = f"{_asset('page.css')}\n{dark_grays(body)}".strip()
     script = f"\n{_asset('page.js')}"
@@ -42,7 +42,7 @@ def html_of(page: Page, max_rows: int) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n<meta name="generator" content="rfpsurvey">\n'
-        f'<title>{_text(page.title)}</title>\n<link rel="icon" href="data:,">\n<style>\n{style}\n</style>\n</head>\n'
+        f'<title>{text_of(page.title)}</title>\n<link rel="icon" href="data:,">\n<style>\n{style}\n</style>\n</head>\n'
         f"<body>\n{body}\n<script>{script}</script>\n</body>\n</html>\n"
     )
 
@@ -51,18 +51,12 @@ def _asset(name: str) -> str:
     return (files("rfpsurvey.report") / name).read_text(encoding="utf-8")
 
 
-def _text(value: object) -> str:
-    """Return text for a page; what no page can hold becomes a replacement character."""
-    text = "".join(c if c.isprintable() or c in " \n\t" else "\N{REPLACEMENT CHARACTER}" for c in str(value))
-    return escape(text.encode("utf-8", "replace").decode("utf-8"))
-
-
 def _header(page: Page) -> str:
-    lines = [f'<p class="kind">rfpsurvey · {_text(page.kind)}</p>', f"<h1>{_text(page.title)}</h1>"]
+    lines = [f'<p class="kind">rfpsurvey · {text_of(page.kind)}</p>', f"<h1>{text_of(page.title)}</h1>"]
     if page.lead:
-        lines.append(f'<p class="lead">{_text(page.lead)}</p>')
+        lines.append(f'<p class="lead">{text_of(page.lead)}</p>')
     if page.highlights:
-        figures = [f"<div><dt>{_text(k)}</dt><dd>{_text(v)}</dd></div>" for k, v in page.highlights.items()]
+        figures = [f"<div><dt>{text_of(k)}</dt><dd>{text_of(v)}</dd></div>" for k, v in page.highlights.items()]
         lines += ['<dl class="highlights">', *figures, "</dl>"]
     return "<header>\n" + "\n".join(lines) + "\n</header>"
 
@@ -72,13 +66,13 @@ def _section(section, counter, max_rows) -> str:
     for kind, blocks in groupby(section.blocks, type):
         made = "\n".join(BLOCKS[kind](block, counter, max_rows) for block in blocks)
         parts.append(f'<div class="groups">\n{made}\n</div>' if kind is Facts else made)
-    return "\n".join(["<section>", f"<h2>{_text(section.title)}</h2>", *parts, "</section>"])
+    return "\n".join(["<section>", f"<h2>{text_of(section.title)}</h2>", *parts, "</section>"])
 
 
 def _paragraph(block: Text, counter, max_rows) -> str:
     if isinstance(block.words, str):
-        return f"<p>{_text(block.words)}</p>"
-    return "<ul>\n" + "\n".join(f"<li>{_text(words)}</li>" for words in block.words) + "\n</ul>"
+        return f"<p>{text_of(block.words)}</p>"
+    return "<ul>\n" + "\n".join(f"<li>{text_of(words)}</li>" for words in block.words) + "\n</ul>"
 
 
 def _facts(block: Facts, counter, max_rows) -> str:
@@ -87,9 +81,9 @@ def _facts(block: Facts, counter, max_rows) -> str:
         part = ' class="part"' if label.startswith(" ") else ""
         number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
         look = f' class="number" data-value="{float(value)!r}"' if number else ""
-        name = BREAK.sub(r"\1<wbr>", _text(label.strip()))
-        rows.append(f'<tr{part}><th scope="row">{name}</th><td{look}>{_text(_plain(value))}</td></tr>')
-    caption = f"<caption>{_text(block.caption)}</caption>\n" if block.caption else ""
+        name = BREAK.sub(r"\1<wbr>", text_of(label.strip()))
+        rows.append(f'<tr{part}><th scope="row">{name}</th><td{look}>{text_of(_plain(value))}</td></tr>')
+    caption = f"<caption>{text_of(block.caption)}</caption>\n" if block.caption else ""
     return "\n".join([f'<table class="facts">\n{caption}<tbody>', *rows, "</tbody>\n</table>"])
 
 
@@ -110,16 +104,16 @@ def _plain(value: object, number: Callable = number_text) -> str:
 def _rows(block: Rows, counter, max_rows) -> str:
     table = block.table[:max_rows]
     missing = len(block.table) - len(table) + block.left_out
-    caption = f"<strong>{_text(block.caption)}</strong>"
+    caption = f"<strong>{text_of(block.caption)}</strong>"
     if missing:
         where = f"; all are in {block.where}" if block.where else ""
-        caption += _text(f" Shown: {len(table)} of {len(table) + missing} rows{where}.")
+        caption += text_of(f" Shown: {len(table)} of {len(table) + missing} rows{where}.")
     columns = [(name, *cells_of(table[name], name)) for name in table.colnames]
     heads = []
     for name, unit, numbers, _ in columns:
-        unit = f' <span class="unit">{_text(unit)}</span>' if unit else ""
+        unit = f' <span class="unit">{text_of(unit)}</span>' if unit else ""
         looks = ["number" if numbers else "", "long" if len(name) > LONG_NAME else ""]
-        heads.append(f'<th scope="col"{_class(looks)}>{_text(name.replace("_", " "))}{unit}</th>')
+        heads.append(f'<th scope="col"{_class(looks)}>{text_of(name.replace("_", " "))}{unit}</th>')
     lines = []
     for k in range(len(table)):
         cells = []
@@ -132,7 +126,7 @@ def _rows(block: Rows, counter, max_rows) -> str:
             data = "" if key is None else f' data-value="{key}"'
             tag = "td" if c else "th"
             scope = "" if c else ' scope="row"'
-            cells.append(f"<{tag}{scope}{_class(looks)}{data}>{_text(text)}</{tag}>")
+            cells.append(f"<{tag}{scope}{_class(looks)}{data}>{text_of(text)}</{tag}>")
         lines.append(f"<tr>{''.join(cells)}</tr>")
     lines = ["<tbody>", *lines, "</tbody>"]
     head = f"<caption>{caption}</caption>\n<thead>\n<tr>{''.join(heads)}</tr>\n</thead>"
@@ -145,15 +139,15 @@ def _class(looks: list[str]) -> str:
 
 def _picture(block: Picture, counter, max_rows) -> str:
     svg = svg_of(block.figure, next(counter), block.caption, block.words)
-    words = f" {_text(block.words)}" if block.words else ""
-    caption = f"<figcaption><strong>{_text(block.caption)}</strong>{words}</figcaption>"
+    words = f" {text_of(block.words)}" if block.words else ""
+    caption = f"<figcaption><strong>{text_of(block.caption)}</strong>{words}</figcaption>"
     wide = ' class="wide"' if getattr(block.figure, "figure", block.figure).get_figwidth() > WIDE else ""
     return f"<figure{wide}>\n{_scroll(block.caption)}{svg}</div>\n{caption}\n</figure>"
 
 
 def _scroll(caption: str) -> str:
     """Open a part that is scrolled, with the keyboard too, where it is wider than the screen."""
-    return f'<div class="scroll" role="region" aria-label="{_text(caption)}" tabindex="0">'
+    return f'<div class="scroll" role="region" aria-label="{text_of(caption)}" tabindex="0">'
 
 
 BLOCKS: dict[type, Callable] = {Text: _paragraph, Facts: _facts, Rows: _rows, Picture: _picture}
@@ -167,10 +161,13 @@ def _provenance(values: dict) -> str:
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
     """Return dicts in dicts beside each other, with a name each; numbers in full."""
-    groups = {name: {k: _plain(v, _exactly) for k, v in values.items() if not isinstance(v, dict)}}
+    groups = {name: {str(k): _plain(v, _exactly) for k, v in values.items() if not (isinstance(v, dict) and v)}}
     for key, value in values.items():
         if isinstance(value, dict):
-            groups |= _groups(value, f"{name} {key}".strip().replace("_", " "))
+            for title, group in _groups(value, f"{name} {key}".strip().replace("_", " ")).items():
+                while title in groups and groups[title] and group:  # dicts whose names read alike
+                    title += "'"
+                groups[title] = groups.get(title, {}) | group
     return groups
 
 

@@ -5,10 +5,11 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from html import escape
 from xml.etree import ElementTree
 
 import numpy as np
+
+from rfpsurvey.report._text import text_of
 
 __all__ = ["dark_grays", "svg_of"]
 
@@ -47,7 +48,7 @@ def svg_of(figure, number: int, title: str, words: str) -> str:
     box = root.attrib["viewBox"]
     inside = "".join(ElementTree.tostring(child, encoding="unicode") for child in root)
     # browsers show the title as a hint, screen readers read it with the description
-    label = f'<title id="f{number}-title">{escape(title)}</title><desc id="f{number}-words">{escape(words)}</desc>'
+    label = f'<title id="f{number}-title">{text_of(title)}</title><desc id="f{number}-words">{text_of(words)}</desc>'
     return (
         f'<svg viewBox="{box}" style="max-width:{width}" role="img" '
         f'aria-labelledby="f{number}-title f{number}-words">{label}{inside}</svg>'

@@ -49,7 +49,8 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
 
 def page_of_table(table: Table, where: str) -> Page:
     """Return a page on any table."""
-    made_by = table.meta.get("made_by", "")
+    made_by = table.meta.get("made_by")
+    made_by = made_by if isinstance(made_by, str) else ""
     title = str(table.meta.get("title") or made_by.replace("_", " ").capitalize() or "Table")
     rows = Rows(f"{title}.", table, where or "the table itself")
     sections = [Section("Table", [rows if len(table) else Text("The table has no rows.")])]
@@ -122,4 +123,4 @@ def _experiment(name, folder) -> list:
 
 def _without_private(meta) -> dict:
     """Return what a table says of itself, without what readers of files add and where it was on disk."""
-    return {k: v for k, v in meta.items() if not k.startswith("__") and k != "folder"}
+    return {k: v for k, v in meta.items() if not str(k).startswith("__") and k != "folder"}

@@ -3,11 +3,14 @@
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
+import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._io import check_output, output_path
+from rfpsurvey.compare import PARTS
 from rfpsurvey.errors import InputError
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
@@ -32,10 +35,12 @@ PAGES: dict[type, Callable[..., Page]] = {
     Table: page_of_table,
 }  # fmt: skip
 """Type of a result to function of the result, and the name of the file with all of it -> page."""
-MADE_BY: dict[str, Callable[..., Page]] = {
-    "compare_allocators": page_of_allocators, "compare_instruments": page_of_instruments, "reproduce": page_of_claims,
-}  # fmt: skip
-"""What ``meta["made_by"]`` of a table says, to the function for it; other tables get a plain page."""
+MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
+    "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
+    "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
+    "reproduce": (page_of_claims, {"experiment", "verdict"}),
+}
+"""What ``meta["made_by"]`` of a table says, to the function for it and what it needs; others get a plain page."""
 ENDINGS = (".html", ".htm")
 MAX_ROWS = 1000
 
@@ -96,7 +101,7 @@ def write_report(
     1
     """
     path = check_report(path, overwrite=overwrite)
-    if isinstance(max_rows, bool) or not isinstance(max_rows, int) or max_rows < 1:
+    if isinstance(max_rows, bool) or not isinstance(max_rows, int | np.integer) or max_rows < 1:
         raise InputError(f"max_rows must be a whole number of at least 1, got {max_rows!r}")
     if not (title is None or isinstance(title, str)):
         raise InputError(f"title must be text, got {title!r}")
@@ -115,8 +120,10 @@ def _page_of(result, where: str) -> Page:
     """Return the page for a result of this kind."""
     for kind, build in PAGES.items():
         if isinstance(result, kind):
-            own = MADE_BY.get(result.meta.get("made_by")) if isinstance(result, Table) else None
-            return (own or build)(result, where)
+            made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None
+            own, columns = MADE_BY.get(made_by, (build, set()))
+            complete = not columns or columns <= set(result.colnames)  # a selection is a table like others
+            return (own if complete else build)(result, where)
     known = ", ".join(kind.__name__ for kind in PAGES)
     raise InputError(f"a report is about one of: {known}; got {type(result).__name__}")
 

@@ -1,0 +1,23 @@
+"""Text as a page can hold it."""
+
+import unicodedata
+from html import escape
+
+__all__ = ["text_of"]
+
+BAD = ("Cc", "Cn", "Co", "Cs")
+"""Categories of characters that are no text: control characters, those without a meaning, halves of pairs."""
+TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+"""Change the direction of all that follows."""
+
+
+def text_of(value: object) -> str:
+    """Return text for a page; what no page can hold, or would confuse it, becomes a replacement character."""
+    text = str(value).replace("\r\n", "\n")
+    if not (text.isascii() and text.isprintable()):
+        text = "".join(c if _is_text(c) else "\N{REPLACEMENT CHARACTER}" for c in text)
+    return escape(text)
+
+
+def _is_text(character: str) -> bool:
+    return character in "\n\t" or (unicodedata.category(character) not in BAD and character not in TURNS)
