@@ -286,3 +286,19 @@ def test_benchmark_of_probabilities(run, tmp_path):
         "overlap_ratio", "close_pair", "closed_form", "quadrature", "monte_carlo", "conditional",
     }  # fmt: skip
     assert chart.exists()
+
+
+def test_an_epoch_that_no_column_says(run, tmp_path):
+    """Catalogs of Gaia from other archives name it in their description only."""
+    rows = ["Source,RA_ICRS,DE_ICRS,pmRA,pmDE"] + [f"{k},{95 + 0.01 * k},23,100,50" for k in range(50)]
+    path = tmp_path / "gaia.csv"
+    path.write_text("\n".join(rows))
+    options = ("plan", path, "--instrument", "sdss_apo", "--center", "95.25 23", "--epoch", "2026.0")
+    code, _, err = run(*options)
+    assert code == 2
+    assert "--column epoch=J2016" in err
+    assert run(*options, "--column", "epoch=J2016.0", "--output", tmp_path / "tile.fits")[0] == 0
+    tile = rs.Tile.read(tmp_path / "tile.fits")
+    dec = tile.table["dec"][tile.table["status"] == "assigned"].to_value("deg")
+    assert len(dec) > 5
+    assert dec == pytest.approx(23 + 10 * 0.05 / 3600, abs=1e-7)

@@ -243,6 +243,9 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
         ({"density": 5}, "density must be a Quantity"),
         ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "a catalog is seen once a center"),
+        ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "a catalog is seen once a center"),
+        ({"density": 5 / u.deg**2, "targets_per_positioner": 2}, "targets_per_positioner or density, not both"),
+        ({"density": -5 / u.deg**2}, "density must be one finite value above 0"),
         ({"catalog": CENTER.reshape(1), "center": "here"}, "center must be a SkyCoord, one or in a row, got 'here'"),
         ({"catalog": CENTER.reshape(1)[:0]}, "at least one target with finite coordinates, got none"),
         ({"catalog": CENTER.reshape(1), "center": SkyCoord("5h +5d")}, "mine: no target lies within"),
@@ -277,7 +280,7 @@ def test_chart(table):
     left, _, right = figure.axes
     parts = np.array([bar.get_width() for bar in left.patches]).reshape(4, -1)
     np.testing.assert_allclose(parts[1], [table["reach_1"][0], table["reach_1"][2]])
-    assert right.get_xlabel() == "collision probability, 95 %"
+    assert right.get_xlabel() == "collision probability, 95 % interval"
     with pytest.raises(rs.InputError, match="must come from compare_instruments, but it has no allocator"):
         rs.plot_instruments(table[["instrument", "positioners"]])
 

@@ -50,6 +50,9 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     assert (found["targets"] == 2).all()
     code, out, _ = run("design")
     assert code == 0
+    assert "36 designs, loss of fibers: independent" in out
+    code, out, _ = run("design", "--ratio", 1, "--pitch", 25.6)
+    assert code == 0
     assert "no sensitivities: at least one of l1" in out
 
 

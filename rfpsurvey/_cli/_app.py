@@ -1,10 +1,12 @@
 """The application, and what all commands share."""
 
 import os
+import re
 import signal
 import sys
 import warnings
 from concurrent.futures import BrokenExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -126,8 +128,14 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
 
 def read_catalog(path: Path, column, unit, frame: str):
     """Return the catalog of a file, or of a folder of partitions."""
-    read = rs.PartitionedCatalog if path.is_dir() else rs.Catalog.read
-    return read(path, columns=parse_pairs(column, "--column"), units=parse_pairs(unit, "--unit"), frame=frame)
+    columns, units = parse_pairs(column, "--column"), parse_pairs(unit, "--unit")
+    if path.is_dir():
+        return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame)
+    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # of all rows, where no column says it
+    if common:
+        del columns["epoch"]
+    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame)
+    return replace(catalog, epoch=common[0]) if common else catalog
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame):

@@ -11,15 +11,19 @@ from rfpsurvey._cli import _app
 __all__ = ["axes", "finish", "options"]
 
 MOST_ROWS = 30
+USUAL, NODES = {"ratio": "1:2", "pitch": "24:34"}, 6
+"""Limits where nothing else is asked, and the nodes of a grid between them."""
 COLUMNS = ("l1", "ratio", "pitch", "clearance", "collision_type", "coverage", "loss", "loss_error", "usable", "method")
 
 
-def axes(n_designs: int | None, **texts: str) -> dict:
+def axes(n_designs: int | None, **texts: str | None) -> dict:
     """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths in mm."""
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
 
 
 def _axis(name, text, n_designs):
+    if text is None:
+        text = USUAL[name] if n_designs is not None else f"{USUAL[name]}:{NODES}"
     words = text.split(":") if ":" in text else text.split(",")
     try:
         numbers = [float(word) for word in words[:2]] if ":" in text else [float(word) for word in words]

@@ -38,7 +38,10 @@ EquinoxOption = Annotated[
     str | None, typer.Option(help="Measure the position angle from the north of this date, as J2026.0.")
 ]
 EpochOption = Annotated[str | None, typer.Option(help="Move targets to this epoch, as 2026.5 or 2026-07-01.")]
-ColumnOption = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, as id=star; priority=-rank flips it.")]
+ColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(help="ROLE=NAME, as id=star; priority=-rank flips it; epoch=J2016 holds for all rows."),
+]
 UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without one, as ra=deg.")]
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
@@ -104,8 +107,10 @@ SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
 ]
 L1Option = Annotated[str, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH.")]
-RatioOption = Annotated[str, typer.Option(help="Eccentric over central arm, likewise.")]
-PitchOption = Annotated[str, typer.Option(help="Distance of neighboring centers, mm, likewise.")]
+RatioOption = Annotated[str | None, typer.Option(help="Eccentric over central arm, likewise. None: from 1 to 2.")]
+PitchOption = Annotated[
+    str | None, typer.Option(help="Distance of neighboring centers, mm, likewise. None: from 24 to 34.")
+]
 ClearanceOption = Annotated[str, typer.Option(help="Radius that an arm keeps free, mm, likewise.")]
 NDesignsOption = Annotated[
     int | None, typer.Option(help="So many designs between LOW:HIGH instead of a grid, by Sobol points.")

@@ -97,7 +97,7 @@ def finish_estimate(
 
     page = {"title": f"Collision probability of {model.name}"}
     if report is not None:
-        page["figures"] = {"How likely each positioner collides.": draw()}
+        page["figures"] = {"How likely each positioner collides; that of a single one is partly chance.": draw()}
     with files(
         overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, draw),
         report=(report, estimate, page),

@@ -1,5 +1,6 @@
 """``rfpsurvey compare``."""
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -23,13 +24,16 @@ def compare(
     ] = None,
     catalog: Annotated[Path | None, typer.Option(help="The same sky for all. None: synthetic Poisson skies.")] = None,
     center: _options.CenterOption = None,
-    targets: Annotated[float, typer.Option(help="Synthetic targets for each positioner.")] = 1.0,
+    pa: _options.PaOption = 0.0,
+    epoch: _options.EpochOption = None,
+    targets: Annotated[float | None, typer.Option(help="Synthetic targets for each positioner. None: 1.")] = None,
     density: Annotated[float | None, typer.Option(help="Synthetic targets per deg2 instead, equal for all.")] = None,
     realizations: Annotated[int | None, typer.Option(help="Synthetic skies of each instrument. None: 4.")] = None,
     allocator: Annotated[
         list[str] | None, typer.Option(help="Methods, may be given several times. None: lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
+    sky_separation: _options.SkyOption = None,
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
     workers: _options.WorkersOption = 1,
@@ -43,13 +47,14 @@ def compare(
 ) -> None:
     """Put instruments side by side: reach, fibers, collisions and what they cost."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    options = {"time_limit": time_limit * u.s} | ({"requirements": require} if require else {})
+    options = _app.plan_options(pa, None, epoch, require, None, sky_separation, "priority", time_limit)
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame), instruments,
             center=None if center is None else _app.parse_center(center), allocators=allocator or ("lamost", "optimal"),
             targets_per_positioner=targets, density=None if density is None else density / u.deg**2,
-            n_realizations=realizations, rng=seed, executor=pool if workers > 1 else None, **options,
+            n_realizations=realizations, rng=seed, executor=pool if workers > 1 else None, progress=sys.stderr.isatty(),
+            **options,
         )  # fmt: skip
     with _app.files(
         overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, lambda: draw_instruments(table)),

@@ -9,8 +9,8 @@ from rfpsurvey._cli import _app, _designs, _options, _surveys
 @_app.app.command(epilog=_options.DESIGN_EXAMPLES)
 def design(
     l1: _options.L1Option = "8.25",
-    ratio: _options.RatioOption = "1",
-    pitch: _options.PitchOption = "25.6",
+    ratio: _options.RatioOption = None,
+    pitch: _options.PitchOption = None,
     clearance: _options.ClearanceOption = "2.25",
     n_designs: _options.NDesignsOption = None,
     estimand: _options.EstimandOption = None,

@@ -321,7 +321,7 @@ class Catalog:
         if self.epoch is None:
             raise InputError(
                 "the catalog has proper motions but no epoch to count them from; give Catalog(..., epoch=) or an "
-                "epoch column"
+                "epoch column (--column epoch=J2016)"
             )
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")

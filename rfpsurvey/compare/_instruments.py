@@ -10,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 from rfpsurvey._plugins import name_of
+from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import packages
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
@@ -35,8 +36,8 @@ COMPARABLE = {
         "be compared; parts of the positioners depend on how many targets each has for itself."
     ),
     "same catalog": (
-        "Every instrument sees all of its field of the same catalog. Fibers per field and per solid angle can be "
-        "compared; parts of the positioners depend on how many targets each has for itself."
+        "Every instrument sees all of its field of the same catalog, as far as that reaches. Fibers per field and per "
+        "solid angle can be compared; parts of the positioners depend on how many targets each has for itself."
     ),
 }
 CAUTION = (
@@ -66,7 +67,7 @@ def compare_instruments(
     *,
     center: SkyCoord | None = None,
     allocators: Sequence[str | Callable] = ALLOCATORS,
-    targets_per_positioner: float = 1.0,
+    targets_per_positioner: float | None = None,
     density: u.Quantity | None = None,
     n_realizations: int | None = None,
     rng: int | np.random.Generator | None = 0,
@@ -88,7 +89,7 @@ def compare_instruments(
         Methods of `allocate`.
     targets_per_positioner : float, optional
         Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), on average over it, the
-        same for all instruments.
+        same for all instruments; one by default.
     density : Quantity, optional
         Synthetic targets per solid angle instead, the same for all instruments.
     n_realizations : int, optional
@@ -150,14 +151,20 @@ def compare_instruments(
     models = _models(instruments)
     methods = allocators_of(allocators, options)
     what = [_describe(model) for model in models]
+    if density is not None and targets_per_positioner is not None:
+        raise InputError("give targets_per_positioner or density, not both")
     if isinstance(catalog, str):
         check_choice(catalog, SYNTHETIC, "kind of synthetic sky")
+        each = 1.0 if targets_per_positioner is None else targets_per_positioner
+        if density is not None:
+            to_scalar(density, u.deg**-2, "density", low=0)
         number = 4 if n_realizations is None else n_realizations
-        fields = synthetic_fields(catalog, models, center, targets_per_positioner, density, number, rng)
+        fields = synthetic_fields(catalog, models, center, each, density, number, rng)
         way = "same density" if density is not None else "same targets per positioner"
     else:
-        if n_realizations is not None or density is not None:
-            raise InputError("n_realizations and density are for synthetic skies: a catalog is seen once a center")
+        if any(value is not None for value in (n_realizations, density, targets_per_positioner)):
+            what = "n_realizations, density and targets_per_positioner"
+            raise InputError(f"{what} are for synthetic skies: a catalog is seen once a center")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, options, executor, progress)
@@ -180,7 +187,7 @@ def compare_instruments(
         parameters={"rng": str(rng), **{name: str(value) for name, value in options.items()}},
     )  # fmt: skip
     if way == "same targets per positioner":
-        table.meta["targets_per_positioner"] = float(targets_per_positioner)
+        table.meta["targets_per_positioner"] = float(each)
     elif way == "same density":
         table.meta["density_per_deg2"] = float(density.to_value(u.deg**-2))
     return table

@@ -15,6 +15,7 @@ from rfpsurvey.projection import RadialMap
 
 __all__ = ["build", "load"]
 
+SCHEMA = 1
 STATUSES = ("published", "derived", "assumed")
 
 
@@ -54,6 +55,8 @@ def build(content: dict, folder: Path) -> dict:
     for section, names in known.items():
         for name in content.get(section, {}) if section else content:
             check_choice(name, names, f"entry of [{section}]" if section else "section or entry")
+    if content.get("schema", SCHEMA) != SCHEMA:
+        raise InputError(f"schema must be {SCHEMA}, the only one that this version reads, got {content['schema']!r}")
     for name in ("name", "title", "notes"):
         if not isinstance(content.get(name, ""), str) or (name == "name" and not content.get(name)):
             raise InputError(f"{name} must be text, got {content.get(name)!r}")

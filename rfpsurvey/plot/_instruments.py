@@ -60,7 +60,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     )
     left, handles = np.zeros(len(table)), []
     for sizes, label, colors in pieces:
-        handles.append(ax.barh(y, sizes / number, left=left / number, label=label, **{**style, **colors}))
+        bars = ax.barh(y, sizes / number, left=left / number, label=label, **{**style, **colors})
+        handles += [bars] if sizes.any() else []
         left = left + sizes
     for height, lost in zip(y, table["loss"], strict=True):
         if np.isfinite(lost):
@@ -116,7 +117,7 @@ def _draw_probability(table, ax):
     ax.set_xlim(left=0)
     ax.grid(axis="x", color="0.9", lw=0.6)
     ax.set_axisbelow(True)
-    ax.set_xlabel("collision probability, 95 %")
+    ax.set_xlabel("collision probability, 95 % interval")
 
 
 def _places(table):

@@ -18,6 +18,7 @@ COLUMNS = (
 WIDTH = 7.2  # inches
 NARROW = 25
 MARGIN = 4  # radii of patrol areas about the place that is shown larger
+MOST_AIMS = 12
 LITTLE = 60  # positioners that need no part shown larger
 
 
@@ -84,7 +85,9 @@ def _asked(tile) -> dict:
 def _aims(tile) -> list:
     """Return the classes of targets, and how far the plan is proven."""
     aims, gap = tile_aims(tile), tile.summary.get("gap")
-    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in aims}
+    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in aims[:MOST_AIMS]}
+    if len(aims) > MOST_AIMS:
+        values["more classes, not shown"] = len(aims) - MOST_AIMS
     if gap is not None:
         values["gap to the best plan"] = gap
     return [Facts("Classes of targets, in order of priority", values)] if values else []

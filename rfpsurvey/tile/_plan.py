@@ -145,7 +145,8 @@ def plan_tile(
         )
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog._has_twins else 0
     if n_twice:
-        warnings.warn(f"{n_twice} targets in the field share their id with another", RfpsurveyWarning, stacklevel=2)
+        text = f"{n_twice} targets in the field share their id with another; each row is planned by itself"
+        warnings.warn(text, RfpsurveyWarning, stacklevel=2)
     needs = None if catalog.fiber_type is None else catalog.fiber_type[given]
     needs = instrument._needs(needs, len(given))
     xy = plane._project(catalog._vectors[given], needs)
