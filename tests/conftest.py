@@ -9,7 +9,8 @@ import pytest
 from hypothesis import settings
 
 import rfpsurvey as rs
-from rfpsurvey import _cli
+from packages import HERS
+from rfpsurvey import _cli, _plugins
 
 matplotlib.use("agg")
 # the first call of a kernel compiles it; the same examples every time, so that a red run can be repeated
@@ -73,3 +74,43 @@ def run(monkeypatch, capsys):
         return code, out.out, out.err
 
     return call
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Return a function that leaves a distribution behind as pip would."""
+    names = []
+
+    def make(name, code, version="1.0", **groups):
+        folder = tmp_path / f"{name}-{version}"
+        info = folder / f"{name}-{version}.dist-info"
+        info.mkdir(parents=True)
+        (folder / f"{name}.py").write_text(code)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        lines = []
+        for group, entries in groups.items():
+            lines += [f"[rfpsurvey.{group}]", *(f"{key} = {name}:{value}" for key, value in entries.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines))
+        monkeypatch.syspath_prepend(folder)
+        _plugins._load.cache_clear()
+        sys.modules.pop(name, None)
+        names.append(name)
+
+    yield make
+    _plugins._load.cache_clear()
+    for name in names:
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def hers(install):
+    """A package with allocators and a method."""
+    allocators = {
+        "begin": "begin",
+        "swapped": "swapped",
+        "idle": "idle",
+        "wrong": "wrong",
+        "absent": "nowhere",
+        "number": "np",
+    }
+    install("hers", HERS, allocators=allocators, probability_methods={"quarter": "formula"})

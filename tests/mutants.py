@@ -32,7 +32,7 @@ PROBABILITY = (
     "probability designs bad_input"
 )
 TESTS = {
-    "rfpsurvey/*/_plugin.py": "plugins",
+    "rfpsurvey/*/_plugin.py": "own_allocators own_probabilities plugins",
     "rfpsurvey/probability/_run.py": "compare_instruments " + PROBABILITY,
     "rfpsurvey/collision/*": COLLISION,
     "rfpsurvey/allocation/*": ALLOCATION,
