@@ -309,61 +309,6 @@ def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message
     assert (tmp_path / "there.html").read_text() == "old"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "plan --instrument sdss_apo --output t.ecsv",
-        "tile --region sky --method spiral --instrument lamost --output t.ecsv",
-        "survey --instrument sdss_apo --folder plan",
-        "compare-allocators --instrument moons --allocator lamost --allocator repair",
-        "compare sdss_apo moons --allocator lamost --realizations 1",
-        "design --ratio 1,1.5 --pitch 24,26",
-        "probability sdss_apo --method closed_form",
-        "reproduce small --quick --folder small",
-        "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
-    ],
-)
-def test_commands_write_pages(run, tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
-    code, out, _ = run(*command.split(), "--report", "page.html")
-    assert code == 0
-    assert out.endswith("wrote page.html\n")
-    page = Reader((tmp_path / "page.html").read_text())
-    assert len(page.all("svg")) == {"plan": 2, "survey": 2}.get(command.split()[0], 1)
-    if command.startswith("plan"):
-        assert run("score", "t.ecsv", "--report", "score.html")[0] == 0
-        scored = Reader((tmp_path / "score.html").read_text()).facts()
-        assert scored["in collision"] == page.facts()["in collision"]
-    elif command.startswith("tile"):
-        assert re.search(r"Shown: 1000 of \d+ rows; all are in t.ecsv", "".join(t["caption"] for t in page.tables))
-    elif command.startswith("reproduce"):
-        table = QTable.read(tmp_path / "small" / "small.ecsv")
-        heads, rows = page.table("Table small.")
-        np.testing.assert_array_equal([full(row[heads.index("value")]) for row in rows], table["value"])
-
-
-WORK = {
-    "plan": "plan_tile", "tile --region sky": "place_tiles", "survey": "plan_survey",
-    "compare-allocators": "compare_allocators", "compare": "compare_instruments", "design": "explore_designs",
-    "probability": "collision_probability", "reproduce": "reproduce", "benchmark collisions": "benchmark_collisions",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("command", WORK)
-def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
-    def work(*_, **__):
-        raise AssertionError("the work was begun")
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(rs, WORK[command], work)
-    (tmp_path / "old.html").write_text("old")
-    for name, message in (("old.html", "old.html exists"), ("page.txt", "must end in .html or .htm")):
-        code, _, err = run(*command.split(), "--report", name)
-        assert code == 2
-        assert message in err
-    assert [p.name for p in tmp_path.iterdir()] == ["old.html"]
-
-
 def test_text_of_any_language_stays_as_it_is():
     """No-break and ideographic spaces and joiners are text; what turns the direction of a page is not."""
     words = ["a\u00a0b", "\u65e5\u672c\u3000\u8a9e", "x\u200dy", "1\u202f000"]
