@@ -150,7 +150,7 @@ def compare_instruments(
     """
     models = _models(instruments)
     methods = allocators_of(allocators, options)
-    what = [_describe(model) for model in models]
+    facts = [_describe(model) for model in models]
     if density is not None and targets_per_positioner is not None:
         raise InputError("give targets_per_positioner or density, not both")
     if isinstance(catalog, str):
@@ -169,11 +169,11 @@ def compare_instruments(
         way = "same catalog"
     plans = plan_fields(fields, methods, options, executor, progress)
     rows = []
-    for model, facts in zip(models, what, strict=True):
+    for model, known in zip(models, facts, strict=True):
         blind, *others = zip(
             *(plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model), strict=True
         )
-        rows += [{**facts, **_gains(model, *both, blind)} for both in zip(methods, others, strict=True)]
+        rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, others, strict=True)]
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
     software = dict(versions())
