@@ -39,7 +39,7 @@ def compare_allocators(
     catalog : Catalog or SkyCoord
         The targets.
     instrument : Instrument or str
-        The instrument, or the name of a preset.
+        The instrument, the name of a preset, or the path of a TOML file.
     center : SkyCoord
         Field center.
     allocators : list of str or callable, optional

@@ -9,7 +9,7 @@ import numpy as np
 from rfpsurvey.errors import InputError
 from rfpsurvey.positioner import Positioner
 
-__all__ = ["MOST_REACH", "Lattice", "make_lattice"]
+__all__ = ["Lattice", "make_lattice"]
 
 MOST_REACH = 4.0
 """Arms that reach further, in pitches, have hundreds of neighbors, and are not looked at."""

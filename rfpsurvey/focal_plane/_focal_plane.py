@@ -33,7 +33,7 @@ class FocalPlane:
     positioner : Positioner
         Geometry common to all.
     id : array_like of int or str, shape (n,), optional
-        Names; the row number by default.
+        Names, text without blanks; the row number by default.
     spectrograph : array_like of int, shape (n,) or (n, n_types), optional
         Spectrograph of each fiber, one column for each fiber type where they differ; 0 by default.
     fiber_type : array_like of str, shape (n,), optional
@@ -50,7 +50,8 @@ class FocalPlane:
     Raises
     ------
     InputError
-        If a column has another length than ``xy``, or two positioners share a center.
+        If a column has another length than ``xy``, a name occurs twice or has blanks, or two positioners share a
+        center.
 
     Examples
     --------

@@ -67,7 +67,7 @@ def plan_survey(
     tiles : Tiling, Table or SkyCoord
         Where to point, see `place_tiles` and `Tiling.from_table`.
     instrument : Instrument or str
-        The instrument, or the name of a preset.
+        The instrument, the name of a preset, or the path of a TOML file.
     allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
         Method of the allocation, see `allocate`. Processes find it by its name: a function is for threads only.
     visits : int or array_like of int, shape (n_targets,), optional

@@ -59,7 +59,7 @@ def plan_tile(
     catalog : Catalog, SkyCoord or Table
         The targets.
     instrument : Instrument or str
-        The instrument, or the name of a preset.
+        The instrument, the name of a preset, or the path of a TOML file.
     center : SkyCoord
         Field center; north is that of its frame.
     position_angle : Quantity, optional

@@ -45,7 +45,7 @@ def score_tile(
         either its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows
         without a positioner, and those whose column ``assigned`` is 0, are not looked at.
     instrument : Instrument or str
-        The instrument, or the name of a preset.
+        The instrument, the name of a preset, or the path of a TOML file.
     center : SkyCoord, optional
         Field center; without it the columns or meta entries ``racen`` and ``deccen`` are used.
     position_angle : Quantity, optional
