@@ -75,7 +75,7 @@ def balanced_owner(xy, centers, reaches):
     owner = []
     for t in range(len(xy)):
         candidates = [i for i in range(len(centers)) if reaches[i][t]]
-        best = min(candidates, key=lambda i: (count[i], _d2(xy[t], centers[i]), i), default=-1)
+        best = min(candidates, key=lambda i: (count[i], squared_apart(xy[t], centers[i]), i), default=-1)
         owner.append(best)
         if best >= 0:
             count[best] += 1
@@ -92,18 +92,18 @@ def lamost_target(xy, centers, reaches, priority):
             for i in range(n):
                 mine = [t for t in range(m) if reaches[i][t] and not taken[t] and priority[t] == value]
                 if target[i] < 0 and mine:
-                    nominations.setdefault(min(mine, key=lambda t: (_d2(xy[t], centers[i]), t)), []).append(i)
+                    nominations.setdefault(min(mine, key=lambda t: (squared_apart(xy[t], centers[i]), t)), []).append(i)
             if not nominations:
                 break
             choices = [sum(reaches[i][t] and not taken[t] for t in range(m)) for i in range(n)]
             for t, rivals in nominations.items():
-                winner = min(rivals, key=lambda i: (choices[i], _d2(xy[t], centers[i]), i))
+                winner = min(rivals, key=lambda i: (choices[i], squared_apart(xy[t], centers[i]), i))
                 target[winner] = t
                 taken[t] = True
     return target
 
 
-def _d2(a, b):
+def squared_apart(a, b):
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2
 
 
@@ -226,3 +226,20 @@ def balanced_queues(xy, centers, reaches):
     """Queues of targets under the rule `balanced`, one list of points a positioner."""
     owner = np.array(balanced_owner(xy, centers, reaches), dtype=int)
     return [[tuple(p) for p in np.asarray(xy)[owner == i]] for i in range(len(centers))]
+
+
+def closest_pairs_first(xy, centers, can, priority):
+    """Take the closest of all pairs that are left, class after class."""
+    target_of = [-1] * len(centers)
+    for value in sorted(set(priority), reverse=True):
+        while True:
+            left = [
+                (squared_apart(xy[t], centers[i]), i, t)
+                for t in range(len(xy)) for i in range(len(centers))
+                if can[i, t] and priority[t] == value and target_of[i] < 0 and t not in target_of
+            ]  # fmt: skip
+            if not left:
+                break
+            _, i, t = min(left)
+            target_of[i] = t
+    return target_of

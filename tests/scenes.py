@@ -73,3 +73,34 @@ def random_tips(plane, rng, part=1.0):
         reach = np.diag(plane.reachable(np.nan_to_num(tips, nan=1e6) * MM).toarray())
         tips[~reach] = np.nan
     return tips * MM
+
+
+def random_plane(rng):
+    """Two to seven positioners of all sorts, close together."""
+    kind = rng.choice(["equal", "unequal", "both", "fibers", "thick"])
+    unit = {
+        "equal": lambda: rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM),
+        "thick": lambda: rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM),
+        "unequal": lambda: rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, step=0.1 * u.deg),
+        "both": lambda: rs.Positioner(8 * MM, 8 * MM, 3 * MM, handedness="both", theta_range=[-120, 150] * u.deg),
+        "fibers": lambda: rs.Positioner(7.4 * MM, 15 * MM, 2 * MM, **CAPSULE),
+    }[kind]()
+    pitch = 17.0 if kind in ("equal", "thick", "both") else 20.0
+    plane = rs.FocalPlane.hexagonal(unit, rings=1, pitch=pitch * MM)
+    rows = np.sort(rng.choice(7, rng.integers(2, 8), replace=False))
+    n = len(rows)
+    columns = {"spectrograph": rng.integers(0, 2, n)}
+    if kind == "fibers":
+        columns["fiber_type"] = rng.choice(["B+A", "B"], n)
+        columns["fiber_type"][0] = "B+A"
+        if rng.random() < 0.5:
+            columns["spectrograph"] = np.tile(np.arange(len(set("+".join(columns["fiber_type"]).split("+")))), (n, 1))
+    if rng.random() < 0.3:
+        columns["disabled"] = np.arange(n) == rng.integers(n)
+    if rng.random() < 0.3:
+        stuck = np.full((n, 2), np.nan)
+        stuck[rng.integers(n)] = rng.uniform(-180, 180), rng.uniform(20, 180)
+        columns["stuck"] = stuck * u.deg
+    if rng.random() < 0.3:
+        columns["obstacles"] = [[*rng.uniform(-15, 15, 2), 2.0]] * MM
+    return rs.FocalPlane(plane.xy[rows], unit, **columns)

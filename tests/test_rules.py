@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 import rfpsurvey as rs
-from oracles import lamost_target
+from oracles import closest_pairs_first, lamost_target, squared_apart
 from scenes import lamost_like, sdss_like, two_fibers
 
 MM = u.mm
@@ -36,27 +36,6 @@ def scenes(draw, kinds=KINDS):
     xy = draw(lattice | anywhere)
     priority = draw(st.lists(st.integers(0, 2), min_size=n, max_size=n))
     return xy, priority, draw(st.lists(st.sampled_from(kinds), min_size=n, max_size=n))
-
-
-def squared(a, b):
-    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2
-
-
-def closest_pairs_first(xy, centers, can, priority):
-    """Take the closest of all pairs that are left, class after class."""
-    target_of = [-1] * len(centers)
-    for value in sorted(set(priority), reverse=True):
-        while True:
-            left = [
-                (squared(xy[t], centers[i]), i, t)
-                for t in range(len(xy)) for i in range(len(centers))
-                if can[i, t] and priority[t] == value and target_of[i] < 0 and t not in target_of
-            ]  # fmt: skip
-            if not left:
-                break
-            _, i, t = min(left)
-            target_of[i] = t
-    return target_of
 
 
 @given(st.sampled_from(sorted(PLANES)), scenes())
@@ -102,7 +81,7 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
             importance = [(t >= 0, priority[t] if t >= 0 else 0, i) for i, t in enumerate(target_of)]
             for _, _, i in sorted(importance):
                 free = [
-                    (squared(xy[t], plane._xy_mm[i]), t) for t in range(len(xy))
+                    (squared_apart(xy[t], plane._xy_mm[i]), t) for t in range(len(xy))
                     if can[i, t] and wanted[t] and t not in target_of and place in (None, column(i, t))
                 ]  # fmt: skip
                 if lacking <= 0 or i in locked or not free:

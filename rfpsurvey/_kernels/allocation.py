@@ -4,6 +4,9 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
+# No class comes after this one.
+MOST = 2**62
+
 
 @kernel
 def balanced(indptr, owner, r2, count, positioner_of_target):
@@ -51,19 +54,88 @@ def draw_configuration(indptr, queue, uniform, target_of_positioner):
 
 
 @kernel
-def sort_candidates(indptr, target, r2, rank):
-    """Sort each positioner's candidates by class (rank 0 first), then distance, then catalog order."""
-    for i in range(indptr.size - 1):
-        for k in range(indptr[i] + 1, indptr[i + 1]):
-            t, d = target[k], r2[k]
-            m = k
-            while m > indptr[i]:
-                s = target[m - 1]
-                if rank[s] < rank[t] or (rank[s] == rank[t] and (r2[m - 1] < d or (r2[m - 1] == d and s <= t))):
-                    break
-                target[m], r2[m] = target[m - 1], r2[m - 1]
+def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
+    """Sort the best targets of each positioner by class (rank 0 first), then distance, then catalog order.
+
+    Pairs come as rows of targets. Positioner i keeps at most ``start[i + 1] - start[i]`` of them, from ``start[i]`` on;
+    ``count`` is how many.
+    """
+    count[:] = 0
+    for t in range(indptr.size - 1):
+        c = rank[t]
+        for k in range(indptr[t], indptr[t + 1]):
+            i, d = owner[k], r2[k]
+            first = start[i]
+            m = first + count[i]
+            if m == start[i + 1]:
+                if m == first or rank[target[m - 1]] < c or (rank[target[m - 1]] == c and out_r2[m - 1] <= d):
+                    continue
                 m -= 1
-            target[m], r2[m] = t, d
+            else:
+                count[i] += 1
+            while m > first and (rank[target[m - 1]] > c or (rank[target[m - 1]] == c and out_r2[m - 1] > d)):
+                target[m], out_r2[m] = target[m - 1], out_r2[m - 1]
+                m -= 1
+            target[m], out_r2[m] = t, d
+
+
+@kernel
+def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted, keep, shortened):
+    """Mark the best targets of each positioner and code, and some that are spread over the rest of their class.
+
+    Pairs come as rows of targets. Positioner i keeps at most ``start[cell + 1] - start[cell]`` targets of a code as the
+    best ones by rank, then distance, then catalog order, where ``cell = i * n_codes + code``; and of those left of the
+    rank of the last one, ``n_spread`` at equal steps of the catalog; and the target ``wanted[i]``. ``shortened`` marks
+    cells of which targets were left out. Returns the number of pairs that are kept.
+    """
+    n_cells = start.size - 1
+    best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
+    end = start[:-1].copy()
+    # rank and distance of the last of the best ones, where there are as many as may be
+    cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
+    for t in range(indptr.size - 1):
+        c = rank[t]
+        for k in range(indptr[t], indptr[t + 1]):
+            cell = owner[k] * n_codes + code[t]
+            keep[k] = False
+            if cut[cell] < c or (cut[cell] == c and far[cell] <= r2[k]):
+                continue
+            first, m = start[cell], end[cell]
+            if m == start[cell + 1]:
+                m -= 1
+                keep[best[m]] = False
+            else:
+                end[cell] += 1
+            while m > first and (rank[place[m - 1]] > c or (rank[place[m - 1]] == c and r2[best[m - 1]] > r2[k])):
+                best[m], place[m] = best[m - 1], place[m - 1]
+                m -= 1
+            best[m], place[m] = k, t
+            keep[k] = True
+            if end[cell] == start[cell + 1]:
+                cut[cell], far[cell] = rank[place[end[cell] - 1]], r2[best[end[cell] - 1]]
+    left, seen = np.zeros(n_cells, np.int64), np.zeros(n_cells, np.int64)
+    if n_spread > 0:
+        for t in range(indptr.size - 1):
+            for k in range(indptr[t], indptr[t + 1]):
+                cell = owner[k] * n_codes + code[t]
+                left[cell] += (not keep[k]) & (rank[t] == cut[cell])
+    due, taken = np.zeros(n_cells, np.int64), np.zeros(n_cells, np.int64)
+    n_kept = 0
+    shortened[:] = False
+    for t in range(indptr.size - 1):
+        for k in range(indptr[t], indptr[t + 1]):
+            if not keep[k]:
+                cell = owner[k] * n_codes + code[t]
+                keep[k] = wanted[owner[k]] == t
+                if left[cell] > 0 and rank[t] == cut[cell]:
+                    if seen[cell] == due[cell]:
+                        keep[k] = True
+                        taken[cell] += 1
+                        due[cell] = max(taken[cell] * left[cell] // n_spread, seen[cell] + 1)
+                    seen[cell] += 1
+                shortened[cell] |= not keep[k]
+            n_kept += keep[k]
+    return n_kept
 
 
 @kernel
@@ -85,13 +157,13 @@ def nominate(
     """LAMOST's rounds of nomination, class after class.
 
     Every free positioner nominates its nearest unassigned target of the class; a target nominated by several
-    goes to the one with the fewest unassigned targets in reach, then the nearest, then the lowest index.
+    goes to the one with the fewest unassigned targets in reach, then the nearest, then the lowest index. ``free_reach``
+    must be the number of targets in reach of each positioner; candidates may be fewer.
     """
     n = indptr.size - 1
     for i in range(n):
         target_of_positioner[i] = -1
         cursor[i] = indptr[i]
-        free_reach[i] = indptr[i + 1] - indptr[i]
     for t in range(positioner_of_target.size):
         positioner_of_target[t] = -1
         nominee_of[t] = -1
@@ -202,6 +274,8 @@ def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
     n = target_of_positioner.size
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
+    # no augmenting path ever leads through what a search without success has seen: it is not looked at again
+    closed = np.zeros(n, np.bool_)
     seen = np.full(n, -1, np.int64)
     came_from = np.empty(n, np.int64)
     queue = np.empty(n + 1, np.int64)
@@ -214,7 +288,7 @@ def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
             head += 1
             for k in range(t_indptr[s], t_indptr[s + 1]):
                 i = t_owner[k]
-                if seen[i] == t:
+                if seen[i] == t or closed[i]:
                     continue
                 seen[i] = t
                 came_from[i] = s
@@ -223,6 +297,9 @@ def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
                     break
                 queue[tail] = target_of_positioner[i]
                 tail += 1
+        if free < 0:
+            for m in range(1, tail):
+                closed[positioner_of_target[queue[m]]] = True
         while free >= 0:
             s = came_from[free]
             before = positioner_of_target[s]

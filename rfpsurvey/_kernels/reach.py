@@ -84,6 +84,19 @@ def reachable_pairs(
 
 
 @kernel
+def take_pairs(indptr, owner, r2, keep, out_indptr, out_owner, out_r2):
+    """Copy the pairs marked in ``keep``."""
+    n = 0
+    for t in range(indptr.size - 1):
+        out_indptr[t] = n
+        for k in range(indptr[t], indptr[t + 1]):
+            if keep[k]:
+                out_owner[n], out_r2[n] = owner[k], r2[k]
+                n += 1
+    out_indptr[indptr.size - 1] = n
+
+
+@kernel
 def transpose(indptr, owner, n_owners, out_indptr, out_target, out_source):
     """Turn rows of targets into rows of owners; ``out_source`` is the position of each pair in the input."""
     out_indptr[:] = 0

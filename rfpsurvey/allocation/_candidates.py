@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey._kernels import arms, conflicts
+from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels.collisions import halve
+from rfpsurvey.allocation._arms import place_segments
+from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import Problem
 from rfpsurvey.collision import closer_exactly, touching
 from rfpsurvey.focal_plane import joints_allow
@@ -27,6 +29,8 @@ class Candidates:
     """Candidates that collide, shape (2, m)."""
     held: np.ndarray
     """Which requirements count which candidates, shape (n_groups, n)."""
+    preselection: Preselection
+    """Reachable pairs behind the candidates, of which some may have been left out."""
 
     def __len__(self):
         return len(self.side)
@@ -36,32 +40,49 @@ class Candidates:
         o, new = self.options, np.cumsum(keep) - 1
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
         pairs = new[self.pairs[:, keep[self.pairs].all(axis=0)]]
-        return _assemble(self.problem, start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs)
+        columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
+        return _assemble(self.problem, self.preselection, *columns)
+
+    def relaxed(self) -> "Candidates":
+        """Return candidates whose best plan is as good as any plan of all candidates, also of those left out.
+
+        Candidates that stand for others that were left out collide with nothing.
+        """
+        o, plane = self.options, self.problem.plane
+        n_elbows = 2 if plane.positioner.handedness == "both" else 1
+        free = replaceable(self.preselection, o.own, o.target, o.rank, plane._n_sharing, n_elbows)
+        pairs = self.pairs[:, ~free[self.pairs].any(axis=0)]
+        return _assemble(self.problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, pairs)
 
 
-def find_candidates(problem: Problem, *, collide: bool = True, squared_cost: bool = False) -> Candidates:
-    """Return all candidates of a problem.
+def find_candidates(
+    problem: Problem, *, collide: bool = True, squared_cost: bool = False, keep_target: np.ndarray | None = None
+) -> Candidates:
+    """Return the candidates of a problem: all, or as many as `preselect` keeps of them.
 
-    Without ``collide`` arms may pass through each other and have one elbow.
+    Without ``collide`` arms may pass through each other and have one elbow. Targets of ``keep_target``, shape
+    (n_positioners,), are kept in any case.
     """
     plane = problem.plane
-    start, own, target, side, r2 = _list(problem, both=collide)
+    preselection = preselect(problem, collide=collide, keep_target=keep_target)
+    start, own, target, side, r2 = _list(problem, preselection.reach, both=collide)
     cost = r2 if squared_cost else np.zeros(len(own))
     if not collide:
-        return _assemble(problem, start, own, target, side, cost, np.empty((2, 0), dtype=np.int64))
+        no_pairs = np.empty((2, 0), dtype=np.int64)
+        return _assemble(problem, preselection, start, own, target, side, cost, no_pairs)
     idle = start[1:] - 1
     at_home = np.zeros(len(own), dtype=bool)
     at_home[idle] = True
-    segments = _place(problem, own, target, side, idle)
+    segments = place_segments(problem, own, target, side, idle)
     pairs = _conflicts(plane, start, segments)
     # two idle arms that collide, or one that touches an obstacle, do so whatever the plan is
     pairs = pairs[:, ~at_home[pairs].all(axis=0)]
-    found = _assemble(problem, start, own, target, side, cost, pairs)
+    found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
     touch = _touches_obstacle(plane, start, segments) & ~at_home
     return found.where(~touch) if touch.any() else found
 
 
-def _assemble(problem, start, own, target, side, cost, pairs):
+def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     """Put together what follows from the columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
@@ -71,13 +92,13 @@ def _assemble(problem, start, own, target, side, cost, pairs):
     conflicts.adjacency(pairs[0], pairs[1], indptr, other)
     by_target = _by_target(target, len(problem.points))
     options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, indptr, other)
-    return Candidates(problem, options, side, pairs, held)
+    return Candidates(problem, options, side, pairs, held, preselection)
 
 
-def _list(problem, both):
+def _list(problem, reach, both):
     """Reachable targets of each positioner with their elbows, and its idle arm."""
     plane = problem.plane
-    indptr, target, r2 = problem.reach.by_positioner
+    indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     side = plane._sides(problem.points[target], own)
     if both and plane.positioner.handedness == "both":
@@ -91,20 +112,6 @@ def _list(problem, both):
     order = np.argsort(own, kind="stable")  # the idle arms come last
     start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=n))])
     return start, own[order], target[order], side[order], r2[order]
-
-
-def _place(problem, own, target, side, idle):
-    """Segments that can collide, shape (4, n)."""
-    plane, columns = problem.plane, problem.plane._columns
-    points = np.vstack([problem.points, [np.nan, np.nan]])[target]
-    segments = np.empty((4, len(own)))
-    arms.place(points, columns.geometry_of(own), side, segments)
-    segments[:, idle] = columns.idle(problem.parked_obstacles).segments
-    angle = plane.positioner._arm_angle_rad(plane.fiber_types)[problem.fiber_of(own, target)]
-    cosine, sine = np.cos(angle), np.sin(angle)
-    cosine[idle], sine[idle] = columns.angles
-    arms.shape(segments, columns.model, columns.length, cosine, sine)
-    return segments
 
 
 def _touches_obstacle(plane, start, segments):

@@ -27,7 +27,7 @@ def balanced(problem: Problem) -> Choice:
 
 def nearest(problem: Problem) -> Choice:
     """Closest pairs first, class after class."""
-    indptr, target, r2 = _sorted(problem.only(problem.science), problem.rank)
+    indptr, target, r2, _ = _best(problem, problem.only(problem.science))
     m = len(problem.rank)
     target_of = np.empty(len(indptr) - 1, dtype=np.int64)
     kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
@@ -37,10 +37,10 @@ def nearest(problem: Problem) -> Choice:
 def lamost(problem: Problem) -> Choice:
     """Nomination of the nearest target, class after class; then what the requirements ask for."""
     reach = problem.only(problem.science)
-    indptr, target, r2 = _sorted(reach, problem.rank)
+    indptr, target, r2, in_reach = _best(problem, reach)
     n, m = reach.n_positioners, len(problem.rank)
     target_of, owner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    scratch = (np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
+    scratch = (in_reach, np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
     kernels.nominate(
         indptr, target, r2, problem.rank, len(problem.classes), reach.indptr, reach.owner, *scratch, target_of, owner_of
     )
@@ -62,7 +62,7 @@ def optimal(problem: Problem) -> Choice:
 def repair(problem: Problem) -> Choice:
     """Another plan, its collisions ended by local moves."""
     start = problem.start()
-    candidates = find_candidates(problem)
+    candidates = find_candidates(problem, keep_target=start.target_of)
     first = pick(candidates, trim(problem, start.target_of), start.side)
     chosen, moved, dropped = mend(candidates, first)
     options, had = candidates.options, start.target_of >= 0
@@ -89,12 +89,18 @@ def _bounded(problem, target_of, blind):
     return levels
 
 
-def _sorted(reach, rank):
-    """Targets of each positioner by class, then distance."""
-    indptr, target, r2 = reach.by_positioner
-    target, r2 = target.copy(), r2.copy()
-    kernels.sort_candidates(indptr, target, r2, rank)
-    return indptr, target, r2
+def _best(problem, reach):
+    """Return the candidates of each positioner by class, then distance, and how many targets it reaches.
+
+    Only positioners that share a target with it can take one away, at most one each. A positioner therefore ends with
+    one of its first candidates, as many as there are such positioners and one more; the others are left out.
+    """
+    in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
+    indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.plane._n_sharing + 1))])
+    target, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
+    count = np.empty(reach.n_positioners, dtype=np.int64)
+    kernels.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, indptr, count, target, r2)
+    return indptr, target, r2, in_reach
 
 
 def _with_watched(problem, target_of):

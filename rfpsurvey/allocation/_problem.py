@@ -92,15 +92,19 @@ class Problem:
         """Class of targets; that of no target (-1) comes after all others."""
         return np.append(self.rank, len(self.classes) + 1)[target]
 
+    @cached_property
+    def _fiber_index(self) -> np.ndarray:
+        """Index of the fiber type that each target needs; -1 for any, and in the last place for no target."""
+        index = {name: k for k, name in enumerate(self.plane.fiber_types)}
+        names, inverse = np.unique(self.wanted, return_inverse=True)
+        return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
+
     def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Index of the fiber type with which positioners look at targets."""
         first = self.plane._first_index[own]
         if self.wanted is None:
             return first
-        index = {name: k for k, name in enumerate(self.plane.fiber_types)}
-        names, inverse = np.unique(self.wanted, return_inverse=True)
-        code = np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
-        code = code[target]
+        code = self._fiber_index[target]
         return np.where(code < 0, first, code)
 
     def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from rfpsurvey._kernels import reduce
-from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._moves import improve, match, mend, pick, trim
 from rfpsurvey.allocation._problem import Choice, Level, Problem
 from rfpsurvey.allocation._program import Program
@@ -17,12 +17,36 @@ __all__ = ["decide"]
 
 # Parts are solved together until they have so many positioners: a call of the solver has its price.
 SMALLEST = 200
+# Part of the time that is kept for the bound on plans with candidates that were left out.
+FOR_BOUND = 0.3
 
 
 def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_cost: bool = False) -> Choice:
     """Return the best plan with its proof; ``collide``: arms must not."""
     deadline = perf_counter() + problem.time_limit
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
+    options = {"integral": integral, "squared_cost": squared_cost}
+    n_left_out = everything.preselection.n_left_out
+    # a bound on plans with candidates that were left out needs time, too
+    halt = deadline - FOR_BOUND * (deadline - perf_counter()) if collide and n_left_out else deadline
+    used, found = _search(everything, halt, collide=collide, **options)
+    target_of = used.options.target[found.chosen]
+    reached = problem.values(target_of)
+    names, values, bounds = list(reached), np.array(list(reached.values())), found.bounds
+    meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
+    if collide and n_left_out:
+        meta["n_left_out"] = n_left_out
+        relaxed = _search(everything.relaxed(), deadline, collide=True, **options)[1]
+        bounds = np.maximum(relaxed.bounds, values)
+    if (values < bounds).any():
+        bounds = _bounds(problem, everything, names, values, bounds)
+    levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
+    return Choice(target_of, used.side[found.chosen], None, levels, meta)
+
+
+def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
+    """Return the best plan of the candidates, and those of them among which it was looked for."""
+    problem = everything.problem
     alive = np.ones(len(everything), dtype=bool)
     reduce.reduce_candidates(everything.options, alive)
     used = everything.where(alive)
@@ -30,21 +54,12 @@ def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_co
     # where an idle arm is not among the candidates, this may turn out to be no plan
     start = _plan(used, blind, collide)
     found = _solve(used, blind, start, deadline, integral=integral, squared_cost=squared_cost)
-    chosen, values, bounds = found.chosen, found.values, found.bounds
-    proven = found.complete and (values == bounds).all()
     if not found.complete:
         used = everything
-        chosen = _plan(used, pick(used, trim(problem, match(used))), collide)
-    elif not proven and collide:
-        chosen = improve(used, chosen)
-    target_of = used.options.target[chosen]
-    names = list(problem.values(target_of))
-    if not proven:
-        values = np.array(list(problem.values(target_of).values()))
-        bounds = _bounds(problem, everything, names, values, bounds)
-    levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
-    meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
-    return Choice(target_of, used.side[chosen], None, levels, meta)
+        return used, found._replace(chosen=_plan(used, pick(used, trim(problem, match(used))), collide))
+    if (found.values < found.bounds).any() and collide:
+        return used, found._replace(chosen=improve(used, found.chosen))
+    return used, found
 
 
 def _plan(candidates, chosen, collide):

@@ -185,6 +185,13 @@ class FocalPlane:
         return distance < self._arm_reach_mm[pairs].sum(axis=1) + self.positioner._separation_mm + slack
 
     @cached_property
+    def _n_sharing(self):
+        """How many others can share a target with each positioner, at most."""
+        reach = self._outer_mm * (1 + 1e-6)
+        near = cKDTree(self._xy_mm).query_ball_point(self._xy_mm, reach + reach.max(), return_length=True)
+        return np.asarray(near, dtype=np.int64) - 1
+
+    @cached_property
     def _obstacle_pairs(self):
         """Pairs (positioner, obstacle) that can touch."""
         circles = self._obstacles_mm

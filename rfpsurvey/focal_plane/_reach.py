@@ -12,6 +12,9 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "find_reach", "joints_allow", "make_grid", "sides"]
 
+# Targets that are looked at together, so that little memory is used besides the pairs.
+BLOCK = 1 << 18
+
 
 @dataclass(frozen=True, eq=False)
 class Reach:
@@ -44,8 +47,10 @@ class Reach:
 
     def where(self, keep: np.ndarray) -> "Reach":
         """Return the pairs marked in ``keep``."""
-        indptr = np.concatenate([[0], np.cumsum(keep)])[self.indptr]
-        return Reach(indptr, self.owner[keep], self.r2[keep], self.n_positioners)
+        n = int(np.count_nonzero(keep))
+        indptr, owner, r2 = np.empty_like(self.indptr), np.empty(n, dtype=np.int64), np.empty(n)
+        reach.take_pairs(self.indptr, self.owner, self.r2, keep, indptr, owner, r2)
+        return Reach(indptr, owner, r2, self.n_positioners)
 
     @cached_property
     def by_positioner(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -74,7 +79,7 @@ def make_grid(xy, outer):
 def accepted_types(plane, fiber_type, n) -> np.ndarray:
     """Return the bit mask of the fiber types that may observe each of ``n`` targets."""
     if fiber_type is None or plane.fiber_types == ("",):
-        return np.full(n, -1, dtype=np.int64)
+        return np.broadcast_to(np.int64(-1), n)
     types = np.asarray(fiber_type, dtype=str)
     if types.shape != (n,):
         raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
@@ -88,23 +93,32 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 def find_reach(plane, points, accepts) -> Reach:
     """Return the reachable pairs of targets in mm; ``accepts`` as `accepted_types` makes it."""
-    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
     geometry = plane._columns.geometry
-    indptr = np.empty(len(points) + 1, dtype=np.int64)
-    room = 2 * len(points) + 1024
-    while True:
-        owner, r2, code = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
-        positioners = (geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, plane._offers)
-        n = reach.reachable_pairs(x, y, accepts, *positioners, *plane._grid, indptr, owner, r2, code)
-        if n <= room:
-            break
-        room = n
+    positioners = (geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, plane._offers)
+    indptr, n = np.zeros(len(points) + 1, dtype=np.int64), 0
+    owner, r2 = (np.empty(2 * len(points) + 1024, dtype) for dtype in (np.int64, np.float64))
+    code, edges = np.empty(min(len(owner), 2 * BLOCK), dtype=np.int8), []
+    for begin in range(0, len(points), BLOCK):
+        x, y = points[begin : begin + BLOCK].T.copy()
+        rows, types = indptr[begin : begin + len(x) + 1], np.ascontiguousarray(accepts[begin : begin + BLOCK])
+        while True:
+            room = min(len(owner) - n, len(code))
+            out = owner[n : n + room], r2[n : n + room], code[:room]
+            m = reach.reachable_pairs(x, y, types, *positioners, *plane._grid, rows, *out)
+            if m <= room:
+                break
+            code = np.empty(m, dtype=np.int8)
+            if n + m > len(owner):
+                owner, r2 = (np.concatenate([values[:n], np.empty(m + n, values.dtype)]) for values in (owner, r2))
+        edges.append(n + np.flatnonzero(code[:m] == reach.BORDERLINE))
+        rows += n
+        n += m
     pairs = Reach(indptr, owner[:n], r2[:n], len(plane))
-    edge = np.flatnonzero(code[:n] == reach.BORDERLINE)
+    edge = np.concatenate([*edges, np.empty(0, dtype=np.int64)])
     if len(edge):
         keep = np.ones(n, dtype=bool)
-        target = pairs.target
-        keep[edge] = [_in_annulus_exactly(plane, owner[k], points[target[k]]) for k in edge]
+        target = np.searchsorted(indptr, edge, side="right") - 1
+        keep[edge] = [_in_annulus_exactly(plane, owner[k], points[t]) for k, t in zip(edge, target, strict=True)]
         pairs = pairs.where(keep)
     if not plane.positioner._joints_free:
         allowed = np.zeros(len(pairs.owner), dtype=bool)

@@ -24,7 +24,7 @@ class Stages(NamedTuple):
 
 def run_stages(focal_plane: FocalPlane, xy_mm: np.ndarray, **options) -> Stages:
     """Assign targets, place the arms and find their collisions; the options are those of `allocate`."""
-    allocation = allocate(xy_mm * u.mm, focal_plane, **options)
+    allocation = allocate(xy_mm << u.mm, focal_plane, **options)
     begin = perf_counter()
     posed = allocation.place_arms(focal_plane)
     middle = perf_counter()

@@ -1,0 +1,31 @@
+"""Arms at candidates."""
+
+import numpy as np
+
+from rfpsurvey._kernels import arms
+from rfpsurvey.allocation._problem import Problem
+
+__all__ = ["place_segments"]
+
+
+def place_segments(
+    problem: Problem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the segments that can collide of positioners (by row) at targets, shape (4, n).
+
+    ``idle`` lists the rows that stand for the idle arm of each positioner, whose target is -1.
+    """
+    plane, columns = problem.plane, problem.plane._columns
+    points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))
+    real = np.ones(len(own), dtype=bool)
+    if idle is not None:
+        real[idle] = False
+    points[real] = problem.points[target[real]]
+    arms.place(points, columns.geometry_of(own), side, segments)
+    angle = plane.positioner._arm_angle_rad(plane.fiber_types)[problem.fiber_of(own, target)]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    if idle is not None:
+        segments[:, idle] = columns.idle(problem.parked_obstacles).segments
+        cosine[idle], sine[idle] = columns.angles
+    arms.shape(segments, columns.model, columns.length, cosine, sine)
+    return segments

@@ -1,0 +1,153 @@
+"""Leave candidates out where a positioner reaches far more targets than any plan can need."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._kernels import allocation as kernels
+from rfpsurvey.allocation._arms import place_segments
+from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.collision import touching
+from rfpsurvey.focal_plane import Reach, joints_allow
+
+__all__ = ["Preselection", "preselect", "replaceable"]
+
+# Targets that a positioner keeps at least: the best ones, and others spread over the rest of their class.
+N_BEST, N_SPREAD = 64, 64
+# Reachable pairs whose arms are placed at the same time.
+BATCH = 1 << 18
+
+
+class Preselection(NamedTuple):
+    """Reachable pairs that are kept."""
+
+    reach: Reach
+    code: np.ndarray
+    """What a target does for the requirements, a number for each target."""
+    shortened: np.ndarray
+    """Positioners (by row) and codes of which pairs were left out, shape (n_positioners, n_codes)."""
+    n_left_out: int
+
+
+def preselect(problem: Problem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
+    """Return the pairs of a target and a positioner that are enough for a plan.
+
+    Others can take at most one target each from a positioner. Among as many of its best targets of one code as there
+    are others, and one more, one is therefore always free. This makes the preselection exact where arms may
+    pass through each other. With collisions, a plan of the pairs that are kept may be worse than the best plan of
+    all; `replaceable` is what bounds by how much.
+
+    Parameters
+    ----------
+    problem : Problem
+        The allocation.
+    collide : bool
+        Must arms not collide? Then some more targets are kept, and those that are taken by an obstacle do not count.
+    keep_target : ndarray of int, shape (n_positioners,), optional
+        Targets that are kept in any case, -1 for none.
+    """
+    plane, reach = problem.plane, problem.reach
+    n, n_rivals = reach.n_positioners, plane._n_sharing
+    n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
+    count = np.bincount(reach.owner, minlength=n)
+    if not (count > np.maximum(n_rivals + 1, n_best + n_spread)).any():
+        return Preselection(reach, np.zeros(len(problem.points), dtype=np.int64), np.zeros((n, 1), dtype=bool), 0)
+    code, n_codes = _codes(problem)
+    most, n_spread = np.maximum(n_rivals + 1, n_best // n_codes), n_spread // n_codes
+    if collide:
+        reach = _without_obstacles(problem, reach, count > most + n_spread)
+    keep, shortened = np.empty(len(reach.owner), dtype=bool), np.empty(n * n_codes, dtype=bool)
+    start = np.concatenate([[0], np.cumsum(np.repeat(most, n_codes))])
+    wanted = np.full(n, -1) if keep_target is None else keep_target
+    n_kept = kernels.select_pairs(
+        reach.indptr, reach.owner, reach.r2, problem.rank, code, n_codes, start, n_spread, wanted, keep, shortened
+    )
+    return Preselection(reach.where(keep), code, shortened.reshape(n, n_codes), len(keep) - n_kept)
+
+
+def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
+    """Mark candidates that stand for those that were left out.
+
+    A target that was left out is no better than those that were kept of its positioner and code. One of the last
+    ``n_rivals + 1`` of them is always free. If these, and all of their class or a later one, collided with
+    nothing, a plan could put one of them in the place of any target that was left out, and would be as good.
+
+    Parameters
+    ----------
+    preselection : Preselection
+        What was kept.
+    own, target, rank : ndarray of int, shape (n,)
+        Positioner, target (-1 for idle arms) and class of each candidate.
+    n_rivals : ndarray of int, shape (n_positioners,)
+        How many others can share a target with each positioner.
+    n_elbows : int
+        Candidates that one target can have at a positioner.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        The candidates.
+    """
+    shortened = preselection.shortened
+    n_codes = shortened.shape[1]
+    real = np.flatnonzero(target >= 0)
+    cell = own[real] * n_codes + preselection.code[target[real]]
+    real = real[shortened.ravel()[cell]]
+    cell = own[real] * n_codes + preselection.code[target[real]]
+    order = np.lexsort((rank[real], cell))
+    real, cell = real[order], cell[order]
+    end = np.searchsorted(cell, np.arange(shortened.size), side="right")
+    begin = np.searchsorted(cell, np.arange(shortened.size))
+    first = np.maximum(end - n_elbows * (np.repeat(n_rivals, n_codes) + 1), begin)
+    found = np.zeros(len(own), dtype=bool)
+    found[real] = rank[real] >= rank[real[np.minimum(first, len(real) - 1)]][cell]
+    return found
+
+
+def _codes(problem):
+    """Return a number for each target that tells what it does for the requirements, and how many there are."""
+    columns, seen = [], set()
+    for group in problem.groups:
+        if group.requirement not in seen:
+            seen.add(group.requirement)
+            columns.append(group.targets)
+    if problem.required is not None:
+        columns.append(problem.required)
+    several = problem.plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
+    if problem.wanted is not None and several:  # the fiber type decides on the spectrograph
+        columns.append(np.unique(problem.wanted, return_inverse=True)[1].reshape(-1))
+    code, n = np.zeros(len(problem.points), dtype=np.int64), 1
+    for column in columns:
+        used, code = np.unique(code * (int(column.max(initial=0)) + 1) + column, return_inverse=True)
+        code, n = code.reshape(-1).astype(np.int64), len(used)
+    return code, n
+
+
+def _without_obstacles(problem, reach, crowded):
+    """Return the pairs of which at least one arm touches no obstacle; only ``crowded`` positioners are looked at."""
+    plane = problem.plane
+    pairs = plane._obstacle_pairs
+    pairs = pairs[crowded[pairs[:, 0]]]
+    if len(pairs) == 0:
+        return reach
+    first = np.searchsorted(pairs[:, 0], np.arange(len(plane) + 1))
+    touched = np.zeros(len(reach.owner), dtype=bool)
+    near = np.zeros(len(plane), dtype=bool)
+    near[pairs[:, 0]] = True
+    rows = np.flatnonzero(near[reach.owner])
+    target = reach.target[rows]
+    for begin in range(0, len(rows), BATCH):
+        part, points = rows[begin : begin + BATCH], problem.points[target[begin : begin + BATCH]]
+        own, free = reach.owner[part], np.zeros(len(part), dtype=bool)
+        size = first[own + 1] - first[own]
+        index = np.repeat(np.arange(len(part)), size)
+        offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
+        test = np.column_stack([index, pairs[np.repeat(first[own], size) + offset, 1]])
+        both = plane.positioner.handedness == "both"
+        for side in (1.0, -1.0) if both else (plane._sides(points[:1], own[:1])[0],):
+            hit = np.zeros(len(part), dtype=bool)
+            segments = place_segments(problem, own, target[begin : begin + BATCH], np.full(len(part), side))
+            hit[touching(plane, segments, test)[0][:, 0]] = True
+            free |= ~hit & (joints_allow(plane, own, points, side) if both else True)
+        touched[part] = ~free
+    return reach.where(~touched)
