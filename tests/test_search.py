@@ -289,3 +289,24 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     # no plan has more targets than there are positioners
     first, second = (level for level in found.levels if level.name.startswith("priority"))
     assert first.bound == first.value + second.bound == len(plane)
+
+
+@pytest.mark.parametrize(("pitch", "expected"), [(25.6, True), (5.0, False)])
+def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypatch, pitch, expected):
+    """Presolve alone took up to 400 s where 5 s were allowed: arms of 16.5 mm at a pitch of 5 mm."""
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=pitch * MM)
+    rng = np.random.default_rng(5)
+    r, angle = 1.3 * 5 * pitch * np.sqrt(rng.random(91)), 2 * np.pi * rng.random(91)
+    said = []
+
+    def answer(*_, options, **__):
+        said.append(options["presolve"])
+        return OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
+
+    monkeypatch.setattr("scipy.optimize.milp", answer)
+    # so thick that something is left to the solver
+    plane = rs.FocalPlane(plane.xy, rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM)) if expected else plane
+    xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
+    rs.allocate(xy, plane, method="optimal", time_limit=5 * u.s)
+    assert set(said) == {expected}
