@@ -89,3 +89,34 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
                 if 0.25 * (a * a + b * b + c * c) <= limit:
                     total += weight[i]
         out[m] = total
+
+
+@kernel
+def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
+    """Number directions so that no two near each other have the same number, in the order of their rows.
+
+    Each takes the number after the largest of those before it that are near; or, with ``smallest``, the smallest that
+    none of those in its group has taken. ``order`` has the row of each position in the index.
+    """
+    n = order.size
+    runs = np.empty((2 * n_zones, 2), dtype=np.int64)
+    place, taken = np.empty(n, dtype=np.int64), np.full(n + 1, -1)
+    for i in range(n):
+        place[order[i]] = i
+    for row in range(n):
+        center = vectors[place[row]]
+        largest = -1
+        for k in range(list_runs(key, n_zones, center, radius, runs)):
+            for i in range(runs[k, 0], runs[k, 1]):
+                other = order[i]
+                if other >= row or (smallest and group[other] != group[row]):
+                    continue
+                a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
+                if 0.25 * (a * a + b * b + c * c) <= limit:
+                    taken[number[other]] = row
+                    largest = max(largest, number[other])
+        number[row] = largest + 1
+        if smallest:
+            number[row] = 0
+            while taken[number[row]] == row:
+                number[row] += 1

@@ -2,12 +2,12 @@
 
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
-from rfpsurvey.catalog._index import SkyIndex
+from rfpsurvey.catalog._index import SkyIndex, half_chord_squared
 from rfpsurvey.catalog._partitions import PartitionedCatalog, as_catalog, partition_catalog
 from rfpsurvey.catalog._synthetic import synthetic_catalog
 from rfpsurvey.catalog._time import to_time
 
 __all__ = [
-    "UNITS", "Catalog", "Finder", "PartitionedCatalog", "SkyIndex", "as_catalog", "partition_catalog",
-    "synthetic_catalog", "to_time",
+    "UNITS", "Catalog", "Finder", "PartitionedCatalog", "SkyIndex", "as_catalog", "half_chord_squared",
+    "partition_catalog", "synthetic_catalog", "to_time",
 ]  # fmt: skip

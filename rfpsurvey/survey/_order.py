@@ -1,45 +1,44 @@
-"""In which order tiles are planned: those that share targets one after the other, all others at the same time."""
+"""The order in which tiles are planned: tiles that share targets one after the other, all others at the same time."""
 
 import numpy as np
 
-from rfpsurvey.catalog import SkyIndex
+from rfpsurvey._kernels import zones
+from rfpsurvey.catalog import SkyIndex, half_chord_squared
 
 __all__ = ["ORDERS", "make_rounds"]
 
 
-def _neighbors(index: SkyIndex, reach_rad: float) -> list[np.ndarray]:
-    """Return the tiles near each tile, itself among them, ascending."""
-    near = [np.sort(index.order[index.near(vector, reach_rad)]) for vector in index.vectors]
-    return [near[k] for k in np.argsort(index.order)]
+def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
+    """Return a number for each tile such that no two tiles near each other (in a group) have the same one."""
+    number = np.empty(len(index), dtype=np.int64)
+    zones.number_circles(
+        index.vectors, index.key, index.n_zones, index.order.astype(np.int64), reach_rad,
+        half_chord_squared(reach_rad), np.asarray(group, dtype=np.int64), smallest, number,
+    )  # fmt: skip
+    return number
 
 
-def _by_color(neighbors, passes):
+def _by_color(index, reach_rad, passes):
     """Pass after pass; within a pass tiles of one color do not overlap, and colors take turns."""
-    color = np.full(len(neighbors), -1)
-    for tile, others in enumerate(neighbors):
-        rivals = others[(others < tile) & (passes[others] == passes[tile])]
-        taken = np.bincount(color[rivals], minlength=1)
-        free = np.flatnonzero(taken == 0)
-        color[tile] = free[0] if len(free) else len(taken)
+    color = _number(index, reach_rad, passes, smallest=True)
     return np.unique(np.column_stack([passes, color]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _as_given(neighbors, passes):
+def _as_given(index, reach_rad, passes):
     """In the order of the list: a tile waits for those before it that overlap it."""
-    level = np.zeros(len(neighbors), dtype=np.int64)
-    for tile, others in enumerate(neighbors):
-        level[tile] = level[others[others < tile]].max(initial=-1) + 1
-    return level
+    return _number(index, reach_rad, passes, smallest=False)
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Name to function from the neighbors of each tile and its pass to its round."""
+"""Name to function from the index of the tiles, the largest distance of tiles that overlap, and passes to rounds."""
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:
     """Return the tiles (rows) of each round; tiles of a round are farther apart than ``reach_rad``."""
+    if len(vectors) == 0:
+        return []
     index = SkyIndex(vectors)
-    round_of = ORDERS[order](_neighbors(index, reach_rad), passes)
+    round_of = ORDERS[order](index, reach_rad, passes)
     # neighbors on the sky follow each other, so that what was just read serves again
     along = index.order[np.argsort(round_of[index.order], kind="stable")]
-    return np.split(along, np.cumsum(np.bincount(round_of))[:-1]) if len(vectors) else []
+    return np.split(along, np.cumsum(np.bincount(round_of))[:-1])
