@@ -126,8 +126,13 @@ def test_what_became_of_each_target(small):
     assert set(outcome(both, [1, 1], lost_in_collision=False).values()) == {"observed"}
 
 
-def test_completeness_counts_what_the_visits_say(sky, small):
-    survey = rs.plan_survey(sky, grid(1.2), small)
+@pytest.mark.parametrize("order", ["color", "given"])
+def test_completeness_counts_what_the_visits_say(sky, small, order):
+    """Targets counted as complete in the pass of their last tile in time, which need not be the last pass."""
+    tiling = grid(1.2)
+    if order == "given":  # tiles of the second pass come before and after those of the first
+        tiling = rs.Tiling(tiling.table[np.random.default_rng(2).permutation(len(tiling))])
+    survey = rs.plan_survey(sky, tiling, small, order=order)
     number = dict(zip(survey.tiles["tile"].tolist(), survey.tiles["pass"].tolist(), strict=True))
     visits = survey.targets[survey.targets["observed"]]
     of_pass = np.array([number[t] for t in visits["tile"].tolist()])
@@ -143,6 +148,15 @@ def test_completeness_counts_what_the_visits_say(sky, small):
         assert row["n_complete"] == (times >= sky.visits)[chosen].sum()
         assert row["completeness"] == pytest.approx(times[chosen].sum() / sky.visits[chosen].sum())
     assert set(survey.completeness["priority"]) == {"all", "1", "2", "3"}
+
+
+def test_a_target_is_complete_after_the_last_pass_that_it_needs(small):
+    """Its tile of pass 2 is observed before that of pass 1: pass 1 alone does not complete two visits."""
+    tiles = QTable({"ra": [0.1, 0.1] * u.deg, "dec": [60, 60] * u.deg, "pass": [2, 1]})
+    target = rs.Catalog(SkyCoord([CENTER.directional_offset_by(0 * u.deg, 0.05 * u.deg)]), visits=[2])
+    survey = rs.plan_survey(target, tiles, small, order="given")
+    assert survey.completeness["n_observed"].tolist() == [1, 2]
+    assert survey.completeness["n_complete"].tolist() == [0, 1]
 
 
 def classes(sky, small, priority):

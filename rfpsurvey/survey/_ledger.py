@@ -19,7 +19,7 @@ MOST_CLASSES, N_RANGES = 20, 10
 class Ledger:
     """Counts visits by slot; the order in which tiles that share no target are entered does not matter."""
 
-    def __init__(self, visits, priority, kind, *, n_passes: int, use_others: bool):
+    def __init__(self, visits, priority, kind, *, n_passes: int, use_others: bool, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # sky and standards are there for every tile that asks for them
@@ -34,6 +34,8 @@ class Ledger:
         self.n_targets = np.bincount(self.class_of[self.wanted > 0], minlength=len(self.classes))
         self.n_observed = np.zeros((n_passes, len(self.classes)), dtype=np.int64)
         self.n_complete = np.zeros_like(self.n_observed)
+        # the last pass, by number, with a visit of each target; where passes come in turn, it is that of the last tile
+        self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
         """Enter a tile of the pass ``number``: its field, and the slots of its visits, -1 for none of the catalog.
@@ -49,7 +51,11 @@ class Ledger:
         self.left[slot] -= 1
         n = len(self.classes)
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=n)
-        self.n_complete[number] += np.bincount(self.class_of[slot[self.left[slot] == 0]], minlength=n)
+        complete = slot[self.left[slot] == 0]
+        if self._last is not None:
+            self._last[slot] = np.maximum(self._last[slot], number)
+            number = self._last[complete]
+        np.add.at(self.n_complete, (number, self.class_of[complete]), 1)
         return len(slot)
 
     def done(self) -> np.ndarray:

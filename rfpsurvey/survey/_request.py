@@ -63,7 +63,8 @@ class Request:
         """Return a ledger without a visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind"))
         others = bool(self.options["requirements"])
-        return Ledger(self.visits, *columns, n_passes=len(self.passes), use_others=others)
+        in_turn = self.order == "color"
+        return Ledger(self.visits, *columns, n_passes=len(self.passes), use_others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row) with what is left of the targets."""
