@@ -1,6 +1,7 @@
 """Catalogs in many files: read where they are needed, and the same as in one piece."""
 
 import os
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -103,6 +104,57 @@ def test_tiles_are_placed_on_all_partitions(folder):
     assert len(one) > 3
     for name in one.colnames:
         np.testing.assert_array_equal(one[name], other[name])
+
+
+def changes(sky):
+    """Catalogs that differ from another in one value of one column."""
+    n = len(sky)
+    moved = sky.coord.dec.copy()
+    moved[17] += 1 * u.arcsec
+    priority, kind, visits = sky.priority.copy(), sky.kind.copy(), sky.visits.copy()
+    priority[17] = (priority[17] + 1) % 3
+    kind[17] = "science" if kind[17] == "standard" else "standard"
+    visits[17] = 3 - visits[17]
+    names = [f"star {k}" if k != 17 else "star x7" for k in range(n)]
+    return {
+        "position": replace(sky, coord=SkyCoord(sky.coord.ra, moved)), "priority": replace(sky, priority=priority),
+        "kind": replace(sky, kind=kind), "id": replace(sky, id=names), "visits": replace(sky, visits=visits),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ["position", "priority", "kind", "id", "visits"])
+def test_a_survey_is_not_resumed_with_other_contents(folder, sky, small, tmp_path, what):
+    """Partitions were told apart by the sizes of their files, which a changed value leaves as they are."""
+    plain = {"compression": "none", "use_dictionary": False}
+    stopped = tmp_path / "survey"
+
+    def stop(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        write = pq.write_table
+        patch.setattr(pq, "write_table", lambda table, path: write(table, path, **plain))
+        one = rs.partition_catalog(sky, tmp_path / "one", order=4)
+        other = rs.partition_catalog(changes(sky)[what], tmp_path / "other", order=4)
+    sizes = [[path.stat().st_size for *_, path in parts._files] for parts in (one, other)]
+    assert sizes[0] == sizes[1] or what in ("kind", "id")  # words of other lengths
+    with pytest.raises(KeyboardInterrupt):
+        rs.plan_survey(one, TILES, small, folder=stopped, progress=stop)
+    with pytest.raises(rs.InputError, match="holds another survey: catalog"):
+        rs.plan_survey(other, TILES, small, folder=stopped, resume=True)
+    rs.plan_survey(one, TILES, small, folder=stopped, resume=True)
+
+
+def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
+    """The digest reads as much as a survey does."""
+    parts = rs.partition_catalog(sky, tmp_path / "sky", order=4)
+    rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey")
+    for *_, path in parts._files:
+        table = pq.read_table(path, partitioning=None)
+        pq.write_table(table.append_column("flux", pa.array(np.arange(float(len(table))))), path)
+    wider = rs.PartitionedCatalog(tmp_path / "sky")
+    rs.plan_survey(wider, TILES, small, folder=tmp_path / "survey", resume=True)
 
 
 def test_resume_and_another_catalog(folder, sky, small, tmp_path):

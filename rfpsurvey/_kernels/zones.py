@@ -93,7 +93,7 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
 
 @kernel
 def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
-    """Number directions so that no two near each other have the same number, in the order of their rows.
+    """Give numbers to directions so that no two near each other have the same number, in the order of their rows.
 
     Each takes the number after the largest of those before it that are near; or, with ``smallest``, the smallest that
     none of those in its group has taken. ``order`` has the row of each position in the index.

@@ -1,5 +1,6 @@
 """Catalogs in many Parquet files, one for each HEALPix pixel, that are read where they are needed (HATS)."""
 
+import hashlib
 import os
 import re
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.catalog._digest import add_stored_columns
 from rfpsurvey.errors import InputError
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
@@ -233,6 +235,14 @@ class PartitionedCatalog:
         if self._has_no_id:
             table["id"] = np.arange(self._rows[k], self._rows[k + 1])
         return table
+
+    def _digest(self) -> str:
+        """Return a digest of the files: of the stored bytes of the columns that are read, and of nothing else."""
+        found = hashlib.sha256(repr((sorted(self.columns.items()), sorted(self.units.items()), self.frame)).encode())
+        for order, pixel, path in self._files:
+            found.update(f"{order}/{pixel}".encode())
+            _try(path, lambda path=path: add_stored_columns(found, path, self._names))
+        return found.hexdigest()[:16]
 
     @cached_property
     def _has_no_id(self) -> bool:

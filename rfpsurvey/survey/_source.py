@@ -179,11 +179,8 @@ class Partitioned:
         return self._catalog._column("id")
 
     def digest(self) -> str:
-        """Return what tells one catalog from another: files and their sizes, not what they hold."""
-        catalog = self._catalog
-        files = [f"{order}/{pixel}/{path.stat().st_size}" for order, pixel, path in catalog._files]
-        reading = repr((sorted(catalog.columns.items()), sorted(catalog.units.items()), catalog.frame))
-        return digest(np.array([*files, reading]), self._first)
+        """Return what tells one catalog from another; all files are read, but only the columns that a survey needs."""
+        return self._catalog._digest()
 
 
 def digest(*columns: np.ndarray | None) -> str:
