@@ -181,6 +181,45 @@ def test_at_epoch_agrees_with_astropy(rng):
     assert moved.at_epoch(start).coord.separation(coord).to_value(u.mas).max() < 100
 
 
+@pytest.mark.parametrize("pole", [90, -90])
+def test_fast_stars_next_to_a_pole_move(rng, pole):
+    """They stayed where they were, and their motion became 0."""
+    n, years = 40, np.where(np.arange(40) % 2, 30.0, 0.004)  # past the pole, and a little of the way there
+    sign, gap, angle = np.sign(pole), 0.05, rng.uniform(0, 2 * np.pi, n)
+    dec = pole - sign * gap * np.where(np.arange(n) % 5, 1, 0) / 3600  # every fifth at the pole
+    east, north = 10 * np.cos(angle), 10 * np.sin(angle)  # arcsec / yr
+    ra = rng.uniform(0, 360, n)
+    coord = SkyCoord(ra * DEG, dec * DEG, pm_ra_cosdec=east * 1000 * PM, pm_dec=north * 1000 * PM)
+    catalog = rs.Catalog(coord, epoch=Time(2000 + np.zeros(n), format="jyear", scale="tdb"))
+    moved = catalog.at_epoch(Time(2000 + years, format="jyear", scale="tdb"))
+
+    def plane(ra_deg, dec_deg):
+        """Place in the plane that touches the sphere at the pole, arcsec: it is flat enough for 300 arcsec."""
+        distance, angle = (90 - np.abs(dec_deg)) * 3600, np.deg2rad(ra_deg)
+        return np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
+
+    turn = np.deg2rad(ra)
+    eastward = np.column_stack([-np.sin(turn), np.cos(turn)])
+    northward = -sign * np.column_stack([np.cos(turn), np.sin(turn)])
+    expected = plane(ra, dec) + years[:, None] * (east[:, None] * eastward + north[:, None] * northward)
+    np.testing.assert_allclose(plane(moved.coord.ra.deg, moved.coord.dec.deg), expected, atol=2e-3)
+    speed = np.hypot(moved.coord.pm_ra_cosdec, moved.coord.pm_dec).to_value(u.arcsec / u.yr)
+    np.testing.assert_allclose(speed, 10, rtol=1e-5)
+    back = moved.at_epoch(2000.0 * u.yr)
+    assert back.coord.separation(coord).to_value(u.arcsec).max() < 2e-3
+
+
+def test_stars_faster_than_any_known_leave_their_partition(tmp_path):
+    """How far targets may have moved was worked out from the fastest star that is known."""
+    pytest.importorskip("pyarrow")
+    model = rs.Instrument.preset("moons")
+    star = SkyCoord([10.0, 50.0] * DEG, [20.0, 20.0] * DEG, pm_ra_cosdec=[0, 0] * PM, pm_dec=[3e5, 0] * PM)
+    parts = rs.partition_catalog(rs.Catalog(star, id=[7, 8], epoch=2000.0), tmp_path / "fast", order=6)
+    field = SkyCoord([10.0] * DEG, [20.05 + np.rad2deg(np.arctan(np.deg2rad(50 * 300 / 3600)))] * DEG)
+    survey = rs.plan_survey(parts, field, model, epoch=2050.0)
+    assert survey.tiles["n_in_field"].tolist() == [1]
+
+
 def test_at_epoch_leaves_targets_without_proper_motion_in_place():
     t = table(pmra=[1000, np.nan, 0] * PM, pmdec=[0, np.nan, 0] * PM, ref_epoch=[2016, 2016, 2000] * u.yr)
     moved = rs.Catalog.from_table(t).at_epoch("2026-01-01")

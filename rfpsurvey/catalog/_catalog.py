@@ -11,13 +11,13 @@ import numpy as np
 from astropy.coordinates import BaseCoordinateFrame, SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
-from erfa import ErfaWarning
 
 from rfpsurvey import _io
 from rfpsurvey._kernels import sky
 from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_vectors, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._index import half_chord_squared
+from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 
@@ -326,18 +326,17 @@ class Catalog:
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")
         icrs = self.coord.icrs
-        known = np.isfinite(icrs.pm_ra_cosdec) & np.isfinite(icrs.pm_dec)
-        motion = [np.where(known, pm.to_value(u.mas / u.yr), 0) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)]
-        still = SkyCoord(icrs.ra, icrs.dec, pm_ra_cosdec=motion[0] * u.mas / u.yr, pm_dec=motion[1] * u.mas / u.yr)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ErfaWarning)  # "distance overridden": none is known
-            moved = still.apply_space_motion(dt=(time.tdb - self.epoch.tdb).to(u.yr))
+        lon, lat = icrs.ra.rad, icrs.dec.rad
+        motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
+        known = np.isfinite(motion).all(axis=1)
+        years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))
+        moved = move(lon[known], lat[known], motion[known], years[known])
+        lon, lat, motion = lon.copy(), lat.copy(), np.where(known[:, None], motion, np.nan)
+        lon[known], lat[known], motion[known] = moved
         coord = SkyCoord(
-            moved.ra,
-            moved.dec,
-            pm_ra_cosdec=np.where(known, moved.pm_ra_cosdec, np.nan),
-            pm_dec=np.where(known, moved.pm_dec, np.nan),
-        )
+            lon * u.rad, lat * u.rad, pm_ra_cosdec=(motion[:, 0] * u.rad / u.yr).to(u.mas / u.yr),
+            pm_dec=(motion[:, 1] * u.rad / u.yr).to(u.mas / u.yr),
+        )  # fmt: skip
         return self._take(slice(None), coord=coord, epoch=time)
 
     def within(self, center: SkyCoord, radius: u.Quantity) -> "Catalog":
@@ -366,12 +365,18 @@ class Catalog:
         """Return the targets that may be inside a circle at another epoch."""
         if not self.has_proper_motion or self.epoch is None:
             return self
+        # a little more than the way: the positions are compared in double precision
+        margin = self._farthest_rad(time) * (1 + 1e-9) + 1e-12
+        return self._take(self._within(center, radius_rad + margin))
+
+    def _farthest_rad(self, time: object) -> float:
+        """How far the fastest target moves on the sky, at most."""
+        if not self.has_proper_motion or self.epoch is None:
+            return 0.0
         icrs = self.coord.icrs
         speed = np.nan_to_num(np.hypot(icrs.pm_ra_cosdec, icrs.pm_dec).to_value(u.rad / u.yr))
         years = np.abs((to_time(time, "epoch").tdb - self.epoch.tdb).to_value(u.yr))
-        # twice the way: distances on the sphere and straight lines in space
-        margin = 2 * float(np.max(speed * years, initial=0.0))
-        return self._take(self._within(center, radius_rad + margin))
+        return float(np.max(speed * years, initial=0.0))
 
     def _within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
         """Row numbers of the targets inside a circle."""

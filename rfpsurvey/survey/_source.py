@@ -5,15 +5,11 @@ from collections import OrderedDict
 from functools import cached_property
 from typing import NamedTuple
 
-import astropy.units as u
 import numpy as np
 
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, to_time
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
 
 __all__ = ["Field", "InMemory", "Partitioned", "digest"]
-
-# The fastest star, Barnard's, moves 10.4 arcsec a year: targets may have left their partition.
-FASTEST_RAD = np.deg2rad(10.4 / 3600)
 
 
 class Field(NamedTuple):
@@ -114,13 +110,10 @@ class Partitioned:
     @cached_property
     def _margin_rad(self) -> float:
         """How far targets may have moved."""
-        catalog = self._catalog
-        if self._epoch is None or not catalog._part(0).has_proper_motion:
+        if self._epoch is None or not self._catalog._part(0).has_proper_motion:
             return 0.0
-        time = to_time(self._epoch, "epoch").tdb
-        epochs = (catalog._part(k).epoch for k in range(len(catalog._files)))
-        years = [np.max(np.abs((time - epoch.tdb).to_value(u.yr))) for epoch in epochs if epoch is not None]
-        return FASTEST_RAD * float(max(years, default=0.0))
+        parts = range(len(self._catalog._files))
+        return (1 + 1e-9) * max(self._catalog._part(k)._farthest_rad(self._epoch) for k in parts)
 
     def _part(self, k: int) -> InMemory:
         """Return a partition, read or kept."""

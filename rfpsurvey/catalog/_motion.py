@@ -1,0 +1,50 @@
+"""Motion of stars in straight lines, without parallax and radial velocity."""
+
+import numpy as np
+
+from rfpsurvey._units import to_lonlat
+
+__all__ = ["move"]
+
+
+def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:
+    """Return where stars are after some years, and how they move there.
+
+    Unit vectors are moved, so that poles are places like any other. A star that does not move keeps its position.
+
+    Parameters
+    ----------
+    lon, lat : ndarray, shape (n,)
+        Position, radians.
+    motion : ndarray, shape (n, 2)
+        Proper motion in longitude (with the cosine of the latitude) and in latitude, radians per year.
+    years : ndarray, shape (n,)
+        Time.
+
+    Returns
+    -------
+    lon, lat : ndarray, shape (n,)
+        New position; longitudes from 0 to 2 pi.
+    motion : ndarray, shape (n, 2)
+        New proper motion.
+    """
+    place, east, north = _axes(lon, lat)
+    velocity = motion[:, :1] * east + motion[:, 1:] * north
+    new = place + years[:, None] * velocity
+    distance = np.linalg.norm(new, axis=1)[:, None]
+    new_lon, new_lat = to_lonlat(new)
+    still = (motion == 0).all(axis=1) | (years == 0)
+    new_lon, new_lat = np.where(still, lon, new_lon % (2 * np.pi)), np.where(still, lat, new_lat)
+    _, east, north = _axes(new_lon, new_lat)
+    velocity = velocity / distance
+    across = np.column_stack([(velocity * east).sum(axis=1), (velocity * north).sum(axis=1)])
+    return new_lon, new_lat, np.where(still[:, None], motion, across)
+
+
+def _axes(lon, lat):
+    """Return unit vectors to positions, to the east and to the north, shape (n, 3) each."""
+    zero = np.zeros_like(lon)
+    place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    east = np.column_stack([-np.sin(lon), np.cos(lon), zero])
+    north = np.column_stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)])
+    return place, east, north
