@@ -9,7 +9,8 @@ import io
 import json
 import os
 import shutil
-from contextlib import contextmanager, suppress
+import tempfile
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from astropy.table import QTable, Table
 from rfpsurvey.errors import InputError
 
 __all__ = [
-    "check_output", "fits_bytes", "output_path", "read_fits_bytes", "read_table", "suffix_of", "table_bytes",
-    "temporary_folder", "to_path", "write_bytes", "write_table",
+    "TEMPORARY_PREFIX", "check_output", "fits_bytes", "output_path", "read_fits_bytes", "read_table", "suffix_of",
+    "table_bytes", "temporary_folder", "to_path", "write_bytes", "write_table",
 ]  # fmt: skip
 
 FORMATS = {
@@ -36,6 +37,7 @@ FORMATS = {
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")
 META_KEY = "RFPSURVY"
+TEMPORARY_PREFIX = ".rfpsurvey-"
 
 
 def to_path(path: object) -> Path:
@@ -124,23 +126,42 @@ def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite
 
 
 @contextmanager
-def _in_place_of(path: Path):
-    """Give a temporary name beside ``path``, renamed to it when all went well, and gone in any case."""
-    temporary = path.with_name(f".{os.getpid()}-{path.name}")
+def _in_place_of(path: Path, *, overwrite: bool = True):
+    """Give a temporary path on the same disk as ``path``, renamed to it when all went well, and gone in any case.
+
+    It lies in a new folder with a random name that nobody else may write to, so that no other thread or process
+    writes there, too, and no link can be waiting under its name.
+    """
+    room = None
     try:
+        room = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
+        temporary = room / path.name
         yield temporary
-        os.replace(temporary, path)
+        if overwrite or temporary.is_dir():
+            os.replace(temporary, path)
+        else:
+            _rename_to_new(temporary, path)
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        with suppress(OSError):
-            shutil.rmtree(temporary) if temporary.is_dir() else temporary.unlink()
+        if room is not None:
+            shutil.rmtree(room, ignore_errors=True)
+
+
+def _rename_to_new(temporary: Path, path: Path) -> None:
+    """Rename a file, but never over one that exists."""
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)") from None
+    except OSError:  # disks without hard links
+        os.replace(temporary, path)
 
 
 @contextmanager
 def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
-    """Give a temporary name beside ``path``, renamed to it when all went well."""
-    with _in_place_of(check_output(path, endings, overwrite=overwrite)) as temporary:
+    """Give a temporary path beside ``path``, renamed to it when all went well."""
+    with _in_place_of(check_output(path, endings, overwrite=overwrite), overwrite=overwrite) as temporary:
         yield temporary
 
 

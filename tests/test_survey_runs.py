@@ -131,7 +131,8 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, tmp_path, undisturbed):
     (folder / "index.csv").write_text("".join(lines[:40]) + lines[40][:30])
     (folder / "tiles" / "000" / "000003.fits").unlink()
     (folder / "tiles" / "000" / "000050.fits").write_bytes(b"a part without a line")
-    (folder / "tiles" / "000" / ".123-000051.fits").write_bytes(b"half of a")
+    (folder / "tiles" / "000" / ".rfpsurvey-x1b2").mkdir()
+    (folder / "tiles" / "000" / ".rfpsurvey-x1b2" / "000051.fits").write_bytes(b"half of a")
     with pytest.raises(rs.InputError, match=r"is not finished \(36 tiles are there\): continue it"):
         rs.Survey.read(folder)
     with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is missing"):
@@ -186,7 +187,8 @@ def test_a_damaged_index_is_told_and_mended(case, tmp_path, undisturbed, damage)
 def test_killed_before_anything_is_there(case, tmp_path, undisturbed):
     folder = tmp_path / "survey"
     folder.mkdir()
-    (folder / ".123-survey.json").write_text("{")
+    (folder / ".rfpsurvey-3x").mkdir()
+    (folder / ".rfpsurvey-3x" / "survey.json").write_text("{")
     plan(case, folder, resume=True)
     assert content(folder) == undisturbed
 

@@ -7,13 +7,14 @@ trusted, and a line that was cut off is no line.
 import hashlib
 import json
 import re
+import shutil
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from rfpsurvey._io import to_path, write_bytes
+from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 __all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
@@ -22,7 +23,6 @@ REQUEST, INDEX, LOCK = "survey.json", "index.csv", "lock"
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 HEADER = "file,bytes,sha256\n"
 LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
-TEMPORARY = re.compile(r"\.\d+-(survey\.json|index\.csv|[a-z]+\.fits|completeness\.ecsv|\d{6,}\.fits)")
 
 
 class Folder:
@@ -76,7 +76,7 @@ class Folder:
 
     def _refuse_others(self):
         others = [entry.name for entry in self.path.iterdir() if entry.name != LOCK]
-        others = [name for name in others if not TEMPORARY.fullmatch(name)]
+        others = [name for name in others if not name.startswith(TEMPORARY_PREFIX)]
         if others:
             raise InputError(f"{self.path} holds something else ({others[0]}); give a new or empty folder")
 
@@ -90,9 +90,8 @@ class Folder:
             if n_strange or len(self._known) < len(known):
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
                 warnings.warn(text, RfpsurveyWarning, stacklevel=5)
-        for left_over in self.path.rglob(".*"):  # by a run that was killed
-            if TEMPORARY.fullmatch(left_over.name) and left_over.is_file():
-                left_over.unlink()
+        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # by a run that was killed
+            shutil.rmtree(left_over, ignore_errors=True)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
         write_bytes(self.path / REQUEST, content, sync=True)
         self._write_index(self._known.items())

@@ -1,0 +1,94 @@
+"""Files that are written: whole or not at all, by nobody else, and never in the place of another unasked."""
+
+import os
+import stat
+from concurrent.futures import ThreadPoolExecutor
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from rfpsurvey import _io
+
+N_THREADS, N_WRITES = 6, 60
+
+
+def table(k):
+    return QTable({"a": np.full(2000, k), "b": np.arange(2000.0) * u.deg}, meta={"k": k})
+
+
+@pytest.mark.parametrize("name", ["tile.fits", "tile.ecsv", "tile.ecsv.gz"])
+def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path, name):
+    """Temporary names were those of the process: threads wrote into the same file, and took it from one another."""
+    path = tmp_path / name
+    with ThreadPoolExecutor(N_THREADS) as pool:
+        list(pool.map(lambda k: _io.write_table(table(k), path, overwrite=True), range(N_WRITES)))
+    found = _io.read_table(path)
+    assert found.meta["k"] in range(N_WRITES)
+    assert (found["a"] == found.meta["k"]).all()
+    assert os.listdir(tmp_path) == [name]
+
+
+def test_of_threads_that_must_not_overwrite_one_writes(tmp_path):
+    def write(k):
+        try:
+            _io.write_table(table(k), tmp_path / "tile.fits")
+        except rs.InputError as error:
+            return str(error)
+        return k
+
+    with ThreadPoolExecutor(N_THREADS) as pool:
+        said = list(pool.map(write, range(N_WRITES)))
+    (winner,) = (one for one in said if isinstance(one, int))
+    assert _io.read_table(tmp_path / "tile.fits").meta["k"] == winner
+    assert all("exists; ask for it to be overwritten" in one for one in said if one != winner)
+
+
+def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path):
+    path = tmp_path / "page.npz"
+
+    def write():
+        with _io.output_path(path, (".npz",)) as temporary:
+            temporary.write_text("new")
+            path.write_text("of somebody else")
+
+    with pytest.raises(rs.InputError, match="exists"):
+        write()
+    assert path.read_text() == "of somebody else"
+
+
+def test_disks_without_hard_links_do(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "link", refuse)
+    _io.write_table(table(1), tmp_path / "tile.fits")
+    assert os.listdir(tmp_path) == ["tile.fits"]
+
+
+def test_links_under_names_that_could_be_guessed_are_not_followed(tmp_path):
+    """A link under the temporary name, which was that of the process, sent the output elsewhere."""
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    for name in (f".{os.getpid()}-tile.ecsv", "tile.ecsv"):
+        (tmp_path / name).symlink_to(victim)
+    _io.write_table(table(1), tmp_path / "tile.ecsv", overwrite=True)
+    assert victim.read_text() == "mine"
+    assert not (tmp_path / "tile.ecsv").is_symlink()
+
+
+def test_temporary_names_are_random_and_closed_to_others(tmp_path):
+    names = set()
+    for _ in range(20):
+        with _io.output_path(tmp_path / "a.npz", (".npz",), overwrite=True) as temporary:
+            assert stat.S_IMODE(temporary.parent.stat().st_mode) == 0o700
+            names.add(temporary.parent.name)
+            temporary.write_text("x")
+    assert len(names) == 20
+    # the file itself may be read by whom the umask lets
+    plain = tmp_path / "plain"
+    plain.write_text("x")
+    assert (tmp_path / "a.npz").stat().st_mode == plain.stat().st_mode
+    assert sorted(os.listdir(tmp_path)) == ["a.npz", "plain"]
