@@ -10,6 +10,7 @@ from time import perf_counter
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
+from rfpsurvey._executors import end_with_parent
 from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
 
@@ -56,16 +57,17 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
     else:
         pool: Executor
         if processes:
-            pool = ProcessPoolExecutor(number, get_context("spawn"), initializer=_leave_interrupts)
+            pool = ProcessPoolExecutor(number, get_context("spawn"), initializer=_set_up_worker)
         else:
             pool = ThreadPoolExecutor(number)
         with pool:
             yield pool
 
 
-def _leave_interrupts() -> None:
+def _set_up_worker() -> None:
     """Leave Ctrl-C to the process that has the workers: it would wait forever for those that die of it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
 
 
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:

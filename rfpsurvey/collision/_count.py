@@ -7,6 +7,7 @@ from functools import partial
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
@@ -153,7 +154,7 @@ def count_collisions(
             raise InputError("n_configurations belongs to an Allocation; tips say themselves how many they are")
         score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, method)
     parts, times = [np.empty((0, batch.N_COUNTS), dtype=np.int64)], np.zeros(len(focal_plane), dtype=np.int64)
-    for part, hits in (map if executor is None else executor.map)(score, *chunks):
+    for part, hits in map_in_order(executor, score, *chunks):
         parts.append(part)
         times += hits
     counts = np.concatenate(parts)

@@ -10,6 +10,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import METHODS, find_method
 from rfpsurvey.catalog import Catalog, synthetic_catalog
@@ -109,7 +110,7 @@ def plan_fields(
     """Plan every field by the blind method, and by every other one, in this order."""
     bar, plans = Progress(progress), []
     work = partial(plan_field, allocators=(BLIND, *allocators), options=options)
-    for plan in (map if executor is None else executor.map)(work, fields):
+    for plan in map_in_order(executor, work, fields):
         plans.append(plan)
         bar(len(plans) / len(fields))
     bar.close()

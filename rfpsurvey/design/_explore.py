@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import to_radian, to_scalar, to_seed
 from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._books import Books
@@ -202,7 +203,7 @@ def _run(task, designs, books, executor, *, progress):
     bar, starts = Progress(progress), range(books.done, len(designs), CHUNK)
     parts = (designs[start : start + CHUNK] for start in starts)
     with books.open():
-        for rows in (map if executor is None else executor.map)(task, starts, parts):
+        for rows in map_in_order(executor, task, starts, parts):
             books.add(rows)
             books.save()
             bar(books.done / len(designs))

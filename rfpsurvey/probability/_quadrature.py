@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, queues
 from rfpsurvey._units import to_plain
 from rfpsurvey.collision import make_stage
@@ -156,9 +157,7 @@ def integrate(
         jobs = np.repeat(first[used], SCRAMBLES)
         sizes, sources = np.repeat(np.maximum(n_points >> rare, least), SCRAMBLES), rng.spawn(len(jobs))
         results = np.empty((len(jobs), 2))
-        for k, result in enumerate(
-            (map if executor is None else executor.map)(task, jobs.tolist(), sizes.tolist(), sources)
-        ):
+        for k, result in enumerate(map_in_order(executor, task, jobs.tolist(), sizes.tolist(), sources)):
             results[k] = result
             bar(n_points / precision.max_iterations * (k + 1) / len(jobs))
         risks, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from astropy.utils.console import ProgressBar
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
@@ -79,7 +80,7 @@ def run(
     goal = min(FIRST_TASKS * chunk, precision.max_iterations)
     while True:
         sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
-        for part in (map if executor is None else executor.map)(task, sizes, rng.spawn(len(sizes))):
+        for part in map_in_order(executor, task, sizes, rng.spawn(len(sizes))):
             parts.append(part)
             rates = part.rates()
             total, used, done = total + float(rates.sum()), used + len(rates), done + len(part.pairs)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey._io import output_path
 from rfpsurvey._units import to_generator, to_mm
 from rfpsurvey.errors import InputError
@@ -118,7 +119,7 @@ def make_surrogate(
     shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
     bar, values = Progress(progress), []
     sources = to_generator(rng).spawn(len(shapes))
-    for value, _ in (map if executor is None else executor.map)(interior_risk, shapes, repeat(N_POINTS), sources):
+    for value, _ in map_in_order(executor, interior_risk, shapes, repeat(N_POINTS), sources):
         values.append(value)
         bar(len(values) / len(shapes))
     bar.close()

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._executors import map_in_order
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Estimate, collision_probability
@@ -72,7 +73,7 @@ def estimate(
 def each(task: Callable, jobs: list, settings: Settings) -> list:
     """Return the results of all jobs, in their order, with a bar."""
     bar, results = Progress(settings.progress), []
-    for result in (map if settings.executor is None else settings.executor.map)(task, jobs):
+    for result in map_in_order(settings.executor, task, jobs):
         results.append(result)
         bar(len(results) / len(jobs))
     bar.close()

@@ -8,6 +8,7 @@ from contextlib import contextmanager, nullcontext
 import numpy as np
 
 from rfpsurvey import _io
+from rfpsurvey._executors import submit
 from rfpsurvey.survey._folder import TABLES, Folder
 from rfpsurvey.survey._progress import Ticker
 from rfpsurvey.survey._request import Request
@@ -83,7 +84,7 @@ def _begin(job, executor):
         if executor is None:
             return work(job)
         # the slots of targets concern nobody else
-        return executor.submit(work, job._replace(field=job.field._replace(slot=None)))
+        return submit(executor, work, job._replace(field=job.field._replace(slot=None)))
 
 
 def _take(waiting: deque):

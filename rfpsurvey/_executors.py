@@ -1,0 +1,58 @@
+"""Work for executors, and workers that end when the process that started them does."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from functools import cache
+
+__all__ = ["end_with_parent", "map_in_order", "submit"]
+
+
+def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
+    """Return what a function returns, in the order of its arguments; without an executor the work is done here."""
+    if executor is None:
+        return map(function, *arguments)
+    return executor.map(_for_workers(executor, function), *arguments)
+
+
+def submit(executor: Executor, function: Callable, *arguments: object) -> Future:
+    """Submit a call to an executor."""
+    return executor.submit(_for_workers(executor, function), *arguments)
+
+
+@cache
+def end_with_parent() -> None:
+    """Make this process end within a second of the process that started it, even if that one is killed.
+
+    Workers of a `concurrent.futures.ProcessPoolExecutor` wait for work forever otherwise.
+    """
+    from multiprocessing import parent_process
+    from threading import Thread
+
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_end_after, args=(parent,), daemon=True, name="rfpsurvey-end-with-parent").start()
+
+
+def _end_after(parent) -> None:
+    parent.join()
+    os._exit(1)
+
+
+@dataclass(frozen=True)
+class _InWorker:
+    """A function that is called in a worker process."""
+
+    function: Callable
+
+    def __call__(self, *arguments):
+        end_with_parent()
+        return self.function(*arguments)
+
+
+def _for_workers(executor, function):
+    """Return the function to hand out: processes of a pool belong to the pool, others are left alone."""
+    from concurrent.futures import ProcessPoolExecutor
+
+    return _InWorker(function) if isinstance(executor, ProcessPoolExecutor) else function
