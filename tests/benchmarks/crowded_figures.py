@@ -1,0 +1,111 @@
+"""Figures of the page on benchmarks: fields with millions of targets, dense arms, many tiles, digests of partitions.
+
+``python tests/benchmarks/crowded_figures.py``; some minutes on one core, and 5 GB. ``--only NAME`` runs one part.
+"""
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from rfpsurvey.survey._order import make_rounds
+
+CENTER = SkyCoord("06h20m00s +23d00m00s")
+FIELDS = [
+    ("lamost", "lamost", 2e6), ("lamost", "lamost", 2e7), ("lamost", "repair", 2e6), ("lamost", "repair", 2e7),
+    ("lamost", "optimal", 2e7), ("sdss_apo", "optimal", 2e4), ("sdss_apo", "optimal", 1e5),
+    ("sdss_apo", "optimal", 3e5), ("sdss_apo", "optimal", 2e6), ("sdss_apo", "repair", 2e6), ("sdss_apo", "sdss", 2e6),
+]  # fmt: skip
+
+
+def peak_gb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
+def field(name, method, n):
+    """A whole tile, from the catalog in memory to its table."""
+    model = rs.Instrument.preset(name)
+    rs.plan_tile(rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=4000, rng=1), model, CENTER,
+                 allocator=method)  # fmt: skip
+    rng = np.random.default_rng(3)
+    z = 1 - rng.random(n) * (1 - np.cos(model.field_radius.to_value(u.rad)))
+    catalog = rs.Catalog(CENTER.directional_offset_by(2 * np.pi * rng.random(n) * u.rad, np.arccos(z) * u.rad))
+    begin = perf_counter()
+    tile = rs.plan_tile(catalog, model, CENTER, allocator=method)
+    seconds, s = perf_counter() - begin, tile.summary
+    gap = "-" if s["gap"] is None else f"{s['gap']:g}"
+    collide = s["n_colliding"]
+    print(f"{name:<9} {method:<8} {n:>9} {seconds:6.1f} s {peak_gb():5.2f} GB {s['n_assigned']:>5} gap {gap} {collide}")
+
+
+def dense():
+    """Arms of 16.5 mm at a pitch of 5 mm, for which the solver's presolve takes minutes; 5 s are allowed."""
+    unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    for rings, each in ((5, 1), (5, 4), (6, 1), (6, 2), (7, 1), (7, 2)):
+        plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=5 * u.mm)
+        rng, n = np.random.default_rng(rings), each * len(plane)
+        r, angle = (5 * rings + 10) * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+        xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+        begin = perf_counter()
+        plan = rs.allocate(xy, plane, method="optimal", time_limit=5 * u.s)
+        seconds = perf_counter() - begin
+        print(
+            f"dense {len(plane):>4} positioners {n:>4} targets {seconds:6.1f} s {plan.n_assigned:>3} of {plan.bound:g}"
+        )
+
+
+def tiles():
+    """Rounds of tiles with DESI's field, over the whole sky and in a cap."""
+    for n, cap in ((10_000, 180), (100_000, 180), (100_000, 30), (10_000, 3)):
+        rng = np.random.default_rng(0)
+        z = 1 - rng.random(n) * (1 - np.cos(np.deg2rad(cap)))
+        angle = 2 * np.pi * rng.random(n)
+        vectors = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
+        for order in ("color", "given"):
+            make_rounds(vectors[:10], 0.1, np.zeros(10, int), order)
+            begin = perf_counter()
+            rounds = make_rounds(vectors, 2 * np.deg2rad(1.64), np.ones(n, int), order)
+            print(
+                f"tiles {n:>7} within {cap:>3} deg {order:<6} {perf_counter() - begin:6.2f} s {len(rounds):>5} rounds"
+            )
+
+
+def digest(n=5_000_000):
+    """What it costs to tell a partitioned catalog from another."""
+    rng = np.random.default_rng(0)
+    coord = SkyCoord(rng.uniform(0, 90, n) * u.deg, np.rad2deg(np.arcsin(rng.uniform(0, 0.7, n))) * u.deg)
+    catalog = rs.Catalog(coord, priority=rng.integers(0, 5, n), visits=rng.integers(1, 4, n))
+    with tempfile.TemporaryDirectory() as folder:
+        parts = rs.partition_catalog(catalog, f"{folder}/sky")
+        size = sum(path.stat().st_size for *_, path in parts._files) / 1e6
+        begin = perf_counter()
+        parts._digest()
+        middle = perf_counter()
+        parts.read()
+        print(
+            f"digest of {n} targets ({size:.0f} MB): {middle - begin:.2f} s; reading: {perf_counter() - middle:.2f} s"
+        )
+
+
+PARTS = {"dense": dense, "tiles": tiles, "digest": digest}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=["fields", *PARTS])
+    parser.add_argument("--field", nargs=3, metavar=("PRESET", "METHOD", "N"), help="one field, in this process")
+    given = parser.parse_args()
+    if given.field:
+        field(given.field[0], given.field[1], int(float(given.field[2])))
+        sys.exit()
+    for one in FIELDS if given.only in (None, "fields") else ():  # each in a process of its own, for its memory
+        subprocess.run([sys.executable, __file__, "--field", *map(str, one)], check=True)
+    for name, part in PARTS.items():
+        if given.only in (None, name):
+            part()
