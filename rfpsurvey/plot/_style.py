@@ -14,8 +14,8 @@ GROUP_COLORS = (
     "#8B1A1A", "#9DB7E8", "#FFD9A0", "#004D38", "#F3D0E4", "#1D3F6E", "#000000", "#C8D96F",
 )  # fmt: skip
 """Fills of groups: the palette, then lighter or darker versions of its colors."""
-FADED, FAINT = "#A8A8A8", "#ECECEC"
-"""Dots of positioners without a target, and the ground below dots."""
+FADED, FAINT = "#A8A8A8", "#8A8A8A26"
+"""Dots of positioners without a target, and the ground below dots: a translucent gray, faint on any page."""
 OUTLINE = "#222222"
 MARKERS = "osD^vP*X"
 HATCH = "//////"
