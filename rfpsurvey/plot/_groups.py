@@ -12,8 +12,11 @@ from rfpsurvey.plot._style import GROUP_COLORS
 __all__ = ["draw_groups"]
 
 
-def draw_groups(ax, scene: Scene, color: str | None) -> Iterator:
-    """Fill the cell of each positioner by its group, write the name of the group there or yield a legend entry."""
+def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
+    """Fill the cell of each positioner by its group, write the name of the group there or yield a legend entry.
+
+    Pale fills leave the arms on top of them visible.
+    """
     from matplotlib.patches import Patch
 
     if color is None:
@@ -24,7 +27,7 @@ def draw_groups(ax, scene: Scene, color: str | None) -> Iterator:
         raise InputError(f"{color} must have at most {len(GROUP_COLORS)} values, got {len(names)}")
     radius = 0.5 * spacing_of(scene.centers, scene.outer)
     for k, name in enumerate(names):
-        style = {"facecolor": GROUP_COLORS[k], "linewidth": 0}
+        style = {"facecolor": GROUP_COLORS[k], "linewidth": 0, "alpha": 0.55 if pale else 1.0}
         rows = values == name
         add_circles(ax, scene.centers[rows], radius, zorder=0.9, **style)
         midpoint = scene.centers[rows].mean(axis=0)
