@@ -2,9 +2,11 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 from matplotlib.patches import FancyArrowPatch
 
 import rfpsurvey as rs
+from rfpsurvey.plot._compass import add_compass
 
 CENTER = SkyCoord(95, 23, unit="deg")
 
@@ -73,10 +75,22 @@ def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
     assert not rs.plot_focal_plane(small, orientation="focal plane").xaxis_inverted()
 
 
+def test_the_compass_hides_as_little_as_it_can(small):
+    """In a corner with a collision it hid the arms."""
+    corners = {(1, 1): [-90, 90], (0, 1): [90, 90], (0, 0): [90, -90], (1, 0): [-90, -90]}
+    for free, point in corners.items():
+        ax = rs.plot_focal_plane(small, region=[[-100, -100], [100, 100]] * u.mm)
+        for artist in [*ax.artists, *ax.texts, *ax.findobj(FancyArrowPatch)]:
+            artist.remove()
+        add_compass(ax, 0.0, np.array([p for p in corners.values() if p != point]))
+        ax.figure.draw_without_rendering()
+        (north,) = [t for t in ax.texts if t.get_text() == "N"]
+        x, y = ax.transAxes.inverted().transform(north.get_window_extent().get_points().mean(axis=0))
+        assert (round(x), round(y)) == free
+
+
 def test_no_compass_where_the_position_angle_is_unknown(small):
     xy = small.focal_plane.xy[:3] + [3, 0] * u.mm
-    from astropy.table import QTable
-
     table = QTable({"positioner": small.focal_plane.id[:3], "x": xy[:, 0], "y": xy[:, 1]})
     tile = rs.score_tile(table, small)
     assert "position_angle_deg" not in tile.provenance["parameters"]

@@ -9,7 +9,7 @@ from rfpsurvey._units import to_mm, to_plain
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.plot._compass import ORIENTATIONS, add_compass
+from rfpsurvey.plot._compass import ORIENTATIONS
 
 if TYPE_CHECKING:
     import astropy.units as u
@@ -47,11 +47,10 @@ def focal_plane_axes(
     outer: np.ndarray,
     region: "u.Quantity | None",
     orientation: str,
-    position_angle: float | None,
     *,
     beside: float = 0.0,
 ) -> "Axes":
-    """Return axes that show a part of a focal plane to scale, in mm, with a compass; all of it by default.
+    """Return axes that show a part of a focal plane to scale, in mm; all of it by default.
 
     ``beside`` is the room for a color bar in inches.
     """
@@ -76,7 +75,6 @@ def focal_plane_axes(
     ax.set_aspect("equal")
     ax.set_xlabel("x [mm]")
     ax.set_ylabel("y [mm]")
-    add_compass(ax, position_angle)
     return ax
 
 

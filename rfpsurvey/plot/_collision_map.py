@@ -11,7 +11,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, points_per_unit, spacing_of
-from rfpsurvey.plot._compass import position_angle_of
+from rfpsurvey.plot._compass import add_compass, position_angle_of
 from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, RISK
 from rfpsurvey.probability import Estimate
 from rfpsurvey.tile import Tile
@@ -86,12 +86,13 @@ def plot_collision_map(
             raise InputError(f"probabilities must lie from 0 to 1, got {np.nanmin(values):g} to {np.nanmax(values):g}")
     one = values.dtype.kind == "b"
     beside = 0.0 if one else COLOR_BAR
-    ax = focal_plane_axes(ax, centers, outer, region, orientation, position_angle_of(collisions), beside=beside)
+    ax = focal_plane_axes(ax, centers, outer, region, orientation, beside=beside)
     radius = 0.48 * spacing_of(centers, outer)
     if one:
         _draw_flags(ax, centers, radius, values, pairs, kwargs)
     else:
         _draw_probabilities(ax, centers, radius, values, label, kwargs)
+    add_compass(ax, position_angle_of(collisions), centers)
     ax.set_title(title)
     return ax
 

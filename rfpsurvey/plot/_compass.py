@@ -26,20 +26,20 @@ def position_angle_of(thing: object) -> float | None:
     return 0.0
 
 
-def add_compass(ax: "Axes", position_angle: float | None) -> None:
-    """Draw arrows toward north and east in the upper left corner of a focal plane, with the position angle.
+def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> None:
+    """Draw arrows toward north and east in a corner of a focal plane, with the position angle.
 
     The position angle (degrees) turns +y from north toward east; +x is 90 deg farther in the same direction. Nothing is
-    drawn where it is None.
+    drawn if it is None. The corner is the one that hides fewest of the points ``avoid``, shape (n, 2), in mm.
     """
     from matplotlib.patches import Circle, FancyArrowPatch
     from matplotlib.transforms import Affine2D, ScaledTranslation
 
     if position_angle is None:
         return
-    figure = ax.figure
-    corner = ScaledTranslation(0, 1, ax.transAxes)
-    points = Affine2D().translate(MARGIN, -MARGIN).scale(1 / 72) + figure.dpi_scale_trans + corner
+    across, up = _corner(ax, avoid)
+    inward = Affine2D().translate(MARGIN * (1 - 2 * across), MARGIN * (1 - 2 * up)).scale(1 / 72)
+    points = inward + ax.figure.dpi_scale_trans + ScaledTranslation(across, up, ax.transAxes)
     # data on their way to the screen: x changes its sign where it increases to the left
     flip = -1 if ax.xaxis_inverted() else 1
     angle = np.deg2rad(position_angle)
@@ -53,3 +53,14 @@ def add_compass(ax: "Axes", position_angle: float | None) -> None:
         ax.text(LABEL * x, LABEL * y, name, transform=points, **text)
     away = -12 * np.sum(list(directions.values()), axis=0)
     ax.text(*away, f"PA {position_angle:g}\N{DEGREE SIGN}", transform=points, **{**text, "fontsize": "x-small"})
+
+
+def _corner(ax, avoid):
+    """Return the corner, in fractions of the axes, near which the fewest points are; the upper left one of equals."""
+    corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
+    if len(avoid) == 0:
+        return corners[0]
+    pixels = ax.transAxes.inverted().transform(ax.transData.transform(avoid))
+    size = ax.get_window_extent()
+    box = 2 * MARGIN * ax.figure.dpi / 72 / np.array([size.width, size.height])
+    return min(corners, key=lambda corner: int((np.abs(pixels - corner) < box).all(axis=1).sum()))

@@ -9,6 +9,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, named_plane
+from rfpsurvey.plot._compass import add_compass
 from rfpsurvey.plot._style import LEVELS, OUTLINE
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def plot_coverage(
     if n_pixels is not None and not (whole and 1 <= n_pixels <= 5000):
         raise InputError(f"n_pixels must be a whole number from 1 to 5000, got {n_pixels!r}")
     name, plane = named_plane(focal_plane)
-    ax = focal_plane_axes(ax, plane._xy_mm, plane._outer_mm, region, orientation, position_angle=0.0)
+    ax = focal_plane_axes(ax, plane._xy_mm, plane._outer_mm, region, orientation)
     low, high = limits_of(ax)
     if n_pixels is None:
         n_pixels = np.clip(10 * (high - low).max() / np.min(plane._outer_mm), FEWEST, MOST)
@@ -103,6 +104,7 @@ def plot_coverage(
             label += f" ({_percent(parts[k])})"
         handles.append(Patch(facecolor=colors[k], edgecolor="0.5", linewidth=0.5, label=label))
     legend_below(ax, handles)
+    add_compass(ax, 0.0, plane._xy_mm)
     ax.set_title(f"{name}: positioners that reach each point" if name else "positioners that reach each point")
     return ax
 

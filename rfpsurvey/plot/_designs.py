@@ -113,8 +113,16 @@ def plot_designs(
         ax.scatter(
             values_of(one, x), values_of(one, y), marker="*", s=140, color=COLLISION, edgecolors="white", zorder=4
         )
-        where = {"textcoords": "offset points", "xytext": (7, 5), "fontsize": "small", "zorder": 5}
-        ax.annotate(name, (values_of(one, x)[0], values_of(one, y)[0]), **where)
+        place = values_of(one, x)[0], values_of(one, y)[0]
+        right = place[0] > np.mean(ax.get_xlim())  # a name goes to the middle of the axes
+        where = {
+            "xytext": (-8 if right else 8, 5),
+            "ha": "right" if right else "left",
+            "fontsize": "small",
+            "zorder": 5,
+        }
+        text = ax.annotate(name, place, textcoords="offset points", **where)
+        text.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1})
     ax.set_xlabel(_label(table, x))
     ax.set_ylabel(_label(table, y))
     if not few:

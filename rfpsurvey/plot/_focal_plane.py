@@ -10,7 +10,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._arms import draw_arms, draw_marks, draw_obstacles, draw_patrol_areas
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, points_per_unit, spacing_of
-from rfpsurvey.plot._compass import position_angle_of
+from rfpsurvey.plot._compass import add_compass, position_angle_of
 from rfpsurvey.plot._dots import arms_are_visible, draw_dots
 from rfpsurvey.plot._groups import draw_groups
 from rfpsurvey.plot._scene import GROUPS, scene_of, visible_part
@@ -96,7 +96,7 @@ def plot_focal_plane(
         raise InputError(f"color must be {' or '.join(GROUPS)}, got {color!r}")
     scene = scene_of(thing)
     moving, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
-    ax = focal_plane_axes(ax, scene.centers, scene.outer, region, orientation, position_angle_of(thing))
+    ax = focal_plane_axes(ax, scene.centers, scene.outer, region, orientation)
     if region is not None:
         scene = visible_part(scene, ax)
     large = arms_are_visible(ax, scene) if arms is None else arms
@@ -111,6 +111,7 @@ def plot_focal_plane(
     else:
         handles += draw_dots(ax, scene, moving)
     handles += draw_marks(ax, scene)
+    add_compass(ax, position_angle_of(thing), scene.points if large else scene.centers)
     ax.set_title(scene.title + (f", by {color.replace('_', ' ')}" if color else ""))
     legend_below(ax, handles, columns=4)
     return ax

@@ -40,6 +40,13 @@ class Scene:
         """Which positioners have a target."""
         return np.isin(self.status, ("assigned", "out_of_reach"))
 
+    @property
+    def points(self) -> np.ndarray:
+        """Points that should not be hidden: centers and arms, those in collision four times."""
+        arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
+        points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
+        return points[np.isfinite(points).all(axis=1)]
+
 
 def scene_of(thing: Tile | FocalPlane | Instrument | str) -> Scene:
     """Return the scene of a tile, or of positioners without targets."""
