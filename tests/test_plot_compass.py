@@ -77,7 +77,7 @@ def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
 
 def test_the_compass_hides_as_little_as_it_can(small):
     """In a corner with a collision it hid the arms."""
-    corners = {(1, 1): [-90, 90], (0, 1): [90, 90], (0, 0): [90, -90], (1, 0): [-90, -90]}
+    corners = {(1, 1): [-85, 85], (0, 1): [85, 85], (0, 0): [85, -85], (1, 0): [-85, -85]}
     for free, point in corners.items():
         ax = rs.plot_focal_plane(small, region=[[-100, -100], [100, 100]] * u.mm)
         for artist in [*ax.artists, *ax.texts, *ax.findobj(FancyArrowPatch)]:

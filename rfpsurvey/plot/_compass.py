@@ -60,7 +60,12 @@ def _corner(ax, avoid):
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]
-    pixels = ax.transAxes.inverted().transform(ax.transData.transform(avoid))
     size = ax.get_window_extent()
-    box = 2 * MARGIN * ax.figure.dpi / 72 / np.array([size.width, size.height])
-    return min(corners, key=lambda corner: int((np.abs(pixels - corner) < box).all(axis=1).sum()))
+    points = 72 / ax.figure.dpi * np.array([size.width, size.height])  # of the axes
+    places = ax.transAxes.inverted().transform(ax.transData.transform(avoid)) * points
+
+    def hidden(corner):
+        center = np.array(corner) * points + MARGIN * (1 - 2 * np.array(corner))
+        return int((np.hypot(*(places - center).T) < LABEL + 10).sum())
+
+    return min(corners, key=hidden)
