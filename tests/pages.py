@@ -68,7 +68,7 @@ class Reader(HTMLParser):
 
     def table(self, caption):
         """Heads, and rows of cells, of the only sortable table whose caption begins so."""
-        found = [t for t in self.tables if t["class"] == "rows" and t["caption"].startswith(caption)]
+        found = [t for t in self.tables if t["class"].split()[0] == "rows" and t["caption"].startswith(caption)]
         assert len(found) == 1, [t["caption"] for t in self.tables]
         heads, *rows = found[0]["rows"]
         return [cell["text"] for cell in heads], rows

@@ -273,7 +273,7 @@ def test_chart(table):
     assert ax.get_yticklabels()[0].get_text() == "mine, lamost"
     assert "hatch" in bars[len(table)].properties()
     assert bars[len(table)].get_hatch()
-    assert f"{100 * table['loss'][0]:.1f} %" in {t.get_text() for t in ax.texts}
+    assert f"{table['loss'][0]:.3f}" in {t.get_text() for t in ax.texts}
     mixed = rs.plot_instruments(table[[0, 2, 1, 3]])
     places = np.sort([bar.get_y() for bar in mixed.patches][:4])
     assert np.diff(places).min() >= 1 - 1e-9
@@ -281,7 +281,7 @@ def test_chart(table):
     left, _, right = figure.axes
     parts = np.array([bar.get_width() for bar in left.patches]).reshape(4, -1)
     np.testing.assert_allclose(parts[1], [table["reach_1"][0], table["reach_1"][2]])
-    assert right.get_xlabel() == "collision probability, 95 % interval"
+    assert right.get_xlabel() == "collision probability\n(95 % interval)"
     with pytest.raises(rs.InputError, match="must come from compare_instruments, but it has no allocator"):
         rs.plot_instruments(table[["instrument", "positioners"]])
 

@@ -76,16 +76,40 @@ def test_bad_input_is_one_sentence(run, tmp_path, arguments, message):
     assert message in sentence(code, err)
 
 
+def offsets(collections):
+    points = np.vstack([c.get_offsets() for c in collections])
+    return points[np.lexsort(points.T)]
+
+
 def test_every_design_is_drawn_and_the_front_is_joined(table):
     ax = rs.plot_designs(table)
-    everything, front = ax.collections
-    np.testing.assert_allclose(everything.get_offsets(), np.column_stack([table["coverage"], table["loss"]]))
-    best = table[table["pareto"]]
-    best.sort("coverage")
-    assert len(front.get_offsets()) == len(best) > 1
-    np.testing.assert_allclose(ax.get_lines()[0].get_xydata(), np.column_stack([best["coverage"], best["loss"]]))
-    assert everything.get_clim() == front.get_clim() == (25, 31)  # pitch and l1 have three values, ratio two
-    assert ax.get_ylabel() == "fibers lost to collisions (independent)"
+    everything, front = ax.collections[::2], ax.collections[1::2]
+    assert len(everything) == len(front) == 2  # values of the ratio
+    drawn, best = (offsets([ax.scatter(t["coverage"], t["loss"])]) for t in (table, table[table["pareto"]]))
+    np.testing.assert_allclose(offsets(everything), drawn)
+    np.testing.assert_allclose(offsets(front), best)
+    assert len(best) > 1
+    best = best[np.argsort(best[:, 0], kind="stable")]
+    np.testing.assert_allclose(ax.get_lines()[0].get_xydata(), best)
+    assert ax.get_ylabel() == "fraction of fibers lost to collisions (independent)"
+
+
+def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
+    """Few points were almost invisible, and the ratio of the arms was not shown where the pitch had more values."""
+    ax = rs.plot_designs(table)
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    ratios = np.unique(table["ratio"])
+    assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in ratios]
+    assert words[-1] == f"front: no other design is better in both ({table['pareto'].sum()} of {len(table)})"
+    ax.figure.draw_without_rendering()  # colors are made of values when a figure is drawn
+    one, other = ax.collections[0], ax.collections[2]
+    assert len(one.get_paths()[0].vertices) != len(other.get_paths()[0].vertices)
+    assert to_hex(one.get_facecolor()[0]) != to_hex(other.get_facecolor()[0])
+    assert min(one.get_sizes()[0], other.get_sizes()[0]) >= 50
+    assert one.get_facecolor()[0, 3] >= 0.8
+    # many values have a color bar
+    many = rs.plot_designs(table, color="loss")
+    assert many.figure.axes[1].get_ylabel() == "fraction of fibers lost to collisions (independent)"
 
 
 def test_columns_marks_and_style_can_be_chosen(table):

@@ -22,6 +22,7 @@ def test_pixels_count_the_annuli_around_them():
     ax = rs.plot_coverage(plane, region=[[-20, -10], [30, 15]] * u.mm, n_pixels=50, alpha=0.5)
     (image,) = ax.images
     assert tuple(image.get_extent()) == (-20, 30, -10, 15)
+    assert (ax.get_xlim(), ax.get_ylim()) == ((30, -20), (-10, 15))
     assert image.get_alpha() == 0.5
     x, y = np.meshgrid(np.arange(-19.5, 30), np.arange(-9.5, 15))
     distance = np.hypot(*(np.stack([x, y])[..., None] - plane.xy.value[np.arange(19) != 9].T[:, None, None]))
@@ -69,10 +70,11 @@ def test_estimates_are_disks_colored_by_probability(small):
     filled, open_ones = disks(ax)
     np.testing.assert_array_equal(filled.get_array(), estimate.per_positioner[3:])
     np.testing.assert_array_equal(filled.get_offsets(), plane.xy.value[3:])
-    assert filled.get_clim() == (0, np.nanmax(estimate.per_positioner))
+    low, high = np.nanmin(estimate.per_positioner), np.nanmax(estimate.per_positioner)
+    assert filled.get_clim() == pytest.approx((low - 0.15 * (high - low), high))
     assert filled.get_cmap().name == "gray"
     np.testing.assert_array_equal(open_ones.get_offsets(), plane.xy.value[:3])
-    assert words(ax) == ["never counts"]
+    assert words(ax) == ["not counted"]
     assert ax.child_axes[0].get_ylabel() == "collision probability"
     # neighbors do not overlap
     assert filled.get_widths()[0] == pytest.approx(0.96 * 25.6)
@@ -85,7 +87,7 @@ def test_counts_are_parts_of_the_configurations(small):
     counts = rs.count_collisions(plane, tips * u.mm, parked_obstacles=False)
     ax = rs.plot_collision_map(counts, small)
     assert disks(ax)[0].get_array().tolist() == [0.5, 0.5] + [0] * 35
-    assert ax.child_axes[0].get_ylabel() == "part of configurations in collision"
+    assert ax.child_axes[0].get_ylabel() == "fraction of configurations in collision"
     with pytest.raises(rs.InputError, match="at least one configuration"):
         rs.plot_collision_map(rs.count_collisions(plane, tips[:0] * u.mm), small)
 
@@ -132,3 +134,24 @@ def test_one_positioner_is_a_map(small):
     assert len(disks(rs.plot_collision_map(np.array([np.nan]), one))) == 2
     (free,) = [c for c in disks(rs.plot_collision_map(np.array([False]), one)) if len(c.get_offsets())]
     assert len(free.get_offsets()) == 1
+
+
+def test_maps_of_large_instruments_have_contrast(presets):
+    """On a scale from 0, all of DESI had one color, and points that one and two positioners reach hardly differed."""
+    desi = presets["desi"]
+    estimate = rs.collision_probability(desi, method="quadrature", max_iterations=32)
+    filled = disks(rs.plot_collision_map(estimate, desi))[0]
+    light = filled.to_rgba([np.nanmin(estimate.per_positioner), np.nanmax(estimate.per_positioner)])[:, :3].sum(axis=1)
+    assert light[0] - light[1] > 1.7
+    (image,) = rs.plot_coverage(desi).images
+    none, one, two = image.to_rgba(np.arange(3))[:, :3].sum(axis=1)
+    assert none - one > 0.7
+    assert one - two > 0.7
+    # the overlaps, 1.6 mm wide, are resolved
+    assert max(image.get_array().shape) * 1.6 / 780 > 2
+
+
+def test_equal_probabilities_have_one_color(small):
+    filled = disks(rs.plot_collision_map(np.full(37, 0.25), small))[0]
+    assert filled.get_clim() == (0, 0.25)
+    assert disks(rs.plot_collision_map(np.zeros(37), small))[0].get_clim() == (0, 1)

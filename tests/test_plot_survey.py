@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 
 import rfpsurvey as rs
-from rfpsurvey.plot._sky import _draw_sky
+from rfpsurvey.plot._sky_map import outlines_of_whole_sky
 
 CENTER = SkyCoord(359.5 * u.deg, 20 * u.deg)
 
@@ -24,12 +24,16 @@ def survey(small):
 def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
     ax = rs.plot_tiling(survey)
     (circles,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
+    (edges,) = [c for c in ax.collections if isinstance(c, LineCollection)]
     corners = np.array([path.vertices for path in circles.get_paths()])[:, :-1]
-    assert np.ptp(corners[..., 0]) < 10
+    rims = np.array(edges.get_segments())
+    assert np.ptp(rims[..., 0]) < 10
     radius = survey.provenance["parameters"]["radius_deg"] * u.deg
     for k, center in enumerate(SkyCoord(survey.tiles["ra"], survey.tiles["dec"])):
-        rim = SkyCoord(corners[k, :, 0] * u.deg, corners[k, :, 1] * u.deg)
-        assert np.abs(rim.separation(center) - radius).max() < 1e-6 * u.deg
+        # the outline is that of the field; later passes are filled less far
+        for points, size in ((rims[k], 1), (corners[k], 0.75 if survey.tiles["pass"][k] == 2 else 1)):
+            rim = SkyCoord(points[:, 0] * u.deg, points[:, 1] * u.deg)
+            assert np.abs(rim.separation(center) - size * radius).max() < 1e-6 * u.deg
     assert np.array_equal(circles.get_array(), survey.tiles["completeness"])
     assert ax.xaxis_inverted()
     ax.figure.draw_without_rendering()
@@ -47,7 +51,7 @@ def test_wide_tilings_show_the_whole_sky():
     radius = 3 * u.deg
     ax = rs.plot_tiling(tiling, radius=radius, color="tile")
     assert ax.name == "aitoff"
-    polygons, tile_of = _draw_sky(ax, tiling.coord, 3.0)
+    polygons, tile_of = outlines_of_whole_sky(tiling.coord, 3.0)
     drawn, values = outlines(ax)
     assert np.array_equal(values, tile_of)
     for one, polygon in zip(drawn, polygons, strict=True):
@@ -143,3 +147,70 @@ def test_twenty_thousand_tiles_are_one_collection():
     )
     ax = rs.plot_tiling(tiling)
     assert len(ax.collections) == 1
+
+
+def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey):
+    """With limits of 0 and 1, all tiles of a survey had the same color; translucent ones read as other values."""
+    fields = rs.plot_tiling(survey).collections[0]
+    values = survey.tiles["completeness"]
+    assert fields.get_clim() == (values.min(), values.max())
+    assert values.max() < 0.9
+    assert (fields.to_rgba(fields.get_array())[:, 3] == 1).all()
+    assert fields.get_alpha() is None
+    colors = fields.to_rgba(fields.get_array())[:, :3]
+    assert np.abs(colors[values.argmax()] - colors[values.argmin()]).max() > 0.5
+
+
+def test_targets_and_the_border_of_a_region_are_drawn():
+    box = rs.Region.box(ra=[350 * u.deg, 10 * u.deg], dec=[10, 20] * u.deg)
+    tiling = rs.place_tiles(box, "lamost")
+    targets = SkyCoord([359, 3, 200] * u.deg, [15, 12, -80] * u.deg)
+    ax = rs.plot_tiling(tiling, targets=targets, region=box)
+    *sides, dots = ax.get_lines()
+    np.testing.assert_allclose(np.sort(dots.get_xdata() % 360), [3, 200, 359])
+    corners = np.vstack([line.get_xydata() for line in sides])
+    assert (corners[:, 0].min() % 360, corners[:, 0].max() % 360) == pytest.approx((350, 10))
+    assert np.ptp(corners[:, 0]) == pytest.approx(20)
+    assert (corners[:, 1].min(), corners[:, 1].max()) == pytest.approx((10, 20))
+    # a target far away does not change what is shown
+    assert np.ptp(ax.get_ylim()) < 40
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["region", "3 targets"]
+    with pytest.raises(rs.InputError, match="region must be a Region, got str"):
+        rs.plot_tiling(tiling, region="sky")
+    with pytest.raises(rs.InputError, match="targets must be a SkyCoord, got"):
+        rs.plot_tiling(tiling, targets=[1, 2])
+
+
+@pytest.mark.parametrize(
+    "region",
+    [
+        rs.Region.cap(SkyCoord("1h +20d"), 6 * u.deg),
+        rs.Region.polygon(SkyCoord([10, 25, 15] * u.deg, [15, 18, 26] * u.deg)),
+        rs.Region.box(ra=[10 * u.deg, 22 * u.deg], dec=[15, 24] * u.deg),
+        rs.Region.healpix([0, 1, 2, 3, 8], 16),
+    ],
+    ids=lambda region: region.kind,
+)
+@pytest.mark.parametrize("projection", [None, "aitoff"])
+def test_borders_divide_inside_from_outside(region, projection):
+    tiling = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
+    ax = matplotlib.figure.Figure().add_subplot(projection=projection)
+    lines = rs.plot_tiling(tiling, region=region, ax=ax).get_lines()
+    assert lines
+    points = np.vstack([line.get_xydata() for line in lines])[::7]
+    ra, dec = (np.pi - points[:, 0], points[:, 1]) if projection else np.deg2rad(points.T)
+    border = SkyCoord(ra, dec, unit="rad")
+    angles = np.arange(0, 360, 15) * u.deg
+    near = border[:, None].directional_offset_by(angles, 1.2 * u.deg)
+    inside = region.contains(near.ravel()).reshape(near.shape)
+    assert (inside.any(axis=1) & ~inside.all(axis=1)).all()
+
+
+def test_a_wide_region_has_a_low_figure():
+    """A strip of the sky left 40 % of the height of its figure empty."""
+    strip = rs.place_tiles(rs.Region.box(ra=[100, 150] * u.deg, dec=[20, 26] * u.deg), "lamost")
+    figure = rs.plot_tiling(strip).figure
+    figure.draw_without_rendering()
+    box = figure.get_tightbbox()
+    assert box.height > 0.8 * figure.get_figheight()
+    assert box.width > 0.9 * figure.get_figwidth()

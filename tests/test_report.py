@@ -135,7 +135,7 @@ def test_what_others_wrote_is_shown_as_text(tmp_path):
     page = Reader(written(nasty_table(), tmp_path, title=NASTY, figures={NASTY: nasty_figure()}))
     shown = NASTY.replace("\x07", "\N{REPLACEMENT CHARACTER}")
     assert "".join(page.text("h1")) == shown
-    heads, rows = page.table("x.")
+    heads, rows = page.table("3 rows and 5 columns.")
     assert rows[0][0]["text"] == shown
     assert heads == ["name", "<b>length mm", "count", "pair", "when"]
     assert page.facts()["note"] == shown
@@ -146,7 +146,7 @@ def test_what_others_wrote_is_shown_as_text(tmp_path):
 
 
 def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
-    _, rows = Reader(written(nasty_table(), tmp_path)).table("x.")
+    _, rows = Reader(written(nasty_table(), tmp_path)).table("3 rows and 5 columns.")
     assert [row[1]["text"] for row in rows] == ["1.235", "\N{EN DASH}", "-3.000e-09"]
     np.testing.assert_array_equal([full(row[1]) for row in rows], [1.23456789, np.nan, -3e-9])
     assert [row[2]["text"] for row in rows] == ["10", "\N{EN DASH}", "100"]
@@ -192,6 +192,48 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
 
+def test_a_tile_lists_all_its_assignments(presets, tmp_path):
+    """The page named the file with all assignments and showed a part of them."""
+    pfs = presets["pfs"]
+    sky = rs.synthetic_catalog("uniform", CENTER, pfs.field_radius, n_targets=4000, rng=1)
+    tile = rs.plan_tile(sky, pfs, CENTER, allocator="balanced")
+    text = written(tile, tmp_path)
+    page, t = Reader(text), tile.table[tile.table["status"] == "assigned"]
+    heads, rows = page.table("All assignments.")
+    assert len(rows) == len(t) == tile.summary["n_assigned"] > 1500
+    for name, unit, decimals in (("ra", "deg", 6), ("dec", "deg", 6), ("tip_x", "mm", 3), ("phi", "deg", 3)):
+        column = heads.index(f"{name.replace('_', ' ')} {unit}")
+        values = [full(row[column]) for row in rows]
+        np.testing.assert_allclose(values, t[name].value, atol=0.51 * 10.0**-decimals, rtol=0)
+    for name in ("id", "target_id"):
+        shown = [row[heads.index(name.replace("_", " "))]["text"] for row in rows]
+        assert shown == [str(value) for value in t[name]]
+    flags = [row[heads.index("in collision")]["text"] for row in rows]
+    assert flags.count("yes") == t["in_collision"].sum() > 0
+    assert len(page.all("details")) == 1  # opened by those who look for it
+    assert len(text) < 1_500_000
+    page = Reader(written(tile, tmp_path, max_rows=30, data="tile.fits"))
+    assert len(page.table("All assignments.")[1]) == 30
+    assert f"Shown: 30 of {len(t)} rows; all are in tile.fits." in "".join(p["caption"] for p in page.tables)
+
+
+@pytest.mark.parametrize("kind", ["tile", "survey"])
+def test_a_number_has_one_form_on_a_page(results, tmp_path, kind):
+    """A rate was 2.10 % at the top of the page, and 0.021 below."""
+    page, rate = Reader(written(results[kind], tmp_path)), results[kind].summary["collision_rate"]
+    assert page.facts()["collision rate"] in page.text("dd")
+    assert float(page.facts()["collision rate"]) == pytest.approx(rate, rel=1e-3)
+    assert not [text for text in page.text("dd") if "%" in text]
+
+
+def test_a_table_is_not_called_table_thrice(tmp_path):
+    page = Reader(written(QTable({"a": [1]}), tmp_path))
+    heads = [*page.text("h1"), *page.text("h2"), page.tables[0]["caption"]]
+    assert heads == ["Untitled table", "All values", "Provenance", "1 row and 1 column."]
+    page = Reader(written(QTable({"a": [1]}, meta={"title": "Pitches"}), tmp_path))
+    assert "".join(page.text("h1", "h2", "strong")).count("Pitches") == 1
+
+
 def test_a_survey_has_its_own_numbers(survey, tmp_path):
     page = Reader(written(survey, tmp_path))
     heads, rows = page.table("The tiles of the survey")
@@ -217,10 +259,10 @@ def test_claims_have_verdicts_and_their_experiments(tmp_path):
 def test_no_row_is_left_out_in_silence(tmp_path):
     table = QTable({"k": np.arange(150)})
     page = Reader(written(table, tmp_path, max_rows=100, data="all.fits"))
-    _, rows = page.table("Table.")
+    _, rows = page.table("150 rows and 1 column.")
     assert [full(row[0]) for row in rows] == list(range(100))
-    assert page.tables[0]["caption"] == "Table. Shown: 100 of 150 rows; all are in all.fits."
-    assert page.tables[0]["caption"] != Reader(written(table, tmp_path)).tables[0]["caption"] == "Table."
+    assert page.tables[0]["caption"] == "150 rows and 1 column. Shown: 100 of 150 rows; all are in all.fits."
+    assert Reader(written(table, tmp_path)).tables[0]["caption"] == "150 rows and 1 column."
     assert "no rows" in written(QTable({"k": []}), tmp_path)
 
 

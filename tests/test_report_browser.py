@@ -29,6 +29,19 @@ addEventListener("securitypolicyviolation", (event) => seen.push(`refused: ${eve
 </script>"""
 TRY = """<script>
 addEventListener("load", () => {
+  for (const part of document.querySelectorAll("details")) {
+    part.open = true;
+    part.dispatchEvent(new Event("toggle"));
+  }
+  const cut = Array.from(document.querySelectorAll("figure:not(.wide) .scroll"),
+    (region) => region.scrollWidth - region.clientWidth);
+  const hidden = Array.from(document.querySelectorAll(".scroll:has(table)"), (region) => {
+    const edge = region.getBoundingClientRect().right + 1;
+    const heads = Array.from(region.querySelectorAll("thead th"));
+    const more = region.previousElementSibling;
+    return [heads.filter((head) => head.getBoundingClientRect().right > edge).length,
+      more.className === "more" && !more.hidden ? more.textContent : ""];
+  });
   const orders = Array.from(document.querySelectorAll("table.rows"), (table) =>
     Array.from(table.querySelectorAll("thead button"), (button, k) => [1, 2].map(() => {
       button.focus();
@@ -41,13 +54,21 @@ addEventListener("load", () => {
     })));
   const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   const fetched = performance.getEntriesByType("resource").map((entry) => entry.name);
+  parent.postMessage(encodeURIComponent(JSON.stringify({ seen, orders, fetched, wide, cut, hidden })), "*");
+});
+</script>"""
+# windows are at least 500 pixels wide, frames are not
+FRAME = """<!DOCTYPE html><html><body>
+<iframe src="copy.html" style="border: 0; width: {width}px; height: 900px"></iframe>
+<script>
+addEventListener("message", (event) => {
   const found = document.createElement("script");
   found.type = "application/json";
   found.id = "found";
-  found.textContent = encodeURIComponent(JSON.stringify({ seen, orders, fetched, wide }));
+  found.textContent = event.data;
   document.body.append(found);
 });
-</script>"""
+</script></body></html>"""
 
 
 @pytest.fixture(scope="session")
@@ -77,7 +98,9 @@ def tried(browse, path, width=1200):
     assert relaxed == 1
     copy = path.with_name("copy.html")
     copy.write_text(text.replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{TRY}</body>"), encoding="utf-8")
-    dom, console = browse(copy, width)
+    frame = path.with_name("frame.html")
+    frame.write_text(FRAME.replace("{width}", str(width)), encoding="utf-8")
+    dom, console = browse(frame, width + 100)
     assert console == []
     found = json.loads(unquote(re.search(r'id="found">([^<]*)<', dom)[1]))
     assert found["seen"] == []
@@ -106,11 +129,12 @@ def page_of(kind, folder, small):
 @pytest.mark.parametrize("kind", ["tile", "survey", "tiling", "allocators", "estimate"])
 def test_pages_open_without_an_error_and_sort_by_every_column(browse, tmp_path, small, kind):
     path = page_of(kind, tmp_path, small)
-    tables = [t for t in Reader(path.read_text()).tables if t["class"] == "rows" and len(t["rows"]) > 2]
+    tables = [t for t in Reader(path.read_text()).tables if t["class"].split()[0] == "rows" and len(t["rows"]) > 2]
     found = tried(browse, path, width=400)
-    assert found["wide"] <= 0  # a phone scrolls tables and figures, not the page
+    assert found["wide"] <= 0  # a phone scrolls tables and wide figures, not the page
+    assert max(found["cut"], default=0) <= 0  # and it shows figures whole
     clicked = [orders for orders in found["orders"] if orders]
-    assert len(clicked) == len(tables) == {"tile": 2, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
+    assert len(clicked) == len(tables) == {"tile": 3, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
     for orders in clicked:
         for (up, one, ascending, _), (down, other, descending, _) in orders:
             assert (up, one, down, other) == ("ascending", 1, "descending", 1)
@@ -120,6 +144,18 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, tmp_path, 
             if all(map(is_number, there[0])):
                 numbers = [[float(v) for v in t] for t in there]
                 assert numbers == [sorted(numbers[0]), sorted(numbers[0], reverse=True)]
+
+
+@pytest.mark.parametrize("width", [400, 1200])
+def test_a_table_says_how_many_columns_are_hidden(browse, tmp_path, small, width):
+    """Wide tables ended at the edge of the page, as if that were all."""
+    hidden = tried(browse, page_of("tile", tmp_path, small), width)["hidden"]
+    assert len(hidden) == 3
+    assert width == 1200 or min(number for number, _ in hidden) > 0
+    for number, words in hidden:
+        assert words == (
+            "" if number == 0 else f"{number} more column{'s' * (number > 1)}: scroll sideways \N{RIGHTWARDS ARROW}"
+        )
 
 
 def is_number(text):
@@ -156,5 +192,5 @@ def test_the_page_itself_runs_its_script_under_its_policy(browse, tmp_path):
     text = (tmp_path / "page.html").read_text().replace("</body>", "<script>document.title = 'run'</script></body>")
     (tmp_path / "page.html").write_text(text)
     dom, console = browse(tmp_path / "page.html")
-    assert "<title>Table</title>" in dom
+    assert "<title>Untitled table</title>" in dom
     assert len(console) == 1

@@ -35,4 +35,5 @@ for (name, numbers), color in zip(usable.items(), ("#E69F00", "#009E73", "#0072B
     ax.plot(clearances, numbers, "o-", color=color, label=name)
 ax.axvline(moons.focal_plane.positioner.clearance.value, color="0.6", lw=0.8)
 ax.set(xlabel="clearance d [mm] (line: the preset)", ylabel="targets on arms without collision", ylim=(0, None))
+ax.set_title("Usable targets of three allocators against the clearance")
 ax.legend()

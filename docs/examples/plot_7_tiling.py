@@ -24,10 +24,9 @@ where_stars_are = rs.place_tiles(stars, "sdss_apo", method="max_density", comple
 print(where_stars_are, f"for {where_stars_are.summary['completeness']:.0%} of {len(stars)} stars")
 
 # %%
-# Circles are fields of SDSS-V.
+# Circles are fields of SDSS-V, and dots are stars.
 
 fig, axes = plt.subplots(1, 2, figsize=(12, 5.4), layout="constrained")
 for ax, tiles, name in zip(axes, (covering, where_stars_are), ("hexagonal", "max_density"), strict=True):
-    rs.plot_tiling(tiles, ax=ax)
-    ax.plot(stars.coord.ra, stars.coord.dec, ",", color="0.4", zorder=0)
+    rs.plot_tiling(tiles, ax=ax, targets=stars, region=region)
     ax.set_title(f"{name}: {len(tiles)} tiles")

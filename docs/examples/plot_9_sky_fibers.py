@@ -37,5 +37,6 @@ fig, ax = plt.subplots(figsize=(6.5, 6.5), layout="constrained")
 for kind, color, size in (("science", "0.8", 2), ("standard", "#D55E00", 9), ("sky", "#0072B2", 9)):
     fibers = tile.table[tile.table["kind"] == kind]
     ax.scatter(fibers["tip_x"].value, fibers["tip_y"].value, s=size, color=color, label=kind)
-ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="Fibers on stars, standard stars and sky positions")
+ax.invert_xaxis()  # east is to the left
 ax.legend(loc="upper right")

@@ -57,11 +57,12 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path
 
 
 def finish_tiling(
-    tiling: "rs.Tiling", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
+    tiling: "rs.Tiling", field, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write a tiling, its picture and page where asked, and print how it was made."""
+    """Write a tiling, its plot with the targets or the region of ``field``, and its page; print how it was made."""
+    shown = {"region" if isinstance(field, rs.Region) else "targets": field}
     with files(
-        overwrite=overwrite, output=(output, tiling.write), plot=(plot, lambda: rs.plot_tiling(tiling).figure),
+        overwrite=overwrite, output=(output, tiling.write), plot=(plot, lambda: rs.plot_tiling(tiling, **shown).figure),
         report=(report, tiling, {"data": output}),
     ):  # fmt: skip
         for name, value in tiling.summary.items():

@@ -37,4 +37,4 @@ def tile(
     options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
     options["visits"] = visits
     tiling = rs.place_tiles(field, model, method=method, **options)
-    _app.finish_tiling(tiling, output, plot, report, overwrite=overwrite)
+    _app.finish_tiling(tiling, field, output, plot, report, overwrite=overwrite)

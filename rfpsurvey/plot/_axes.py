@@ -1,4 +1,4 @@
-"""What charts share: axes, frames in mm, legends below, circles by the thousand."""
+"""What the plots share: axes, axes of focal planes in mm, legends below the axes, and collections of circles."""
 
 from typing import TYPE_CHECKING
 
@@ -9,24 +9,29 @@ from rfpsurvey._units import to_mm, to_plain
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
+from rfpsurvey.plot._compass import ORIENTATIONS
 
 if TYPE_CHECKING:
     import astropy.units as u
     from matplotlib.axes import Axes
 
 __all__ = [
-    "add_circles", "check_columns", "focal_plane_axes", "labeled", "legend_below", "named_plane", "new_axes",
-    "values_of",
+    "add_circles", "check_columns", "focal_plane_axes", "labeled", "legend_below", "limits_of", "named_plane",
+    "new_axes", "points_per_unit", "spacing_of", "values_of",
 ]  # fmt: skip
 
 WIDTH = 7.0  # inches: a page
+PAD = 0.08  # inches around everything
+LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, for labels, the title and a legend
 
 
-def new_axes(width: float = 7.0, height: float = 4.8) -> "Axes":
+def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> "Axes":
     """Return axes in a figure of their own."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained").add_subplot()
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=PAD, h_pad=PAD)
+    return figure.add_subplot(**options)
 
 
 def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
@@ -36,8 +41,21 @@ def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
     return ("" if plane is thing else thing.name), plane
 
 
-def focal_plane_axes(ax: "Axes | None", centers: np.ndarray, outer: np.ndarray, region: "u.Quantity | None") -> "Axes":
-    """Return axes that show a part of a focal plane to scale, in mm; all of it by default."""
+def focal_plane_axes(
+    ax: "Axes | None",
+    centers: np.ndarray,
+    outer: np.ndarray,
+    region: "u.Quantity | None",
+    orientation: str,
+    *,
+    beside: float = 0.0,
+) -> "Axes":
+    """Return axes that show a part of a focal plane to scale, in mm; all of it by default.
+
+    ``beside`` is the room for a color bar in inches.
+    """
+    if orientation not in ORIENTATIONS:
+        raise InputError(f"orientation must be {' or '.join(map(repr, ORIENTATIONS))}, got {orientation!r}")
     if region is None:
         margin = 1.05 * np.max(outer)
         low, high = centers.min(axis=0) - margin, centers.max(axis=0) + margin
@@ -48,13 +66,38 @@ def focal_plane_axes(ax: "Axes | None", centers: np.ndarray, outer: np.ndarray, 
         low, high = corners.min(axis=0), corners.max(axis=0)
     if ax is None:
         wide, tall = high - low
-        ax = new_axes(WIDTH, float(np.clip(WIDTH * tall / wide, WIDTH / 3, 1.5 * WIDTH)) + 0.9)
+        inside = WIDTH - LEFT - beside
+        ax = new_axes(WIDTH, float(np.clip(inside * tall / wide, inside / 3, 1.5 * inside)) + ABOVE_AND_BELOW)
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
+    if orientation == "sky":
+        ax.set_xlim(high[0], low[0])
     ax.set_aspect("equal")
-    ax.set_xlabel("x (east at position angle 0) [mm]")
-    ax.set_ylabel("y (north at position angle 0) [mm]")
+    ax.set_xlabel("x [mm]")
+    ax.set_ylabel("y [mm]")
     return ax
+
+
+def limits_of(ax: "Axes") -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower left and the upper right corner of what axes show, whatever their orientation."""
+    corners = np.sort(np.array([ax.get_xlim(), ax.get_ylim()]), axis=1)
+    return corners[:, 0], corners[:, 1]
+
+
+def points_per_unit(ax: "Axes") -> float:
+    """Return about how many points (1/72 inch) a unit of the data takes on axes of equal scales."""
+    low, high = limits_of(ax)
+    size = ax.get_window_extent()
+    return 72 / ax.figure.dpi * float(np.min(np.array([size.width, size.height]) / (high - low)))
+
+
+def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
+    """Return the typical distance of neighboring centers; for a single one, the diameter of its patrol area."""
+    from scipy.spatial import cKDTree
+
+    if len(centers) <= 1:
+        return 2 * float(np.max(outer, initial=1.0))
+    return float(np.median(cKDTree(centers).query(centers, k=2)[0][:, 1]))
 
 
 def add_circles(ax: "Axes", points: np.ndarray, radius: np.ndarray | float, **style: object) -> object:

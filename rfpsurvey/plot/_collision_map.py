@@ -10,7 +10,8 @@ from rfpsurvey.collision import CollisionCounts, CollisionReport
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
-from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below
+from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, points_per_unit, spacing_of
+from rfpsurvey.plot._compass import add_compass, position_angle_of
 from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, RISK
 from rfpsurvey.probability import Estimate
 from rfpsurvey.tile import Tile
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_collision_map"]
 
+COLOR_BAR = 0.95  # inches
+SMALL = 4.0
+"""Points (1/72 inch): smaller disks touch each other and have no edges, which would hide their colors."""
+
 
 def plot_collision_map(
     collisions: Estimate | CollisionCounts | CollisionReport | Tile | np.ndarray,
@@ -27,23 +32,28 @@ def plot_collision_map(
     *,
     ax: "Axes | None" = None,
     region: u.Quantity | None = None,
+    orientation: str = "sky",
     **kwargs: object,
 ) -> "Axes":
     """Draw how likely each positioner is to collide or, of one configuration, which ones do.
 
-    Each positioner is a disk, open where it never counts. Disks of one configuration are hatched where they collide,
-    and a line joins those that collide with each other.
+    Each positioner is a disk, open where it is not counted. The colors of probabilities run from the smallest to the
+    largest one. Disks of one configuration are hatched where they collide, and a line joins those that collide with
+    each other.
 
     Parameters
     ----------
     collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
-        What to draw; of an array, a probability (NaN: it never counts) or truth value for each positioner.
+        What to draw; of an array, a probability (NaN: it is not counted) or a truth value for each positioner.
     focal_plane : FocalPlane, Instrument or str, optional
-        The positioners; a str is the name of a preset. A Tile brings its own.
+        The positioners; a str is the name of a preset. A Tile has its own.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; all by default.
+    orientation : {"sky", "focal plane"}, optional
+        With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
+        ``"focal plane"``, x increases to the right.
     **kwargs
         Passed to the collection of disks, for example ``cmap`` or ``clim``.
 
@@ -74,12 +84,15 @@ def plot_collision_map(
     with np.errstate(invalid="ignore"):
         if values.dtype.kind == "f" and ((values < 0) | (values > 1)).any():
             raise InputError(f"probabilities must lie from 0 to 1, got {np.nanmin(values):g} to {np.nanmax(values):g}")
-    ax = focal_plane_axes(ax, centers, outer, region)
-    radius = 0.48 * _spacing(centers, outer)
-    if values.dtype.kind == "b":
+    one = values.dtype.kind == "b"
+    beside = 0.0 if one else COLOR_BAR
+    ax = focal_plane_axes(ax, centers, outer, region, orientation, beside=beside)
+    radius = 0.48 * spacing_of(centers, outer)
+    if one:
         _draw_flags(ax, centers, radius, values, pairs, kwargs)
     else:
-        _draw_risks(ax, centers, radius, values, label, kwargs)
+        _draw_probabilities(ax, centers, radius, values, label, kwargs)
+    add_compass(ax, position_angle_of(collisions), centers)
     ax.set_title(title)
     return ax
 
@@ -110,7 +123,7 @@ def _values(collisions):
         n = len(collisions)
         if n == 0:
             raise InputError("there must be at least one configuration, got none")
-        return collisions.per_positioner / n, none, "part of configurations in collision", f"{n} configurations"
+        return collisions.per_positioner / n, none, "fraction of configurations in collision", f"{n} configurations"
     if isinstance(collisions, CollisionReport):
         return _flags(collisions.in_collision, collisions.pairs)
     if isinstance(collisions, Tile):
@@ -133,27 +146,23 @@ def _flags(flags, pairs):
     return flags, pairs, "", f"{int(flags.sum())} of {len(flags)} positioners in collision, {len(pairs)} pairs"
 
 
-def _spacing(centers, outer):
-    """Typical distance of neighboring centers."""
-    from scipy.spatial import cKDTree
-
-    if len(centers) == 1:
-        return 2 * np.max(outer)
-    return float(np.median(cKDTree(centers).query(centers, k=2)[0][:, 1]))
-
-
-def _draw_risks(ax, centers, radius, values, label, kwargs):
+def _draw_probabilities(ax, centers, radius, values, label, kwargs):
+    """Color disks by value, between the smallest and the largest one, with a color bar."""
     from matplotlib.lines import Line2D
 
     known = np.isfinite(values)
-    top = values[known].max(initial=0.0) or 1.0
-    style = {"cmap": RISK, "clim": (0, top), "edgecolors": "0.6", "linewidths": 0.2, **kwargs}
-    drawn = add_circles(ax, centers[known], radius, array=values[known], **style)
+    low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
+    # a little below the smallest value, whose color would else be that of the background
+    limits = (max(low - 0.15 * (high - low), 0.0), high) if low < high else (0.0, high or 1.0)
+    small = radius * points_per_unit(ax) < SMALL
+    edges = {"edgecolors": "none"} if small else {"edgecolors": "0.6", "linewidths": 0.2}
+    style = {"cmap": RISK, "clim": limits, **edges, **kwargs}
+    drawn = add_circles(ax, centers[known], radius / 0.96 if small else radius, array=values[known], **style)
     ax.figure.colorbar(drawn, cax=ax.inset_axes([1.02, 0, 0.03, 1]), label=label)
     if not known.all():
         add_circles(ax, centers[~known], radius, facecolors="none", edgecolors=IDLE, linestyles="--", linewidths=0.8)
         entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-        legend_below(ax, [Line2D([], [], color=IDLE, label="never counts", **entry)])
+        legend_below(ax, [Line2D([], [], color=IDLE, label="not counted", **entry)])
 
 
 def _draw_flags(ax, centers, radius, flags, pairs, kwargs):

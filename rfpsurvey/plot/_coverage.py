@@ -8,7 +8,8 @@ import numpy as np
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.plot._axes import focal_plane_axes, legend_below, named_plane
+from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, named_plane
+from rfpsurvey.plot._compass import add_compass
 from rfpsurvey.plot._style import LEVELS, OUTLINE
 
 if TYPE_CHECKING:
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["plot_coverage"]
 
 N_POINTS = 2**18
-"""For the parts in the legend: their standard error is below 0.001."""
+"""For the fractions in the legend: their standard error is below 0.001."""
+FEWEST, MOST = 600, 1400  # pixels along the longer side
 
 
 def plot_coverage(
@@ -25,13 +27,15 @@ def plot_coverage(
     *,
     ax: "Axes | None" = None,
     region: u.Quantity | None = None,
-    n_pixels: int = 600,
+    n_pixels: int | None = None,
+    orientation: str = "sky",
     **kwargs: object,
 ) -> "Axes":
     """Draw how many positioners reach each point: the darker, the more.
 
-    White points within the dashed line, the footprint, are in reach of nobody. The legend gives the parts of the
-    footprint, as `FocalPlane.coverage` finds them.
+    No positioner reaches the white points within the dashed line, which is the footprint. The legend gives the
+    fractions of the footprint, as `FocalPlane.coverage` finds them. The colors run from white to dark blue, whatever
+    the largest number is.
 
     Parameters
     ----------
@@ -42,7 +46,10 @@ def plot_coverage(
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; all by default. The legend is about the whole footprint.
     n_pixels : int, optional
-        Pixels along the longer side.
+        Pixels along the longer side; by default as many as patrol areas need, 600 to 1400.
+    orientation : {"sky", "focal plane"}, optional
+        With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
+        ``"focal plane"``, x increases to the right.
     **kwargs
         Passed to ``imshow``, for example ``alpha``.
 
@@ -67,37 +74,49 @@ def plot_coverage(
     from matplotlib.patches import Patch
 
     whole = isinstance(n_pixels, int | np.integer) and not isinstance(n_pixels, bool)
-    if not (whole and 1 <= n_pixels <= 5000):
+    if n_pixels is not None and not (whole and 1 <= n_pixels <= 5000):
         raise InputError(f"n_pixels must be a whole number from 1 to 5000, got {n_pixels!r}")
     name, plane = named_plane(focal_plane)
-    ax = focal_plane_axes(ax, plane._xy_mm, plane._outer_mm, region)
-    low, high = np.column_stack([ax.get_xlim(), ax.get_ylim()])
+    ax = focal_plane_axes(ax, plane._xy_mm, plane._outer_mm, region, orientation)
+    low, high = limits_of(ax)
+    if n_pixels is None:
+        n_pixels = np.clip(10 * (high - low).max() / np.min(plane._outer_mm), FEWEST, MOST)
     nx, ny = np.maximum(1, np.rint(n_pixels * (high - low) / (high - low).max())).astype(int)
     x, y = (a + (b - a) * (np.arange(k) + 0.5) / k for a, b, k in zip(low, high, (nx, ny), strict=True))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     counts = plane.multiplicity(points * u.mm).reshape(ny, nx)
     top = len(LEVELS) - 1
-    style = {"cmap": ListedColormap(LEVELS), "norm": BoundaryNorm(np.arange(top + 2) - 0.5, top + 1), **kwargs}
-    extent = (low[0], high[0], low[1], high[1])
-    ax.imshow(np.minimum(counts, top), origin="lower", extent=extent, interpolation="nearest", zorder=0, **style)
     parts = _parts(plane, top)
+    most = min(top, max(counts.max(), 0 if parts is None else np.flatnonzero(parts).max()))
+    colors = _colors(most)
+    style = {"cmap": ListedColormap(colors), "norm": BoundaryNorm(np.arange(most + 2) - 0.5, most + 1)}
+    # colors of pixels that share a place on the screen are averaged
+    style |= {"interpolation": "auto", "interpolation_stage": "rgba", **kwargs}
+    extent = (low[0], high[0], low[1], high[1])
+    ax.imshow(np.minimum(counts, top), origin="lower", extent=extent, zorder=0, **style)
     if parts is not None:
         _outline(ax, plane)
-    most = min(top, max(counts.max(), 0 if parts is None else np.flatnonzero(parts).max()))
     handles = []
     for k in range(most + 1):
         label = ("no positioner", "1 positioner")[k] if k < 2 else f"{k} positioners"
         label = f"{k} or more" if k == top else label
         if parts is not None:
             label += f" ({_percent(parts[k])})"
-        handles.append(Patch(facecolor=LEVELS[k], edgecolor="0.5", linewidth=0.5, label=label))
+        handles.append(Patch(facecolor=colors[k], edgecolor="0.5", linewidth=0.5, label=label))
     legend_below(ax, handles)
+    add_compass(ax, 0.0, plane._xy_mm)
     ax.set_title(f"{name}: positioners that reach each point" if name else "positioners that reach each point")
     return ax
 
 
+def _colors(most):
+    """Return the colors of the counts 0 to most, as far apart as possible."""
+    last = min(len(LEVELS) - 1, 2 * most + 1)
+    return [LEVELS[k] for k in np.rint(np.linspace(0, last, most + 1)).astype(int)] if most else [LEVELS[0]] * 2
+
+
 def _parts(plane, top):
-    """Parts of the footprint in reach of 0, 1, ..., top or more; None where centers on a line have no footprint."""
+    """Return the fractions of the footprint that 0, 1, ..., top or more positioners reach; None without a footprint."""
     try:
         parts = plane.coverage(n_points=N_POINTS)
     except InputError:

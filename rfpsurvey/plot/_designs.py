@@ -1,4 +1,4 @@
-"""Coverage against loss of many designs, and the front among them."""
+"""Two columns of many designs against each other, such as coverage and losses, and the front among them."""
 
 from typing import TYPE_CHECKING
 
@@ -6,8 +6,8 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.plot._axes import new_axes, values_of
-from rfpsurvey.plot._style import COLLISION, SEQUENTIAL
+from rfpsurvey.plot._axes import legend_below, new_axes, values_of
+from rfpsurvey.plot._style import COLLISION, MARKERS, SEQUENTIAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 __all__ = ["plot_designs"]
 
 LABELS = {
-    "l1": "central arm", "l2": "eccentric arm", "ratio": "eccentric over central arm", "clearance": "clearance",
-    "min_separation": "safe distance D", "multiplicity": "patrol area over cell", "loss": "fibers lost to collisions",
-    "coverage": "part of the focal plane in reach", "usable": "fibers on targets, per positioner",
-    "usable_per_area": "fibers on targets, per area", "positioners_per_area": "positioners per area",
+    "l1": "central arm", "l2": "eccentric arm", "ratio": "ratio of the arms (eccentric over central)",
+    "clearance": "clearance", "min_separation": "minimum separation D",
+    "multiplicity": "patrol area over area per positioner", "loss": "fraction of fibers lost to collisions",
+    "coverage": "fraction of the focal plane in reach", "usable": "fibers on targets per positioner",
+    "usable_per_area": "fibers on targets per area", "positioners_per_area": "positioners per area",
 }  # fmt: skip
 
 
@@ -32,7 +33,10 @@ def plot_designs(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Draw two figures of all designs against each other, and those that no other design beats.
+    """Draw two columns of all designs against each other, and the designs that no other one beats.
+
+    Large points with a black edge are the front: no other design is better in both objectives. A few values of the
+    color have a marker each.
 
     Parameters
     ----------
@@ -42,7 +46,7 @@ def plot_designs(
         Columns; the objectives by default. The front is that of the objectives, whatever is drawn, and is joined by
         a line where these are drawn.
     color : str, optional
-        Column that gives the color; by default the parameter with most values, ``ratio`` before others.
+        Column that gives the color; by default ``ratio`` if it varies, else the parameter with most values.
     mark : dict of str to QTable, optional
         Designs to point out by name, such as an instrument that is there: tables of one design, or of a few, by
         `explore_designs` with the same targets.
@@ -68,8 +72,11 @@ def plot_designs(
     >>> import rfpsurvey as rs
     >>> table = rs.explore_designs(l1=[7, 8, 9] * u.mm, ratio=1.5, pitch=25 * u.mm, clearance=2 * u.mm)
     >>> rs.plot_designs(table).get_ylabel()
-    'fibers lost to collisions (independent)'
+    'fraction of fibers lost to collisions (independent)'
     """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.lines import Line2D
+
     for one in (table, *(mark or {}).values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each in mark, must be what explore_designs returns")
@@ -82,28 +89,45 @@ def plot_designs(
     for name in (x, y, color):
         check_choice(name, numbers, "column of designs")
     ax = new_axes() if ax is None else ax
-    front, values, (across, up) = (
-        np.asarray(table["pareto"]),
-        values_of(table, color),
-        (values_of(table, n) for n in (x, y)),
-    )
-    style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": SEQUENTIAL, "s": 14, "linewidths": 0}
-    style |= {"alpha": 0.35, **kwargs}
-    ax.scatter(across, up, c=values, **style)
+    front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
+    few = len(np.unique(values)) <= len(MARKERS)
+    style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": SEQUENTIAL, "linewidths": 0.3}
+    style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
+    look = {**style, "s": 2 * style["s"], "linewidths": 1.2, "edgecolors": "black", "alpha": 1.0, "zorder": 3}
+    handles = []
+    for k, level in enumerate(np.unique(values) if few else [None]):
+        rows = values == level if few else np.ones(len(table), dtype=bool)
+        marker = {"marker": MARKERS[k]}
+        points = ax.scatter(across[rows], up[rows], c=values[rows], **{**marker, **style})
+        ax.scatter(across[rows & front], up[rows & front], c=values[rows & front], **{**marker, **look})
+        if few:
+            face = points.cmap(points.norm(level))
+            handles.append(Line2D([], [], linestyle="none", color=face, markeredgecolor="0.35", **marker,
+                                  label=f"{_label(table, color, short=True)} {level:g}"))  # fmt: skip
     if {x, y} == set(objectives):
         order = np.flatnonzero(front)[np.argsort(across[front], kind="stable")]
-        ax.plot(across[order], up[order], color="black", linewidth=0.8, zorder=2.5)
-    style |= {"s": 3 * style["s"], "linewidths": 0.8, "edgecolors": "black", "alpha": 1.0, "zorder": 3}
-    points = ax.scatter(across[front], up[front], c=values[front], **style)
+        ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
+        better = f"front: no other design is better in both ({front.sum()} of {len(table)})"
+        handles.append(Line2D([], [], color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
     for name, one in (mark or {}).items():
         ax.scatter(
             values_of(one, x), values_of(one, y), marker="*", s=140, color=COLLISION, edgecolors="white", zorder=4
         )
-        where = {"textcoords": "offset points", "xytext": (7, 5), "fontsize": "small", "zorder": 5}
-        ax.annotate(name, (values_of(one, x)[0], values_of(one, y)[0]), **where)
+        place = values_of(one, x)[0], values_of(one, y)[0]
+        right = place[0] > np.mean(ax.get_xlim())  # a name goes to the middle of the axes
+        where = {
+            "xytext": (-8 if right else 8, 5),
+            "ha": "right" if right else "left",
+            "fontsize": "small",
+            "zorder": 5,
+        }
+        text = ax.annotate(name, place, textcoords="offset points", **where)
+        text.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1})
     ax.set_xlabel(_label(table, x))
     ax.set_ylabel(_label(table, y))
-    ax.figure.colorbar(points, ax=ax, label=_label(table, color))
+    if not few:
+        ax.figure.colorbar(ScalarMappable(points.norm, points.cmap), ax=ax, label=_label(table, color))
+    legend_below(ax, handles, columns=3 if few else 1)
     return ax
 
 
@@ -115,11 +139,15 @@ def _question(table):
 
 
 def _parameter(table):
-    """Return the parameter that has most values."""
-    return max(("ratio", "pitch", "l1", "clearance"), key=lambda name: len(np.unique(values_of(table, name))))
+    """Return the ratio of the arms if it varies, else the parameter that has most values."""
+    numbers = {name: len(np.unique(values_of(table, name))) for name in ("ratio", "pitch", "l1", "clearance")}
+    return "ratio" if numbers["ratio"] > 1 else max(numbers, key=numbers.get)
 
 
-def _label(table, name):
+def _label(table, name, *, short=False):
+    """Return what a column is, with its unit; ``short`` for an entry of a legend."""
     text, unit = LABELS.get(name, name.replace("_", " ")), getattr(table[name], "unit", None)
+    if short:
+        return f"{'arm ratio' if name == 'ratio' else text}" + (f" [{unit:unicode}]" if unit else "")
     of = f" ({_question(table).replace('_', ' ')})" if name in ("loss", "usable", "usable_per_area") else ""
     return f"{text}{of}" + (f" [{unit:unicode}]" if unit else "")

@@ -19,7 +19,7 @@ REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
 def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Draw what the positioners of each instrument do: see a target, collide on the way to one, or none of these.
+    """Draw how many positioners of each instrument observe a target, have one but collide, or have none.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     Returns
     -------
     matplotlib.axes.Axes
-        The axes. A bar for each instrument and allocator, as a part of its positioners; behind it the loss to
-        collisions.
+        The axes. A bar for each instrument and allocator shows fractions of its positioners; the number to the right
+        is the fraction of targets lost to collisions.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     >>> import rfpsurvey as rs
     >>> table = rs.compare_instruments("poisson", ["sdss_apo", "pfs"], n_realizations=1)
     >>> rs.plot_instruments(table).get_xlabel()
-    'part of the positioners'
+    'fraction of the positioners'
     """
     check_columns(table, COLUMNS, "compare_instruments")
     ax = new_axes(7.0, 1.3 + 0.36 * len(table)) if ax is None else ax
@@ -65,14 +65,12 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
         left = left + sizes
     for height, lost in zip(y, table["loss"], strict=True):
         if np.isfinite(lost):
-            ax.annotate(
-                f"{100 * lost:.1f} %", (1, height), (5, 0), textcoords="offset points", va="center", fontsize="small"
-            )
-    ax.annotate("loss", (1, 1), (5, 3), ("axes fraction"), "offset points", fontsize="small", fontstyle="italic")
+            ax.annotate(f"{lost:.3f}", (1, height), (5, 0), textcoords="offset points", va="center", fontsize="small")
+    ax.annotate("lost", (1, 1), (5, 3), ("axes fraction"), "offset points", fontsize="small", fontstyle="italic")
     ax.set_yticks(y, labels)
     ax.set_ylim(y.min() - 0.6, 0.6)
     ax.set_xlim(0, 1)
-    ax.set_xlabel("part of the positioners")
+    ax.set_xlabel("fraction of the positioners")
     legend_below(ax, handles)
     return ax
 
@@ -81,8 +79,10 @@ def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
     """Return a figure of reach, fibers and collision probability, instrument by instrument."""
     from matplotlib.figure import Figure
 
-    figure = Figure(layout="constrained") if figure is None else figure
-    figure.set_size_inches(11, 1.6 + 0.34 * len(table))
+    if figure is None:
+        figure = Figure(layout="constrained")
+        figure.get_layout_engine().set(w_pad=0.1, h_pad=0.08)
+    figure.set_size_inches(11, 1.9 + 0.34 * len(table))
     left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1.7, 1))
     right.sharey(middle)
     _draw_reach(table, left)
@@ -93,7 +93,7 @@ def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
 
 
 def _draw_reach(table, ax):
-    """Draw which part of the footprint one, two and more positioners reach."""
+    """Draw the fractions of the footprint that no, one, two and more positioners reach."""
     rows = np.sort(np.unique(np.asarray(table["instrument"]), return_index=True)[1])
     y = -np.arange(len(rows), dtype=float)
     left, handles = np.zeros(len(rows)), []
@@ -104,7 +104,7 @@ def _draw_reach(table, ax):
         left += part
     ax.set_yticks(y, [str(table["instrument"][row]) for row in rows])
     ax.set_xlim(0, 1)
-    ax.set_xlabel("part of the footprint")
+    ax.set_xlabel("fraction of the footprint")
     title = {"title": "positioners that reach it", "title_fontsize": "small"}
     legend_below(ax, handles, columns=4, columnspacing=1.0, handlelength=1.2, **title)
 
@@ -113,11 +113,14 @@ def _draw_probability(table, ax):
     """Draw the collision probability with its interval."""
     y, _ = _places(table)
     value, low, high = (np.asarray(table[name], float) for name in ("probability", "low", "high"))
-    ax.errorbar(value, y, xerr=[value - low, high - value], fmt="o", color=COLLISION, ms=4, lw=1, capsize=2)
-    ax.set_xlim(left=0)
+    style = {"fmt": "o", "color": COLLISION, "ms": 4, "lw": 1, "capsize": 2, "clip_on": False}
+    ax.errorbar(value, y, xerr=[value - low, high - value], **style)
+    top = np.nanmax(np.append(high, value), initial=0.0) or 1.0
+    ax.set_xlim(-0.04 * top, 1.06 * top)  # markers at 0 are whole
+    ax.axvline(0, color="0.6", lw=0.8, zorder=0.5)
     ax.grid(axis="x", color="0.9", lw=0.6)
     ax.set_axisbelow(True)
-    ax.set_xlabel("collision probability, 95 % interval")
+    ax.set_xlabel("collision probability\n(95 % interval)")
 
 
 def _places(table):

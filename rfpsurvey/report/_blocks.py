@@ -32,7 +32,8 @@ class Rows:
     """A table that can be sorted.
 
     ``where`` says where all rows are, if not all are shown; ``left_out`` counts rows that were left out already.
-    ``marks`` gives cells with a certain text a look: good, bad or open.
+    ``marks`` gives cells with a certain text a look: good, bad or open. A table that is ``complete`` shows all rows
+    unless a limit was asked for; it is folded where it is long, and its cells are rounded, which keeps pages small.
     """
 
     caption: str
@@ -40,11 +41,12 @@ class Rows:
     where: str = ""
     left_out: int = 0
     marks: dict = field(default_factory=dict)
+    complete: bool = False
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of matplotlib, with its caption, and in words what is to be seen in it."""
+    """A figure of matplotlib with its caption, and a description of what it shows."""
 
     caption: str
     figure: "Figure | Axes"

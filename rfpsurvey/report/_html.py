@@ -10,7 +10,7 @@ from itertools import groupby
 import numpy as np
 
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Text
-from rfpsurvey.report._columns import MISSING, cells_of
+from rfpsurvey.report._columns import MISSING, cells_of, rounded_cells_of
 from rfpsurvey.report._numbers import number_text
 from rfpsurvey.report._svg import dark_grays, svg_of
 from rfpsurvey.report._text import text_of
@@ -22,10 +22,12 @@ BREAK = re.compile(r"(\w[._])(?=\w)")  # where a name may go on in the next line
 WIDE = 9  # inches: a wider figure has its caption below
 LONG, LONG_NAME = 30, 12  # characters: a longer text may take several lines
 MOST_ITEMS = 30  # of a list in the provenance
+MAX_ROWS = 1000  # of a table, by default
+FOLDED = 100  # rows of a complete table that are not shown until it is opened
 
 
-def html_of(page: Page, max_rows: int) -> str:
-    """Return a page as text, with tables of at most so many rows."""
+def html_of(page: Page, max_rows: int | None) -> str:
+    """Return a page as text, with tables of at most so many rows; None is the default of each table."""
     counter = iter(range(1, 1_000_000))
     sections = "\n".join(_section(section, counter, max_rows) for section in page.sections)
     by = f"Written by rfpsurvey {versions()['rfpsurvey']}. This page is complete in itself: it fetches nothing."
@@ -56,7 +58,7 @@ def _header(page: Page) -> str:
     if page.lead:
         lines.append(f'<p class="lead">{text_of(page.lead)}</p>')
     if page.highlights:
-        figures = [f"<div><dt>{text_of(k)}</dt><dd>{text_of(v)}</dd></div>" for k, v in page.highlights.items()]
+        figures = [f"<div><dt>{text_of(k)}</dt><dd>{text_of(_plain(v))}</dd></div>" for k, v in page.highlights.items()]
         lines += ['<dl class="highlights">', *figures, "</dl>"]
     return "<header>\n" + "\n".join(lines) + "\n</header>"
 
@@ -102,35 +104,42 @@ def _plain(value: object, number: Callable = number_text) -> str:
 
 
 def _rows(block: Rows, counter, max_rows) -> str:
-    table = block.table[:max_rows]
+    most = max_rows if max_rows is not None else len(block.table) if block.complete else MAX_ROWS
+    table = block.table[:most]
     missing = len(block.table) - len(table) + block.left_out
     caption = f"<strong>{text_of(block.caption)}</strong>"
     if missing:
         where = f"; all are in {block.where}" if block.where else ""
         caption += text_of(f" Shown: {len(table)} of {len(table) + missing} rows{where}.")
-    columns = [(name, *cells_of(table[name], name)) for name in table.colnames]
+    cells = rounded_cells_of if block.complete else cells_of
+    columns = [(name, *cells(table[name], name)) for name in table.colnames]
     heads = []
     for name, unit, numbers, _ in columns:
         unit = f' <span class="unit">{text_of(unit)}</span>' if unit else ""
         looks = ["number" if numbers else "", "long" if len(name) > LONG_NAME else ""]
         heads.append(f'<th scope="col"{_class(looks)}>{text_of(name.replace("_", " "))}{unit}</th>')
-    lines = []
-    for k in range(len(table)):
-        cells = []
-        for c, (_, _, numbers, values) in enumerate(columns):
-            text, key = values[k]
-            looks = [
-                "number" if numbers else "", "missing" if key == "" else "", "long" if len(text) > LONG else "",
-                block.marks.get(text, ""),
-            ]  # fmt: skip
-            data = "" if key is None else f' data-value="{key}"'
-            tag = "td" if c else "th"
-            scope = "" if c else ' scope="row"'
-            cells.append(f"<{tag}{scope}{_class(looks)}{data}>{text_of(text)}</{tag}>")
-        lines.append(f"<tr>{''.join(cells)}</tr>")
-    lines = ["<tbody>", *lines, "</tbody>"]
+    made = [_cells(c == 0, numbers, values, block) for c, (_, _, numbers, values) in enumerate(columns)]
+    lines = ["<tbody>", *(f"<tr>{''.join(row)}</tr>" for row in zip(*made, strict=True)), "</tbody>"]
     head = f"<caption>{caption}</caption>\n<thead>\n<tr>{''.join(heads)}</tr>\n</thead>"
-    return "\n".join([_scroll(block.caption), '<table class="rows">', head, *lines, "</table>\n</div>"])
+    looks = "rows rounded" if block.complete else "rows"
+    text = "\n".join([_scroll(block.caption), f'<table class="{looks}">', head, *lines, "</table>\n</div>"])
+    if block.complete and len(table) > FOLDED:
+        text = (
+            f"<details>\n<summary>{text_of(block.caption.rstrip('.'))}: {len(table)} rows</summary>\n{text}\n</details>"
+        )
+    return text
+
+
+def _cells(first: bool, numbers: bool, values: list, block: Rows) -> list[str]:
+    """Return the cells of a column. Numbers are to the right; in a rounded table all cells are, but for text."""
+    tag, scope = ("th", ' scope="row"') if first else ("td", "")
+    usual = ("" if numbers else "text") if block.complete else ("number" if numbers else "")
+    made = []
+    for text, key in values:
+        looks = [usual, "missing" if key == "" else "", "long" if len(text) > LONG else "", block.marks.get(text, "")]
+        data = "" if key is None else f' data-value="{key}"'
+        made.append(f"<{tag}{scope}{_class(looks)}{data}>{text_of(text)}</{tag}>")
+    return made
 
 
 def _class(looks: list[str]) -> str:

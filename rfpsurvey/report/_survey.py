@@ -18,9 +18,9 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     highlights = {
         "tiles": s["n_tiles"],
         f"of {s['n_visits_wanted']} visits observed": s["n_visits_observed"],
-        "completeness": f"{100 * s['completeness']:.2f} %",
-        "of the fibers used": f"{100 * s['fiber_use']:.1f} %",
-        "collision rate": f"{100 * s['collision_rate']:.2f} %",
+        "completeness": s["completeness"],
+        "fraction of the fibers used": s["fiber_use"],
+        "collision rate": s["collision_rate"],
     }
     pictures = [
         Picture("The tiles on the sky.", plot_tiling(survey), "Their color is the completeness of each field."),
@@ -48,7 +48,7 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
     highlights = {"tiles": len(tiling)}
     for key, label in names.items():
         if isinstance(summary.get(key), float):
-            highlights[label] = f"{100 * summary[key]:.2f} %"
+            highlights[label] = summary[key]
     rows = Rows("The tiles, in the order in which they are to be observed.", table, where or "Tiling.table")
     picture = Picture("The tiles on the sky.", plot_tiling(tiling), "Their color is the pass.")
     sections = [Section("On the sky", [picture]), Section("Tiles", [rows])]

@@ -25,8 +25,8 @@ LONG = re.compile(r"(-?\d+\.\d\d)\d+")
 REFERENCE = re.compile(r"url\(#([^)]*)\)")
 GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
 USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
-# what black and white become on a dark screen, before the style sheet makes figures brighter there
-DARK_INK, DARK_PAPER = np.array([189, 191, 194]), np.array([18, 21, 24])
+# what black and white become on a dark screen; colors stay as they are, since they may stand for values
+DARK_INK, DARK_PAPER = np.array([226, 229, 233]), np.array([22, 25, 29])
 
 
 def svg_of(figure, number: int, title: str, words: str) -> str:

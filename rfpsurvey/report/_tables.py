@@ -51,10 +51,15 @@ def page_of_table(table: Table, where: str) -> Page:
     """Return a page on any table."""
     made_by = table.meta.get("made_by")
     made_by = made_by if isinstance(made_by, str) else ""
-    title = str(table.meta.get("title") or made_by.replace("_", " ").capitalize() or "Table")
-    rows = Rows(f"{title}.", table, where or "the table itself")
-    sections = [Section("Table", [rows if len(table) else Text("The table has no rows.")])]
+    title = str(table.meta.get("title") or made_by.replace("_", " ").capitalize() or "Untitled table")
+    size = f"{_count(len(table), 'row')} and {_count(len(table.colnames), 'column')}."
+    rows = Rows(size, table, where or "the table itself")
+    sections = [Section("All values", [rows if len(table) else Text("The table has no rows.")])]
     return Page("Table", title, "", {}, sections, _without_private(table.meta))
+
+
+def _count(n, word) -> str:
+    return f"{n} {word}{'' if n == 1 else 's'}"
 
 
 def page_of_allocators(table: Table, where: str) -> Page:

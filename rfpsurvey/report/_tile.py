@@ -15,10 +15,16 @@ COLUMNS = (
     "id", "colliding_with", "clearance", "status", "target_id", "kind", "fiber_type", "spectrograph", "ra", "dec",
     "x", "y", "theta", "phi",
 )  # fmt: skip
-WIDTH = 7.2  # inches
+ASSIGNMENTS = (
+    "id", "target_id", "kind", "fiber_type", "spectrograph", "ra", "dec", "tip_x", "tip_y", "theta", "phi",
+    "in_collision",
+)  # fmt: skip
+VARYING = ("kind", "fiber_type", "spectrograph")
+"""Columns of the assignments that are shown if they have more than one value."""
 NARROW = 25
 MARGIN = 4  # radii of patrol areas about the place that is shown larger
 MOST_AIMS = 12
+TITLE = 0.35  # inches, of the title that a caption replaces
 LITTLE = 60  # positioners that need no part shown larger
 
 
@@ -31,7 +37,7 @@ def page_of_tile(tile: Tile, where: str) -> Page:
     highlights = {
         f"of {summary['n_positioners']} positioners assigned": summary["n_assigned"],
         "in collision": summary["n_colliding"],
-        "collision rate": f"{100 * summary['collision_rate']:.2f} %",
+        "collision rate": summary["collision_rate"],
     }
     if "n_in_field" in summary:
         highlights = {"targets in the field": summary["n_in_field"], **highlights}
@@ -51,6 +57,7 @@ def page_of_tile(tile: Tile, where: str) -> Page:
         sections.append(Section("Requirements", [Text(list(unmet))]))
     sections.append(Section("Focal plane", _pictures(tile)))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
+    sections.append(Section("Assignments", _assignments(tile, where or "the table of the tile")))
     lead = f"{counts}; {arms} in collision."
     return Page("Tile", _title(name, parameters), lead, highlights, sections, tile.provenance)
 
@@ -94,8 +101,17 @@ def _aims(tile) -> list:
 
 
 def _pictures(tile) -> list:
-    whole = "Circles are patrol areas, and the shade around an arm is half the safe distance wide."
-    pictures = [Picture("The whole focal plane.", _draw(tile), whole)]
+    whole = _draw(tile)
+    dots = whole.get_legend() is not None and "fiber on a target" in {
+        t.get_text() for t in whole.get_legend().get_texts()
+    }
+    if dots:
+        words = "Dots are fibers on their targets, and diamonds those in collision."
+    else:
+        words = "Circles are patrol areas, and the shade around an arm is half the minimum separation wide."
+    if "position_angle_deg" in tile.provenance["parameters"]:
+        words += " East is to the left of north, as on the sky; the arrows show both."
+    pictures = [Picture("The whole focal plane.", whole, words)]
     if len(tile.table) > LITTLE:
         corner = _crowded(tile)
         more = " Arms whose shades overlap collide, and are hatched." if tile.summary["n_colliding"] else ""
@@ -105,12 +121,10 @@ def _pictures(tile) -> list:
 
 
 def _draw(tile, region=None):
-    from matplotlib.figure import Figure
-
-    ax = plot_focal_plane(tile, ax=Figure(layout="constrained").add_subplot(), region=region)
+    ax = plot_focal_plane(tile, region=region)
     ax.set_title("")
-    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
-    ax.figure.set_size_inches(WIDTH, WIDTH * (y1 - y0) / (x1 - x0))
+    width, height = ax.figure.get_size_inches()
+    ax.figure.set_size_inches(width, height - TITLE)
     return ax
 
 
@@ -149,6 +163,19 @@ def _collisions(tile, where) -> list:
     rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
     left_out = len(narrow) - len(rest)
     return [*blocks, Rows("The narrowest passages of arms that do not collide.", rest, where, left_out)]
+
+
+def _assignments(tile, where) -> list:
+    """Return all positioners with a target."""
+    table = tile.table[np.isin(tile.table["status"], ("assigned", "out_of_reach"))]
+    if len(table) == 0:
+        return [Text("No positioner has a target.")]
+    equal = {c: str(table[c][0]) for c in VARYING if c in table.colnames and len(set(table[c].tolist())) == 1}
+    table = table[[c for c in ASSIGNMENTS if c in table.colnames and c not in equal]]
+    words = "All positioners that have a target. The columns tip x and tip y give the position of the fiber."
+    known = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in equal.items() if value)
+    words += f" Equal for all: {known}." if known else ""
+    return [Text(words), Rows("All assignments.", table, where, marks={"yes": "bad"}, complete=True)]
 
 
 def _empty(column) -> bool:

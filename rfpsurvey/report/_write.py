@@ -42,7 +42,6 @@ MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
 }
 """What ``meta["made_by"]`` of a table says, to the function for it and what it needs; others get a plain page."""
 ENDINGS = (".html", ".htm")
-MAX_ROWS = 1000
 
 
 def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
@@ -58,7 +57,7 @@ def write_report(
     title: str | None = None,
     figures: object = (),
     data: str | os.PathLike | None = None,
-    max_rows: int = MAX_ROWS,
+    max_rows: int | None = None,
 ) -> None:
     """Write one page of HTML on a result: figures, tables that can be sorted, and where it comes from.
 
@@ -81,7 +80,8 @@ def write_report(
     data : str or path-like, optional
         File that holds the whole result. Where a table leaves out rows, the page names this file, without its folder.
     max_rows : int, optional
-        Rows that a table shows at most; it says how many there are.
+        Rows that a table shows at most; it says how many there are. By default, the list of all assignments of a tile
+        is complete, and other tables show 1000 rows.
 
     Raises
     ------
@@ -101,7 +101,8 @@ def write_report(
     1
     """
     path = check_report(path, overwrite=overwrite)
-    if isinstance(max_rows, bool) or not isinstance(max_rows, int | np.integer) or max_rows < 1:
+    whole = isinstance(max_rows, int | np.integer) and not isinstance(max_rows, bool)
+    if max_rows is not None and not (whole and max_rows >= 1):
         raise InputError(f"max_rows must be a whole number of at least 1, got {max_rows!r}")
     if not (title is None or isinstance(title, str)):
         raise InputError(f"title must be text, got {title!r}")

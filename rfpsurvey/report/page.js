@@ -40,3 +40,24 @@ for (const table of document.querySelectorAll("table.rows")) {
     });
   });
 }
+
+// Above what is wider than the page: how much of it is hidden to the right.
+for (const region of document.querySelectorAll(".scroll")) {
+  const heads = Array.from(region.querySelectorAll("thead th"));
+  const more = document.createElement("p");
+  more.className = "more";
+  region.before(more);
+  const update = () => {
+    const edge = region.getBoundingClientRect().right + 1;
+    const hidden = heads.filter((head) => head.getBoundingClientRect().right > edge).length;
+    const wide = region.scrollWidth > region.clientWidth + 1;
+    const what = heads.length === 0 ? "more" : `${hidden} more column${hidden === 1 ? "" : "s"}`;
+    const end = region.scrollLeft + region.clientWidth >= region.scrollWidth - 1;
+    more.hidden = !wide;
+    more.textContent = end ? "\u2190 scroll back" : `${what}: scroll sideways \u2192`;
+  };
+  region.addEventListener("scroll", update, { passive: true });
+  region.closest("details")?.addEventListener("toggle", update);
+  addEventListener("resize", update);
+  update();
+}

@@ -62,6 +62,11 @@ def test_part_of_a_focal_plane_with_equal_arms():
 
 
 @kept
+def test_focal_plane_as_dots_at_a_position_angle():
+    return rs.plot_focal_plane(tile("pfs", position_angle=30 * u.deg), ax=axes()).figure
+
+
+@kept
 def test_part_of_a_worn_focal_plane(worn):
     region = [[-90, -90], [90, 90]] * u.mm
     return rs.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
@@ -118,6 +123,14 @@ def test_tiles_by_completeness(survey):
 
 
 @kept
+def test_tiles_of_two_passes_with_targets_and_a_region(survey):
+    tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.7 * u.deg, n_targets=200, rng=1)
+    region = rs.Region.cap(CENTER, 0.5 * u.deg)
+    return rs.plot_tiling(tiling, radius=0.4 * u.deg, targets=sky, region=region, ax=axes(6, 5)).figure
+
+
+@kept
 def test_tiles_on_the_whole_sky():
     rng = np.random.default_rng(1)
     table = QTable({"ra": rng.uniform(0, 360, 200) * u.deg, "dec": rng.uniform(-60, 60, 200) * u.deg})
@@ -157,7 +170,7 @@ def test_probability_against_time():
 @kept
 def test_instruments_side_by_side():
     table = rs.compare_instruments("uniform", ["sdss_apo", "pfs"], n_realizations=1, rng=1)
-    return rs.plot_instruments(table, ax=axes()).figure
+    return rs.plot_instruments(table, ax=Figure(figsize=(7, 5)).add_axes((0.24, 0.25, 0.64, 0.66))).figure
 
 
 @kept

@@ -9,6 +9,8 @@ DESI's real list of tiles with synthetic targets, wanted one to four times each;
 The list is that of https://github.com/desihub/desisurveyops.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/desi_footprint.png"
+
 import sys
 from concurrent.futures import ThreadPoolExecutor
 

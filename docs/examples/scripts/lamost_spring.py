@@ -7,6 +7,8 @@ Tiles where Tycho-2 stars are, then a survey of them::
     python docs/examples/scripts/lamost_spring.py [CATALOG]
 """
 
+# sphinx_gallery_thumbnail_path = "_static/lamost_spring.png"
+
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

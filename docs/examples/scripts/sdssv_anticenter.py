@@ -7,6 +7,8 @@ Tycho-2 stars around the Galactic anticenter: bright stars first, two visits eac
     python docs/examples/scripts/sdssv_anticenter.py [CATALOG]
 """
 
+# sphinx_gallery_thumbnail_path = "_static/sdssv_anticenter.png"
+
 import sys
 from pathlib import Path
 

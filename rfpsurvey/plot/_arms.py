@@ -1,0 +1,89 @@
+"""Patrol areas, obstacles and arms, drawn to scale."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rfpsurvey.plot._axes import add_circles
+from rfpsurvey.plot._scene import Scene
+from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OUTLINE, PATROL
+
+__all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
+
+MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
+"""Status to the marker and the words that stand for it."""
+
+
+def draw_patrol_areas(ax, scene: Scene, color, kwargs) -> Iterator:
+    """Draw both edges of each patrol area, and yield legend entries."""
+    from matplotlib.lines import Line2D
+
+    free = scene.with_target | (scene.status == "usable")
+    entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+    usual = IDLE if color else PATROL  # a blue edge would tint what is filled
+    for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
+        if not rows.any():
+            continue
+        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if color else 0.5, "zorder": 1}
+        style |= kwargs
+        add_circles(ax, scene.centers[rows], scene.outer[rows], **style)
+        if scene.inner[rows].any():
+            add_circles(ax, scene.centers[rows], scene.inner[rows], **{**style, "linestyles": ":"})
+        yield Line2D([], [], color=edge, label=label, **entry)
+
+
+def draw_obstacles(ax, scene: Scene) -> Iterator:
+    from matplotlib.lines import Line2D
+
+    if len(scene.obstacles):
+        add_circles(ax, scene.obstacles[:, :2], scene.obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
+        yield Line2D([], [], color=OBSTACLE, marker="o", linestyle="none", label="obstacle")
+
+
+def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
+    """Draw both arms of each positioner and the space around the one that can collide, and yield legend entries."""
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.colors import to_rgba
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    present, target = np.isfinite(scene.tips).all(axis=1), scene.with_target
+    groups = (
+        (present & ~target & ~scene.colliding, IDLE, "arm, no target", 3, {"linewidths": 1.0, "linestyles": "--"}),
+        (present & target & ~scene.colliding, ARM, "arm", 4, {"linewidths": 1.0, "capstyle": "round"}),
+        (present & scene.colliding, COLLISION, "arm in collision", 5, {"linewidths": 2.2, "capstyle": "round"}),
+    )
+    for rows, color, label, zorder, style in groups:
+        if not rows.any():
+            continue
+        central = np.stack([scene.centers[rows], scene.elbows[rows]], axis=1)
+        ax.add_collection(LineCollection(central, colors=color, linewidths=0.4, alpha=0.5, zorder=zorder))
+        arms = np.stack([scene.elbows[rows], scene.tips[rows]], axis=1)
+        ax.add_collection(LineCollection(arms, colors=color, zorder=zorder, **{**style, **kwargs}))
+        shade = {"facecolors": to_rgba(color, 0.2), "edgecolors": "none"}
+        if color is COLLISION:
+            shade |= {"edgecolors": color, "linewidths": 0.8, "hatch": HATCH}
+        ax.add_collection(PolyCollection(capsules(scene.bodies[rows], scene.half), zorder=zorder - 0.5, **shade))
+        add_circles(ax, scene.tips[rows], 0.06 * scene.outer[rows], facecolors=color, zorder=zorder)
+        if color is COLLISION:
+            yield Patch(facecolor=to_rgba(color, 0.2), edgecolor=color, hatch=HATCH, label=label)
+        else:
+            yield Line2D([], [], color=color, linestyle=style.get("linestyles", "-"), label=label)
+
+
+def draw_marks(ax, scene: Scene) -> Iterator:
+    """Mark positioners that are disabled, stuck or cannot reach their target, and yield legend entries."""
+    for status, (marker, label) in MARKS.items():
+        points = scene.centers[scene.status == status]
+        if len(points):
+            style = {"facecolors": OUTLINE} if marker == "x" else {"facecolors": "none", "edgecolors": OUTLINE}
+            yield ax.scatter(*points.T, s=16, marker=marker, linewidths=1.0, zorder=6, label=label, **style)
+
+
+def capsules(bodies: np.ndarray, radius: float) -> np.ndarray:
+    """Return the outlines of all points within ``radius`` of each segment, shape (n, 18, 2)."""
+    a, b = bodies[:, None, :2], bodies[:, None, 2:]
+    along = np.arctan2(*(bodies[:, 2:] - bodies[:, :2]).T[::-1])
+    angle = along[:, None] + np.linspace(-np.pi / 2, np.pi / 2, 9)
+    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.concatenate([b + arc, a - arc], axis=1)

@@ -1,0 +1,71 @@
+"""The orientation of focal planes on plots, and the compass that shows north and east."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rfpsurvey.plot._style import OUTLINE
+from rfpsurvey.tile import Tile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["ORIENTATIONS", "add_compass", "position_angle_of"]
+
+ORIENTATIONS = ("sky", "focal plane")
+"""East to the left as on the sky (x increases to the left), or x increasing to the right."""
+LENGTH = 16  # points, of an arrow
+LABEL = 22  # points, from the center of the compass to the letters
+MARGIN = 32  # points, from the corner of the axes to the center of the compass
+
+
+def position_angle_of(thing: object) -> float | None:
+    """Return the position angle (degrees) at which a focal plane is drawn; None where a tile has none."""
+    if isinstance(thing, Tile):
+        return thing.provenance["parameters"].get("position_angle_deg")
+    return 0.0
+
+
+def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> None:
+    """Draw arrows toward north and east in a corner of a focal plane, with the position angle.
+
+    The position angle (degrees) turns +y from north toward east; +x is 90 deg farther in the same direction. Nothing is
+    drawn if it is None. The corner is the one that hides fewest of the points ``avoid``, shape (n, 2), in mm.
+    """
+    from matplotlib.patches import Circle, FancyArrowPatch
+    from matplotlib.transforms import Affine2D, ScaledTranslation
+
+    if position_angle is None:
+        return
+    across, up = _corner(ax, avoid)
+    inward = Affine2D().translate(MARGIN * (1 - 2 * across), MARGIN * (1 - 2 * up)).scale(1 / 72)
+    points = inward + ax.figure.dpi_scale_trans + ScaledTranslation(across, up, ax.transAxes)
+    # data on their way to the screen: x changes its sign where it increases to the left
+    flip = -1 if ax.xaxis_inverted() else 1
+    angle = np.deg2rad(position_angle)
+    directions = {"N": (-flip * np.sin(angle), np.cos(angle)), "E": (flip * np.cos(angle), np.sin(angle))}
+    ax.add_artist(Circle((0, 0), LABEL + 6, transform=points, facecolor="white", alpha=0.85, linewidth=0, zorder=8))
+    style = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 0, "shrinkB": 0, "color": OUTLINE, "linewidth": 1}
+    text = {"ha": "center", "va": "center", "fontsize": "small", "color": OUTLINE, "zorder": 8.5}
+    for name, (x, y) in directions.items():
+        tip = (LENGTH * x, LENGTH * y)
+        ax.add_artist(FancyArrowPatch((0, 0), tip, transform=points, zorder=8.5, gid=f"compass-{name}", **style))
+        ax.text(LABEL * x, LABEL * y, name, transform=points, **text)
+    away = -12 * np.sum(list(directions.values()), axis=0)
+    ax.text(*away, f"PA {position_angle:g}\N{DEGREE SIGN}", transform=points, **{**text, "fontsize": "x-small"})
+
+
+def _corner(ax, avoid):
+    """Return the corner, in fractions of the axes, near which the fewest points are; the upper left one of equals."""
+    corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
+    if len(avoid) == 0:
+        return corners[0]
+    size = ax.get_window_extent()
+    points = 72 / ax.figure.dpi * np.array([size.width, size.height])  # of the axes
+    places = ax.transAxes.inverted().transform(ax.transData.transform(avoid)) * points
+
+    def hidden(corner):
+        center = np.array(corner) * points + MARGIN * (1 - 2 * np.array(corner))
+        return int((np.hypot(*(places - center).T) < LABEL + 10).sum())
+
+    return min(corners, key=hidden)

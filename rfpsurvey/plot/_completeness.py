@@ -1,0 +1,92 @@
+"""How complete a survey is, tile after tile."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.plot._axes import new_axes
+from rfpsurvey.plot._sky import plot_tiling, radius_of
+from rfpsurvey.plot._sky_map import is_wide
+from rfpsurvey.plot._style import MARKERS, SERIES
+from rfpsurvey.survey import Survey
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_survey", "plot_completeness"]
+
+
+def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
+    """Draw the completeness of a survey against the number of tiles, and that of each priority after each pass.
+
+    Parameters
+    ----------
+    survey : Survey
+        What to draw.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+    **kwargs
+        Passed to ``plot`` of the line of all visits, for example ``linewidth``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes.
+
+    Raises
+    ------
+    InputError
+        If it is no survey.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("poisson", SkyCoord("6h20m +23d"), 1 * u.deg, density=500 / u.deg**2, rng=1)
+    >>> survey = rs.plan_survey(sky, SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg), "moons")
+    >>> rs.plot_completeness(survey).get_xlabel()
+    'tiles'
+    """
+    if not isinstance(survey, Survey):
+        raise InputError(f"survey must be a Survey, got {type(survey).__name__}")
+    ax = new_axes(7, 4.5) if ax is None else ax
+    tiles, after = survey.tiles, survey.completeness
+    order = np.lexsort((np.arange(len(tiles)), tiles["round"]))
+    share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_wanted"], 1)
+    ax.plot(np.arange(len(tiles) + 1), np.append(0, share), **{"color": "k", "label": "all visits", **kwargs})
+    classes = [name for name in dict.fromkeys(after["priority"]) if name != "all"]
+    for k, name in enumerate(classes):
+        rows = after["priority"] == name
+        style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % len(MARKERS)], "ls": ":", "clip_on": False}
+        ax.plot(after["n_tiles"][rows], after["completeness"][rows], label=f"priority {name}", **style)
+    every = after["priority"] == "all"
+    complete = after["n_complete"][every] / np.maximum(after["n_targets"][every], 1)
+    ax.plot(after["n_tiles"][every], complete, "kX", clip_on=False, label="targets complete")
+    for number, end in zip(after["pass"][every], after["n_tiles"][every], strict=True):
+        ax.axvline(end, color="0.8", lw=0.8, zorder=0)
+        ax.annotate(
+            f"pass {number}", (end, 0.01), rotation=90, ha="right", va="bottom", fontsize="x-small", color="0.4"
+        )
+    ax.set_xlim(0, 1.03 * len(tiles))
+    ax.set_ylim(0, 1.02)
+    ax.set_xlabel("tiles")
+    ax.set_ylabel("completeness")
+    ax.legend(fontsize="small", loc="best")
+    return ax
+
+
+def draw_survey(survey: Survey) -> "Figure":
+    """Return a figure with the tiles of a survey, colored by completeness, beside its completeness by tiles."""
+    from matplotlib.figure import Figure
+
+    wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))
+    figure = Figure(figsize=(14, 4.8), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.15, h_pad=0.1)
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.3, 1))
+    plot_tiling(survey, ax=figure.add_subplot(left, projection="aitoff" if wide else None))
+    plot_completeness(survey, ax=figure.add_subplot(right))
+    return figure

@@ -1,0 +1,52 @@
+"""Positioners of large focal planes as dots, where arms would be too short to be seen."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rfpsurvey.plot._axes import add_circles, points_per_unit, spacing_of
+from rfpsurvey.plot._scene import Scene
+from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
+
+__all__ = ["SHORTEST", "arms_are_visible", "draw_dots"]
+
+SHORTEST = 5.0
+"""Points (1/72 inch): arms that would be shorter are not drawn."""
+
+
+def arms_are_visible(ax, scene: Scene) -> bool:
+    """Tell whether the axes are large enough for arms."""
+    present = np.isfinite(scene.bodies).all(axis=1)
+    if not present.any():
+        length = np.max(scene.outer, initial=0.0) / 2
+    else:
+        length = np.median(np.hypot(*(scene.tips - scene.elbows)[present].T))
+    return length * points_per_unit(ax) >= SHORTEST
+
+
+def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
+    """Draw a dot for each positioner, colored by its state, and yield legend entries.
+
+    A dot stands on the fiber, which is on its target, or on the center of a positioner without a target. Those in
+    collision are diamonds, larger and on top of the others.
+    """
+    from matplotlib.lines import Line2D
+
+    spacing = spacing_of(scene.centers, scene.outer)
+    add_circles(ax, scene.centers, 0.5 * spacing, facecolors=FAINT, zorder=0.8)
+    moving = ~np.isin(scene.status, ("disabled", "stuck"))
+    target = scene.with_target
+    groups = (
+        (moving & ~target & ~scene.colliding, scene.centers, "no target", 2.5, (0.3, 1.2), ("o", FADED, FADED)),
+        (target & ~scene.colliding, scene.tips, "fiber on a target", 3, (0.5, 1.8), ("o", ARM, ARM)),
+        (scene.colliding, scene.tips, "in collision", 5, (0.9, 3.8), ("D", COLLISION, "black")),
+    )
+    for rows, points, label, zorder, (part, least), (marker, face, edge) in groups:
+        if not rows.any():
+            continue
+        size = max(part * spacing * points_per_unit(ax), least)
+        width = 0 if face == edge else 0.4
+        style = {"s": size**2, "marker": marker, "facecolor": face, "edgecolor": edge, "linewidths": width}
+        ax.scatter(*points[rows].T, label=label, zorder=zorder, **{**style, **kwargs})
+        look = {"markersize": max(size, 4), "markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": width}
+        yield Line2D([], [], linestyle="none", marker=marker, label=label, **look)

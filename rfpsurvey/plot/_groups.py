@@ -1,0 +1,39 @@
+"""Positioners filled by the group that they belong to, such as their spectrograph."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.plot._axes import add_circles, spacing_of
+from rfpsurvey.plot._scene import Scene
+from rfpsurvey.plot._style import GROUP_COLORS
+
+__all__ = ["draw_groups"]
+
+
+def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
+    """Fill the cell of each positioner by its group, write the name of the group there or yield a legend entry.
+
+    Pale fills leave the arms on top of them visible.
+    """
+    from matplotlib.patches import Patch
+
+    if color is None:
+        return
+    values = scene.groups[color]
+    names = np.unique(values)
+    if len(names) > len(GROUP_COLORS):
+        raise InputError(f"{color} must have at most {len(GROUP_COLORS)} values, got {len(names)}")
+    radius = 0.5 * spacing_of(scene.centers, scene.outer)
+    for k, name in enumerate(names):
+        style = {"facecolor": GROUP_COLORS[k], "linewidth": 0, "alpha": 0.55 if pale else 1.0}
+        rows = values == name
+        add_circles(ax, scene.centers[rows], radius, zorder=0.9, **style)
+        midpoint = scene.centers[rows].mean(axis=0)
+        together = len(names) > 2 and rows[np.argmin(np.hypot(*(scene.centers - midpoint).T))]
+        if together and ax.viewLim.contains(*midpoint):
+            label = ax.text(*midpoint, str(name), ha="center", va="center", weight="bold", zorder=7, clip_on=True)
+            label.set_bbox({"facecolor": "white", "alpha": 0.85, "linewidth": 0, "pad": 1.5})
+            continue
+        yield Patch(label=f"{color.replace('_', ' ')} {name}".strip(), **style)

@@ -1,0 +1,104 @@
+"""What a plot of a focal plane shows: positioners, arms, obstacles and their states, in mm."""
+
+from dataclasses import dataclass, replace
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.collision import place_arms
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.plot._axes import limits_of, named_plane
+from rfpsurvey.tile import Tile
+
+__all__ = ["GROUPS", "Scene", "scene_of", "visible_part"]
+
+GROUPS = ("spectrograph", "fiber_type")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Positioners of a focal plane in mm; arms that are not there are NaN."""
+
+    title: str
+    centers: np.ndarray
+    inner: np.ndarray
+    outer: np.ndarray
+    elbows: np.ndarray
+    tips: np.ndarray
+    bodies: np.ndarray
+    """The segments that can collide, rows (x0, y0, x1, y1)."""
+    half: float
+    status: np.ndarray
+    colliding: np.ndarray
+    obstacles: np.ndarray
+    groups: dict[str, np.ndarray]
+
+    @property
+    def with_target(self) -> np.ndarray:
+        """Which positioners have a target."""
+        return np.isin(self.status, ("assigned", "out_of_reach"))
+
+    @property
+    def points(self) -> np.ndarray:
+        """Points that should not be hidden: centers and arms, those in collision four times."""
+        arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
+        points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
+        return points[np.isfinite(points).all(axis=1)]
+
+
+def scene_of(thing: Tile | FocalPlane | Instrument | str) -> Scene:
+    """Return the scene of a tile, or of positioners without targets."""
+    return _of_tile(thing) if isinstance(thing, Tile) else _of_plane(thing)
+
+
+def _of_tile(tile):
+    table, geometry, summary = tile.table, tile.table.meta["geometry"], tile.summary
+    centers, elbows, tips, ends = (
+        np.column_stack([table[f"{name}x"].to_value(u.mm), table[f"{name}y"].to_value(u.mm)])
+        for name in ("", "elbow_", "tip_", "arm_")
+    )
+    starts = tips if geometry.get("arm_model") == "fiber_tip" else elbows
+    counts = f"{summary['n_assigned']} of {summary['n_positioners']} assigned, {summary['n_colliding']} in collision"
+    title = f"{tile.provenance['instrument']['name']}: {counts}"
+    return Scene(
+        title,
+        centers, *(np.broadcast_to(geometry[f"{e}_radius_mm"], len(table)) for e in ("inner", "outer")), elbows, tips,
+        np.hstack([starts, ends]), geometry["min_separation_mm"] / 2, np.asarray(table["status"]),
+        np.asarray(table["in_collision"]), np.array(geometry["obstacles_mm"]).reshape(-1, 3),
+        {group: np.asarray(table[group]) for group in GROUPS},
+    )  # fmt: skip
+
+
+def _of_plane(thing):
+    if not isinstance(thing, Tile | FocalPlane | Instrument | str):
+        raise InputError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {type(thing).__name__}")
+    name, plane = named_plane(thing)
+    name = f"{name}: " if name else ""
+    n, obstacles = len(plane), len(plane._obstacles_mm)
+    posed = place_arms(plane, np.full((n, 2), np.nan) * u.mm, parked_obstacles=False)
+    status = np.where(plane.disabled, "disabled", "usable")
+    status[plane._is_stuck] = "stuck"
+    spectrograph = plane.spectrograph if plane.spectrograph.ndim == 1 else plane.spectrograph[:, 0]
+    return Scene(
+        f"{name}{n} positioners" + (f", {obstacles} obstacles" if obstacles else ""),
+        plane._xy_mm, plane._inner_mm, plane._outer_mm, posed.elbow, posed.tip, posed.segments,
+        plane.positioner._separation_mm / 2, status, np.zeros(n, bool), plane._obstacles_mm,
+        {"spectrograph": spectrograph, "fiber_type": plane.fiber_type},
+    )  # fmt: skip
+
+
+def visible_part(scene: Scene, ax) -> Scene:
+    """Return the part of a scene that axes show, so that nothing else is drawn or has an entry in the legend."""
+    low, high = limits_of(ax)
+
+    def near(points, margin):
+        return ((points > low - margin) & (points < high + margin)).all(axis=1)
+
+    rows = near(scene.centers, 2 * scene.outer.max())  # arms end where patrol areas do
+    columns = ("centers", "inner", "outer", "elbows", "tips", "bodies", "status", "colliding")
+    own = {name: getattr(scene, name)[rows] for name in columns}
+    own["groups"] = {name: values[rows] for name, values in scene.groups.items()}
+    seen = near(scene.obstacles[:, :2], scene.obstacles[:, 2:])
+    return replace(scene, obstacles=scene.obstacles[seen], **own)

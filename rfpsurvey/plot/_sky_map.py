@@ -1,0 +1,175 @@
+"""Maps of the sky: right ascension and declination, offsets about a pole, or the whole sky; east is to the left."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey.region import Region
+
+__all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
+
+CORNERS = 36
+WIDE = 60.0  # deg about the mean direction: beyond it, the whole sky
+POLAR = 75.0
+GRID = 400  # points along each axis, for the outlines of HEALPix pixels
+
+
+@dataclass(frozen=True, eq=False)
+class SkyMap:
+    """A map about a direction: ``region`` (deg), ``offsets`` (deg) or ``whole`` (radians on an Aitoff map)."""
+
+    kind: str
+    middle: SkyCoord
+
+    def to_xy(self, coord: SkyCoord) -> np.ndarray:
+        """Return places on the map, shape (..., 2)."""
+        if self.kind == "whole":  # 180 deg in the middle
+            return np.stack([-(coord.ra - 180 * u.deg).wrap_at(180 * u.deg).rad, coord.dec.rad], axis=-1)
+        if self.kind == "region":
+            lon = (coord.ra - self.middle.ra).wrap_at(180 * u.deg).deg + self.middle.ra.deg
+            return np.stack([lon, coord.dec.deg], axis=-1)
+        distance, angle = self.middle.separation(coord).deg, self.middle.position_angle(coord).rad
+        return np.stack([distance * np.sin(angle), distance * np.cos(angle)], axis=-1)
+
+    @property
+    def aspect(self) -> float:
+        """Length of a unit of y over that of x."""
+        return 1 / np.cos(self.middle.dec.rad) if self.kind == "region" else 1.0
+
+    def label(self, ax) -> None:
+        """Label axes, and set the ratio of their scales."""
+        if self.kind == "whole":
+            return _label_whole_sky(ax)
+        ax.set_aspect(self.aspect)
+        if self.kind == "region":
+            ax.xaxis.set_major_formatter(lambda lon, _: f"{lon % 360:g}")
+            ax.set_xlabel("right ascension [deg]")
+            ax.set_ylabel("declination [deg]")
+            return None
+        where = f"{self.middle.ra.deg:.1f} {self.middle.dec.deg:+.1f}"
+        ax.set_xlabel(f"east of {where} [deg]")
+        ax.set_ylabel(f"north of {where} [deg]")
+        return None
+
+
+def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:
+    """Return the map that suits fields (radius in deg)."""
+    middle, _ = _mean_direction(centers)
+    if whole:
+        return SkyMap("whole", middle)
+    return SkyMap("offsets" if np.abs(centers.dec.deg).max() + radius > POLAR else "region", middle)
+
+
+def is_wide(centers: SkyCoord, radius: float) -> bool:
+    """Tell whether fields (radius in deg) need a map of the whole sky."""
+    middle, known = _mean_direction(centers)
+    return not known or bool(centers.separation(middle).max().deg + radius > WIDE)
+
+
+def _mean_direction(centers):
+    """Return the mean direction, and whether there is one."""
+    mean = centers.cartesian.mean()
+    if mean.norm() < 1e-6:
+        return centers[0], False
+    spherical = SkyCoord(mean, frame="icrs").spherical
+    return SkyCoord(spherical.lon, spherical.lat), True
+
+
+def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
+    """Return points on the edge of each field (radius in deg), shape (n, CORNERS)."""
+    angles = np.linspace(0, 360, CORNERS, endpoint=False) * u.deg
+    return centers[:, None].directional_offset_by(
+        angles[None, :], np.broadcast_to(radius, len(centers))[:, None] * u.deg
+    )
+
+
+def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return outlines of fields on a map of the whole sky, cut at its edge, and the row of the field of each."""
+    rims = rims_of(centers, radius)
+    # x on the map, to the left with right ascension, unwrapped about the center of each field
+    middle = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
+    away = (centers.ra[:, None] - rims.ra).wrap_at(180 * u.deg).rad
+    polar = np.abs(centers.dec.deg) + radius >= 90
+    polygons, row_of = [], []
+    for k in range(len(centers)):
+        x, y = middle[k] + away[k], rims.dec.rad[k]
+        if polar[k]:  # a field with a pole in it spans all right ascensions
+            x = (x + np.pi) % (2 * np.pi) - np.pi
+            order, pole = np.argsort(x), np.copysign(np.pi / 2, centers.dec.rad[k])
+            x = np.concatenate([[-np.pi, -np.pi], x[order], [np.pi, np.pi]])
+            y = np.concatenate([[pole, y[order[0]]], y[order], [y[order[-1]], pole]])
+        for shift in (0, -2 * np.pi, 2 * np.pi):
+            if (x + shift).min() < np.pi and (x + shift).max() > -np.pi:
+                polygons.append(np.column_stack([np.clip(x + shift, -np.pi, np.pi), y]))
+                row_of.append(k)
+            if polar[k]:
+                break
+    return polygons, np.array(row_of)
+
+
+def outline_of_region(region: Region, sky_map: SkyMap) -> list[np.ndarray]:
+    """Return lines along the border of a region on a map; none for the whole sky."""
+    if region.kind == "cap" and region.values[3] >= np.pi:
+        return []
+    if region.kind == "healpix":
+        return _contours(region, sky_map)
+    if region.kind == "cap":
+        x, y, z = region.values[:3]
+        center = SkyCoord(x, y, z, representation_type="cartesian").spherical
+        angles = np.linspace(0, 360, 401) * u.deg
+        lines = [SkyCoord(center.lon, center.lat).directional_offset_by(angles, region.values[3] * u.rad)]
+    else:
+        border = region._border()
+        if region.kind == "box":
+            parts = np.split(border, 4)
+            parts = parts[:2] if region.values[1] == 2 * np.pi else parts
+        else:
+            parts = [np.vstack([border, border[:1]])]
+        lines = [_to_coord(part) for part in parts]
+    return [_unjoined(sky_map.to_xy(line), sky_map) for line in lines]
+
+
+def _to_coord(vectors):
+    spherical = SkyCoord(*vectors.T, representation_type="cartesian").spherical
+    return SkyCoord(spherical.lon, spherical.lat)
+
+
+def _unjoined(points, sky_map):
+    """Put NaN where a line goes over the edge of the map."""
+    edge = {"whole": np.pi, "region": 180.0}.get(sky_map.kind, np.inf)
+    jumps = np.flatnonzero(np.abs(np.diff(points[:, 0])) > edge) + 1
+    return np.insert(points, jumps, np.nan, axis=0)
+
+
+def _contours(region, sky_map):
+    """Return the borders of pixels, where a grid of directions finds them."""
+    from matplotlib.figure import Figure
+
+    vector, radius = region._circle()
+    middle = _to_coord(vector[None])[0]
+    if sky_map.kind == "whole":
+        x, y = np.meshgrid(np.linspace(-np.pi, np.pi, 2 * GRID), np.linspace(-np.pi / 2, np.pi / 2, GRID))
+        coord = SkyCoord(np.pi - x, y, unit="rad")
+    else:
+        reach = np.rad2deg(radius) * 1.05
+        away = np.linspace(-reach, reach, GRID)
+        x, y = np.meshgrid(away, away)
+        coord = middle.directional_offset_by(np.arctan2(x, y) * u.rad, np.hypot(x, y) * u.deg)
+        x, y = np.moveaxis(sky_map.to_xy(coord), -1, 0)
+    inside = region.contains(coord.ravel()).reshape(x.shape).astype(float)
+    return [line for lines in Figure().add_subplot().contour(x, y, inside, [0.5]).allsegs for line in lines]
+
+
+def _label_whole_sky(ax):
+    """Label right ascensions on the equator, and draw a grid."""
+    from matplotlib.patheffects import Normal, Stroke
+
+    degrees = np.arange(30, 360, 60)
+    ax.set_xticks(np.deg2rad(180 - degrees), [f"{d}\N{DEGREE SIGN}" for d in degrees], fontsize="small")
+    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # labels stand on tiles
+    for label in ax.get_xticklabels():
+        label.set_path_effects(halo)
+    ax.set_yticks(np.deg2rad(np.arange(-60, 61, 30)))
+    ax.grid(color="0.85", lw=0.5)

@@ -1,0 +1,97 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from matplotlib.patches import FancyArrowPatch
+
+import rfpsurvey as rs
+from rfpsurvey.plot._compass import add_compass
+
+CENTER = SkyCoord(95, 23, unit="deg")
+
+
+def arrows(ax):
+    """Directions of the arrows on the screen, in pixels, by the letter at their end."""
+    ax.figure.draw_without_rendering()
+    found = {}
+    for patch in ax.findobj(FancyArrowPatch):
+        begin, end = patch.get_path().vertices[[0, -1]]
+        begin, end = patch.get_transform().transform([patch._posA_posB[0], patch._posA_posB[1]])
+        found[patch.get_gid().removeprefix("compass-")] = (end - begin) / np.linalg.norm(end - begin)
+    return found
+
+
+def on_screen(ax, tile, instrument, angle):
+    """Direction on the screen from the field center to a place half a degree away at a position angle."""
+    angle_of_tile = tile.provenance["parameters"]["position_angle_deg"] * u.deg
+    plane = instrument.projection(CENTER, angle_of_tile)
+    places = plane.to_focal_plane(CENTER.directional_offset_by(angle * u.deg, [0, 0.5] * u.deg)).to_value(u.mm)
+    begin, end = ax.transData.transform(places)
+    return (end - begin) / np.linalg.norm(end - begin)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=300, rng=1)
+
+
+@pytest.mark.parametrize("orientation", ["sky", "focal plane"])
+@pytest.mark.parametrize("position_angle", [0, 30, 200])
+def test_the_compass_points_where_the_projection_puts_north_and_east(presets, sky, position_angle, orientation):
+    apo = presets["sdss_apo"]
+    tile = rs.plan_tile(sky, apo, CENTER, position_angle=position_angle * u.deg)
+    for draw in (rs.plot_focal_plane, rs.plot_collision_map):
+        ax = draw(tile, orientation=orientation)
+        found = arrows(ax)
+        assert set(found) == {"N", "E"}
+        np.testing.assert_allclose(found["N"], on_screen(ax, tile, apo, 0), atol=0.01)
+        np.testing.assert_allclose(found["E"], on_screen(ax, tile, apo, 90), atol=0.01)
+        # seen on the sky, east is a quarter of a turn counter-clockwise from north
+        quarter = np.array([-found["N"][1], found["N"][0]])
+        assert found["E"] @ quarter == pytest.approx(1 if orientation == "sky" else -1, abs=0.01)
+        letters = {t.get_text(): t for t in ax.texts}
+        assert f"PA {position_angle}\N{DEGREE SIGN}" in letters
+        box = letters["N"].get_window_extent()
+        middle = np.array([(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2])
+        box = letters["E"].get_window_extent()
+        apart = np.array([(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2]) - middle
+        assert apart @ (found["E"] - found["N"]) > 0.9 * np.linalg.norm(apart) * np.sqrt(2)
+
+
+@pytest.mark.parametrize("draw", [rs.plot_focal_plane, rs.plot_coverage])
+def test_instruments_are_drawn_at_position_angle_zero(presets, draw):
+    up, left, right = [0, 1], [-1, 0], [1, 0]
+    found = arrows(draw("sdss_apo"))
+    np.testing.assert_allclose([found["N"], found["E"]], [up, left], atol=1e-9)
+    found = arrows(draw("sdss_apo", orientation="focal plane"))
+    np.testing.assert_allclose([found["N"], found["E"]], [up, right], atol=1e-9)
+
+
+def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
+    tiling = rs.place_tiles(sky, small)
+    assert rs.plot_tiling(tiling).xaxis_inverted()
+    assert rs.plot_focal_plane(small).xaxis_inverted()
+    assert not rs.plot_focal_plane(small, orientation="focal plane").xaxis_inverted()
+
+
+def test_the_compass_hides_as_little_as_it_can(small):
+    """In a corner with a collision it hid the arms."""
+    corners = {(1, 1): [-85, 85], (0, 1): [85, 85], (0, 0): [85, -85], (1, 0): [-85, -85]}
+    for free, point in corners.items():
+        ax = rs.plot_focal_plane(small, region=[[-100, -100], [100, 100]] * u.mm)
+        for artist in [*ax.artists, *ax.texts, *ax.findobj(FancyArrowPatch)]:
+            artist.remove()
+        add_compass(ax, 0.0, np.array([p for p in corners.values() if p != point]))
+        ax.figure.draw_without_rendering()
+        (north,) = [t for t in ax.texts if t.get_text() == "N"]
+        x, y = ax.transAxes.inverted().transform(north.get_window_extent().get_points().mean(axis=0))
+        assert (round(x), round(y)) == free
+
+
+def test_no_compass_where_the_position_angle_is_unknown(small):
+    xy = small.focal_plane.xy[:3] + [3, 0] * u.mm
+    table = QTable({"positioner": small.focal_plane.id[:3], "x": xy[:, 0], "y": xy[:, 1]})
+    tile = rs.score_tile(table, small)
+    assert "position_angle_deg" not in tile.provenance["parameters"]
+    assert not arrows(rs.plot_focal_plane(tile))

@@ -1,0 +1,86 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_hex
+
+import rfpsurvey as rs
+from rfpsurvey.plot._style import ARM, COLLISION, FADED
+
+CENTER = SkyCoord(95, 23, unit="deg")
+
+
+@pytest.fixture(scope="module")
+def tile(presets):
+    pfs = presets["pfs"]
+    sky = rs.synthetic_catalog("uniform", CENTER, pfs.field_radius, n_targets=2000, rng=1)
+    return rs.plan_tile(sky, pfs, CENTER, allocator="balanced")
+
+
+def dots(ax):
+    """Points by the color of their dots."""
+    return {to_hex(c.get_facecolor()[0]).lower(): c for c in ax.collections if isinstance(c, PathCollection)}
+
+
+def arms(ax):
+    return sum(len(c.get_segments()) for c in ax.collections if isinstance(c, LineCollection))
+
+
+def places(table, name):
+    return np.column_stack([table[f"{name}x"].value, table[f"{name}y"].value])
+
+
+def test_large_planes_have_dots_in_place_of_arms(tile):
+    ax = rs.plot_focal_plane(tile)
+    assert arms(ax) == 0
+    t, found = tile.table, dots(ax)
+    assert set(found) == {color.lower() for color in (ARM, COLLISION, FADED)}
+    colliding = np.asarray(t["in_collision"])
+    target = np.asarray(t["status"] == "assigned")
+    # fibers are on their targets; positioners without one are at their centers
+    np.testing.assert_allclose(found[COLLISION.lower()].get_offsets(), places(t, "tip_")[colliding])
+    np.testing.assert_allclose(found[ARM.lower()].get_offsets(), places(t, "tip_")[target & ~colliding])
+    np.testing.assert_allclose(found[FADED.lower()].get_offsets(), places(t, "")[~target & ~colliding])
+    # idle ones recede; collisions are larger, on top, and of another shape
+    size, order = ([found[c.lower()].__getattribute__(name)() for c in (FADED, ARM, COLLISION)]
+                   for name in ("get_sizes", "get_zorder"))  # fmt: skip
+    assert size[0] < size[1] < size[2]
+    assert order[0] < order[1] < order[2]
+    shapes = [found[c.lower()].get_paths()[0].vertices for c in (ARM, COLLISION)]
+    assert len(shapes[0]) != len(shapes[1])
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert words == ["no target", "fiber on a target", "in collision"]
+
+
+def test_a_part_of_a_large_plane_has_arms(tile):
+    ax = rs.plot_focal_plane(tile, region=[[-40, -40], [40, 40]] * u.mm)
+    assert arms(ax) > 50
+    assert not dots(ax)
+
+
+def test_arms_can_be_asked_for(tile, presets):
+    assert arms(rs.plot_focal_plane(tile, arms=True)) > 1000
+    sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=200, rng=1)
+    few = rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+    assert arms(rs.plot_focal_plane(few)) > 200
+    assert arms(rs.plot_focal_plane(few, arms=False)) == 0
+
+
+@pytest.mark.parametrize("name", ["lamost", "desi"])
+def test_thousands_of_positioners_are_dots(presets, name):
+    model = presets[name]
+    sky = rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=3000, rng=1)
+    ax = rs.plot_focal_plane(rs.plan_tile(sky, model, CENTER, allocator="balanced"))
+    assert arms(ax) == 0
+    assert len(ax.collections) < 12
+
+
+def test_targets_are_crosses_where_they_are_projected_to(presets, tile):
+    pfs = presets["pfs"]
+    coord = SkyCoord([95, 95.3] * u.deg, [23.1, 22.9] * u.deg)
+    xy = pfs.projection(CENTER).to_focal_plane(coord)
+    ax = rs.plot_focal_plane(tile, targets=xy)
+    (crosses,) = [c for c in ax.collections if c.get_label() == "target"]
+    np.testing.assert_array_equal(crosses.get_offsets(), xy.value)
+    assert "target" in [text.get_text() for text in ax.get_legend().get_texts()]
