@@ -91,13 +91,15 @@ def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tupl
     # x on the map, to the left with right ascension, unwrapped about the center of each field
     middle = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
     away = (centers.ra[:, None] - rims.ra).wrap_at(180 * u.deg).rad
+    # units come off before the loop: astropy converts all fields each time that it is asked
+    height, side = rims.dec.rad, np.copysign(np.pi / 2, centers.dec.rad)
     polar = np.abs(centers.dec.deg) + radius >= 90
     polygons, row_of = [], []
     for k in range(len(centers)):
-        x, y = middle[k] + away[k], rims.dec.rad[k]
+        x, y = middle[k] + away[k], height[k]
         if polar[k]:  # a field with a pole in it spans all right ascensions
             x = (x + np.pi) % (2 * np.pi) - np.pi
-            order, pole = np.argsort(x), np.copysign(np.pi / 2, centers.dec.rad[k])
+            order, pole = np.argsort(x), side[k]
             x = np.concatenate([[-np.pi, -np.pi], x[order], [np.pi, np.pi]])
             y = np.concatenate([[pole, y[order[0]]], y[order], [y[order[-1]], pole]])
         for shift in (0, -2 * np.pi, 2 * np.pi):
