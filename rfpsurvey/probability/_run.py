@@ -22,6 +22,9 @@ GROWTH = 8
 """The next look comes after at most this many times what has been seen."""
 HITS = 25
 """Where most realizations have no collision (or nothing else): so many others it takes to know how rates scatter."""
+FLOOR = 4.0
+"""Where collisions are rare, take at least so many realizations over the precision, times the part of the positioners
+that a pair is: with fewer, those that see no collision would end early, and the mean of all estimates be too low."""
 FORESIGHT = 1.05
 """What is foreseen to be needed is taken a little more of, so that there is rarely another look."""
 TOO_FEW = (
@@ -96,18 +99,33 @@ def run(
             continue
         summary = summarize(tally, plane, precision, rng, given=given)
         wide = summary.pop("half_width")
+        floor = _fewest(tally, precision)
         met = precision.standard_error is not None and (
-            wide <= precision.half_width if precision.stop == "interval" else converged(means, precision.standard_error)
+            wide <= precision.half_width and done >= floor
+            if precision.stop == "interval"
+            else converged(means, precision.standard_error)
         )
         if met or done >= precision.max_iterations:
             break
         more = done + chunk
         if precision.stop == "interval":
             needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
-            more = max(more, int(min(FORESIGHT * needed, GROWTH * done)))
+            more = max(more, int(min(max(FORESIGHT * needed, floor), GROWTH * done)))
         goal = min(-(-more // chunk) * chunk, precision.max_iterations)
     bar.close()
     return tally, {**summary, "met": met}
+
+
+def _fewest(tally, precision):
+    """Return how many realizations to make at least where fewer than half of them see a collision (or none does not).
+
+    The error of rare events grows with their number, so that a rule that looks at the error ends early where there are
+    too few of them by chance. With a number that depends on the precision alone it does not.
+    """
+    rates = tally.rates()
+    if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
+        return 0.0
+    return FLOOR / precision.standard_error * min(1.0, 2 / float(tally.colliding[:, 1].mean()))
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
