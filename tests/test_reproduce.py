@@ -93,9 +93,9 @@ def test_intervals_of_one_sky_are_counted():
     seven = table["positioners"] == 7
     assert (table["with_interval"][seven] == 0).all()
     assert np.isnan(table["coverage"][seven]).all()
-    assert (table["coverage"][~seven] > 0.8).all()
+    assert (table["coverage"][~seven] > 0.7).all()  # 40 skies: four standard errors below 0.9
     assert (table["coverage_error"][~seven] > 0).all()
-    assert {"uniform", "clustered"} == set(table["sky"])
+    assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
 
 
 def test_verdicts():

@@ -19,9 +19,12 @@ ARMS = {
 }  # fmt: skip
 RINGS = (1, 2, 3, 4, 5, 6, 12)
 PER_POSITIONER = (4.0, 1.0)
-CLUSTERED = {(arms, rings) for arms in ("LAMOST", "SDSS-V") for rings in (3, 5)}
+CLUSTERED = {
+    "clusters of 6, 5 mm": [(arms, rings) for arms in ("LAMOST", "SDSS-V") for rings in (3, 5)],
+    "clusters of 60, 40 mm": [("LAMOST", 5), ("SDSS-V", 5)],
+}
 """Planes that are tried with clustered targets, too."""
-CLUSTER_SIZE, CLUSTER_SCALE = 6.0, 5.0
+CLUSTERS = {"clusters of 6, 5 mm": (6.0, 5.0), "clusters of 60, 40 mm": (60.0, 40.0)}
 """Mean number of targets in a cluster, and its standard deviation in x and y (mm)."""
 MOST_LARGE = 800
 """Skies for planes of 200 positioners or more; smaller ones get 2000."""
@@ -39,7 +42,7 @@ def one_sky(settings: Settings) -> QTable:
         for rings in (RINGS if not settings.quick else (1, 3))
         for number in PER_POSITIONER
     ]
-    jobs += [(*plane, 4.0, "clustered") for plane in sorted(CLUSTERED)]
+    jobs += [(*plane, 4.0, sky) for sky, planes in CLUSTERED.items() for plane in planes]
     rows = each(lambda job: _row(*job, settings), jobs, settings)
     names = (
         "arms", "positioners", "targets_per_positioner", "sky", "truth", "scatter", "estimated_scatter", "coverage",
@@ -54,8 +57,8 @@ def _row(arms, rings, number, sky, settings):
     skies = settings.pick(2000 if len(plane) < 200 else MOST_LARGE, 40)
     n_targets = round(number * len(plane))
     source = make_source(plane, None, "uniform", n_targets, None, None, None)
-    if sky == "clustered":
-        source = make_source(plane, None, _clustered(n_targets, source.radius), None, None, None, None)
+    if sky in CLUSTERS:
+        source = make_source(plane, None, _clustered(n_targets, source.radius, *CLUSTERS[sky]), None, None, None, None)
     simulation = Simulation(plane, source, "balanced", True)
     seed = [settings.seed, 37, list(ARMS).index(arms), rings, round(10 * number), len(sky)]
     rng, other = np.random.default_rng(seed).spawn(2)
@@ -79,16 +82,16 @@ def _row(arms, rings, number, sky, settings):
     )  # fmt: skip
 
 
-def _clustered(n_targets, radius):
+def _clustered(n_targets, radius, size, scale):
     """Return a sampler of targets in clusters, of which the centers are uniform and the sizes Poisson distributed."""
-    wide = radius + 4 * CLUSTER_SCALE
+    wide = radius + 4 * scale
 
     def sampler(rng):
-        centers = rng.poisson(n_targets / CLUSTER_SIZE * (wide / radius) ** 2)
+        centers = rng.poisson(n_targets / size * (wide / radius) ** 2)
         r, angle = wide * np.sqrt(rng.random(centers)), rng.uniform(0, 2 * np.pi, centers)
-        sizes = rng.poisson(CLUSTER_SIZE, centers)
-        middle = np.repeat(np.column_stack([r * np.cos(angle), r * np.sin(angle)]), sizes, axis=0)
-        points = middle + rng.normal(0, CLUSTER_SCALE, middle.shape)
+        sizes = rng.poisson(size, centers)
+        parents = np.repeat(np.column_stack([r * np.cos(angle), r * np.sin(angle)]), sizes, axis=0)
+        points = parents + rng.normal(0, scale, parents.shape)
         return points[np.hypot(*points.T) < radius] * u.mm
 
     return sampler
