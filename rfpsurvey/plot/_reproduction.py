@@ -117,20 +117,22 @@ def _intervals(tables):
 def _one_sky(tables):
     """Draw the coverage of the interval of given targets against the number of positioners."""
     table = tables["one_sky"]
-    figure, (ax,) = _figure(size=(7, 4.5))
+    figure, (ax,) = _figure(size=(7.5, 6))
     groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))
     for k, group in enumerate(groups):
         rows = np.all([np.asarray(table[c]) == value for c, value in zip(GROUPS, group, strict=True)], axis=0)
         part = table[rows & np.isfinite(table["coverage"])]
-        style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "capsize": 2}
+        style = {"color": SERIES[k % 8], "marker": MARKERS[(k + k // 8) % 8], "linestyle": ":", "capsize": 2}
         label = f"{group[0]}, {group[1]:g} targets per positioner, {group[2]}"
         ax.errorbar(part["positioners"], part["coverage"], yerr=2 * part["coverage_error"], label=label, **style)
     ax.axhline(0.95, color="0.4", lw=0.8)
+    numbers = sorted(set(np.asarray(table["positioners"]).tolist()))
     ax.set_xscale("log")
+    ax.set_xticks(numbers, [str(n) for n in numbers])
+    ax.set_xticks([], minor=True)
     ax.set_xlabel("number of positioners")
     ax.set_ylabel("fraction of skies whose interval holds the expectation")
-    ax.set_ylim(top=1.005)
-    ax.legend(fontsize="x-small", ncols=2)
+    figure.legend(fontsize="small", ncols=2, loc="outside lower center")
     return figure
 
 

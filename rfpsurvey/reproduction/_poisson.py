@@ -28,6 +28,8 @@ SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
 """Minimum separations (mm) of Poisson-disc targets. Random addition of 20,000 discs within 200 mm jams at 2.09 mm."""
 DISC_DESIGNS = 24
 """Designs that disc targets are tried on, the first ones, and LAMOST's: each is compared with uniform targets."""
+DISC_ERROR = 3e-3
+"""Standard error of a design with disc targets, as a fraction of its value: dense sets take long to draw."""
 FEW_ERROR = 5e-3
 """Standard error of a design whose targets reach few positioners: 0.2 % of the mean over designs needs no more."""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
@@ -62,8 +64,10 @@ def poisson(settings: Settings, table: QTable | None = None) -> tuple[dict[str, 
 
     def run(job):
         name, k = job
-        seed = [settings.seed, 26, list(readings).index(name), k]
-        found = estimate(*numbers_of(designs[k]), LARGE, settings, seed, **readings[name])
+        seed, options = [settings.seed, 26, list(readings).index(name), k], dict(readings[name])
+        if name in discs:
+            options["precision"] = max(DISC_ERROR * float(known[k, 0]), settings.precision / 2)
+        found = estimate(*numbers_of(designs[k]), LARGE, settings, seed, **options)
         return found.value, found.standard_error
 
     found = dict(zip(jobs, each(run, jobs, settings), strict=True))
