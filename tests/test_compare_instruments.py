@@ -19,6 +19,7 @@ import rfpsurvey as rs
 from rfpsurvey.compare._fields import synthetic_fields
 from rfpsurvey.plot import draw_instruments
 from rfpsurvey.probability import rate_interval
+from rfpsurvey.probability._intervals import quantile, wilson
 
 MM = u.mm
 CENTER = SkyCoord(30 * u.deg, -10 * u.deg)
@@ -207,8 +208,9 @@ def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independe
     hits = (np.arange(400) % 10 == 0).astype(float)
     value, low, high = rate_interval(plane, [hits, hits], 0.95)
     assert value == 0.1
-    # Wilson's interval needs p (1 - p) / n for the variance, as the scatter gives it
-    np.testing.assert_allclose([low, high], binom_conf_interval(80, 800, 0.95, "wilson"), rtol=1e-9)
+    # the unbiased variance is p (1 - p) / 399 for each field, with as many degrees of freedom
+    np.testing.assert_allclose([low, high], wilson(0.1, 798, quantile(0.95, 798)), rtol=1e-9)
+    np.testing.assert_allclose([low, high], binom_conf_interval(80, 800, 0.95, "wilson"), rtol=1e-3)
 
 
 def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_many_trials():
@@ -217,7 +219,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
     plane = rs.FocalPlane(centers * MM, design().focal_plane.positioner)
     hits = np.tile(np.arange(200) % 10 == 0, 2).astype(float)
     _, low, high = rate_interval(plane, [hits], 0.9)
-    np.testing.assert_allclose([low, high], binom_conf_interval(20, 200, 0.9, "wilson"), rtol=1e-9)
+    np.testing.assert_allclose([low, high], wilson(0.1, 199, quantile(0.9, 199)), rtol=1e-9)
     away = np.where(np.arange(400) < 100, np.nan, hits)  # positioners that do not count
     value, low, high = rate_interval(plane, [away], 0.9)
     assert value == pytest.approx(np.nanmean(away))

@@ -103,7 +103,16 @@ CALLS = {
         rs.Catalog(TWO), "moons", CENTER, allocator="lamost"
     ),
     "axes must be two Axes, got 1": lambda: rs.plot_speed_accuracy(
-        QTable({"method": ["exact"], "n_points": [0], "time": [1] * u.ms, "misclassified": [0], "max_error": [0] * MM}),
+        QTable(
+            {
+                "method": ["exact"],
+                "n_points": [0],
+                "time": [1] * u.ms,
+                "n_colliding_true": [1],
+                "misclassified": [0],
+                "max_error": [0] * MM,
+            }
+        ),
         axes=[None],
     ),
     "table must be a QTable, got Table": lambda: rs.Tiling(Table()),

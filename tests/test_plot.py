@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
 from matplotlib.collections import EllipseCollection, LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -187,18 +186,3 @@ def test_thousands_of_positioners_are_few_artists_and_the_legend_hides_none(pres
         assert 0 < box.y0 < box.y1 <= labels.y0
         assert 0 < box.x0 < box.x1 < ax.figure.bbox.x1
     assert not plt.get_fignums()
-
-
-def test_probabilities_are_lines_of_methods():
-    table = QTable({
-        "method": ["closed_form", "quadrature", "quadrature"], "estimand": ["independent"] * 3, "effort": [0, 64, 128],
-        "time": [1, 2, 4] * u.ms, "error": [0.1, 0.01, 0.005],
-    }, meta={"instrument": "mine"})  # fmt: skip
-    ax = rs.plot_probability_accuracy(table)
-    formula, quadrature = ax.get_lines()
-    assert formula.get_markerfacecolor() == "none"
-    np.testing.assert_array_equal(quadrature.get_xydata(), [[2, 0.01], [4, 0.005]])
-    assert [t.get_text() for t in ax.texts] == ["64", "128"]
-    assert ax.get_title().startswith("mine")
-    assert rs.plot_probability_accuracy(table, ax=ax, markersize=9) is ax
-    assert ax.get_lines()[-1].get_markersize() == 9

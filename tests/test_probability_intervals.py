@@ -275,7 +275,7 @@ def test_so_many_iterations_and_no_more(method, n):
     assert rs.collision_probability(plane, method=method, max_iterations=n).n == n
     got = rs.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
     assert got.n == n == len(sampler.skies)
-    assert got.low <= got.value <= got.high
+    assert (got.low <= got.value <= got.high) == (n > 1)  # seven positioners of one sky have no interval
 
 
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
@@ -319,7 +319,7 @@ def test_queues_of_one_leave_nothing_to_average():
 @pytest.mark.parametrize("n", [1, 50])
 def test_a_sampler_that_always_says_the_same_has_an_error(method, n):
     """Nothing scatters between iterations, which does not mean that everything is known."""
-    plane, xy = sdss_like(2), np.random.default_rng(5).uniform(-50, 50, (12, 2)) * MM
+    plane, xy = sdss_like(3), np.random.default_rng(5).uniform(-70, 70, (30, 2)) * MM
     options = {"targets": lambda rng: xy, "allocator": "lamost", "max_iterations": n}
     got = rs.collision_probability(plane, method=method, **options)
     report = rs.find_collisions(plane, rs.allocate(xy, plane, method="lamost"))

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import simulate
-from rfpsurvey.probability._run import HITS, patch_error
+from rfpsurvey.probability._run import HITS
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
 from scenes import MM, lamost_like, sdss_like
@@ -186,16 +186,6 @@ def test_points_of_neighbors_are_shifted_independently():
     truth = rs.collision_probability(plane, method="quadrature", precision=1e-4)
     few = [rs.collision_probability(plane, method="quadrature", max_iterations=16, rng=k).value for k in range(300)]
     assert abs(np.mean(few) - truth.value) < 4 * np.std(few) / np.sqrt(300) + 3e-4
-
-
-def test_the_error_of_one_sky_counts_neighbors_together():
-    plane = lamost_like(3)
-    xy = plane.xy.value
-    risk = 0.1 + 0.001 * xy[:, 0]  # neighbors are alike
-    away = risk - risk.mean()
-    total = sum(away[i] * away[j] for i in range(37) for j in range(37) if np.hypot(*(xy[i] - xy[j])) < 25.6 * 1.01)
-    assert patch_error(plane, risk) == pytest.approx(np.sqrt(total) / 37, rel=1e-9)
-    assert patch_error(plane, risk) > 2 * risk.std() / np.sqrt(37)
 
 
 def test_iterations_end_where_they_cannot_help(rng):

@@ -1,5 +1,6 @@
 """The paper's experiments run, write what they say they write, and judge by numbers."""
 
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable
@@ -8,6 +9,8 @@ import rfpsurvey as rs
 from rfpsurvey.reproduction import EXPERIMENTS
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
 from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
+from rfpsurvey.reproduction._one_sky import one_sky
+from rfpsurvey.reproduction._poisson import _averages, _of_reading, drops_by_ratio
 
 QUICK = Settings(quick=True)
 
@@ -47,6 +50,52 @@ def test_designs_are_those_of_the_paper():
     assert found.meta["n_positioners"] == 469
     assert found.meta["n_targets"] == 20_000
     assert found.meta["target_radius_mm"] == 200
+
+
+def disc_designs():
+    """Uniform targets collide 10 % more in a design of equal arms, 1 % in one of unequal arms; LAMOST's comes last."""
+    return QTable({
+        "ratio": [1.1, 1.9, 1.0], "uniform": [0.11, 0.505, 0.0515], "uniform error": [1e-4, 1e-4, 1e-4],
+        "disc": [0.1, 0.5, 0.05], "disc error": [0.0, 0.0, 0.0],
+    })  # fmt: skip
+
+
+def test_drops_are_averaged_over_means_and_over_designs():
+    (row,) = drops_by_ratio(disc_designs(), {"disc": 1.9})
+    assert row["min_separation"] == 1.9 * u.mm
+    assert row["of_means"] == pytest.approx(100 * (0.615 / 0.6 - 1))
+    assert row["of_designs"] == pytest.approx(5.5)
+    assert row["ratio_1.00_1.25"] == pytest.approx(10)
+    assert np.isnan(row["ratio_1.25_1.50"])
+    assert row["ratio_1.50_2.00"] == pytest.approx(1)
+    assert row["lamost"] == pytest.approx(3)
+    errors = 100 * np.array([1e-4 / 0.1, 1e-4 / 0.5])
+    assert row["of_designs_error"] == pytest.approx(np.hypot(*errors) / 2)
+    assert row["lamost_error"] == pytest.approx(100 * 1e-4 / 0.05)
+    assert row["of_means_error"] == pytest.approx(100 * np.hypot(1e-4, 1e-4) / 2 / 0.3)
+
+
+def test_a_reading_is_judged_by_each_average():
+    """One average that agrees is named; without any the claim is not reproduced."""
+    table = disc_designs()[:2]
+    claim = _of_reading("disc", *_averages(table, "disc"))
+    assert claim.verdict == "reproduced"
+    assert claim.reading == "disc; means"
+    assert "+2.50 % +- 0.02 % (means)" in claim.ours
+    assert "+10.00 % +- 0.10 % (mean of the drops for ratios below 1.25)" in claim.ours
+    table["uniform"] = table["disc"]
+    assert _of_reading("disc", *_averages(table, "disc")).verdict == "not reproduced"
+
+
+def test_intervals_of_one_sky_are_counted():
+    """Seven positioners have none; where all hold, the stated error of the coverage is not 0."""
+    table = one_sky(QUICK)
+    seven = table["positioners"] == 7
+    assert (table["with_interval"][seven] == 0).all()
+    assert np.isnan(table["coverage"][seven]).all()
+    assert (table["coverage"][~seven] > 0.7).all()  # 40 skies: four standard errors below 0.9
+    assert (table["coverage_error"][~seven] > 0).all()
+    assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
 
 
 def test_verdicts():

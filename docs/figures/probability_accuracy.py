@@ -1,4 +1,4 @@
-"""The chart of ``rfpsurvey benchmark probability`` for a small array, drawn when this page was made."""
+"""The chart of ``rfpsurvey benchmark probability`` for 469 positioners, drawn when this page was made."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -7,6 +7,7 @@ import rfpsurvey as rs
 
 unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 plane = rs.FocalPlane.hexagonal(unit, rings=12, pitch=25.6 * u.mm)
-figure, ax = plt.subplots(figsize=(7.5, 5), layout="constrained")
-rs.plot_probability_accuracy(rs.benchmark_probability(plane, repeats=3), ax=ax)
-ax.set_title("469 positioners, LAMOST's arms; labels: iterations, realizations or points")
+table = rs.benchmark_probability(plane, repeats=30)
+table.meta["instrument"] = "LAMOST's arms"
+figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
+rs.plot_probability_accuracy(table, axes=tuple(axes))

@@ -1,8 +1,9 @@
-"""The chart of ``rfpsurvey benchmark collisions``, drawn when this page was made."""
+"""The charts of ``rfpsurvey benchmark collisions`` for two instruments, drawn when this page was made."""
 
 import matplotlib.pyplot as plt
 
 import rfpsurvey as rs
 
-figure, axes = plt.subplots(2, figsize=(7.5, 7), sharex=True, layout="constrained")
-rs.plot_speed_accuracy(rs.benchmark_collisions("lamost", repeats=5), axes=tuple(axes))
+figure, axes = plt.subplots(2, 2, figsize=(13, 8), sharex="col", layout="constrained")
+for column, name in zip(axes.T, ("lamost", "sdss_apo"), strict=True):
+    rs.plot_speed_accuracy(rs.benchmark_collisions(name, repeats=5), axes=tuple(column))

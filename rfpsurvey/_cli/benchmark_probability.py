@@ -15,7 +15,7 @@ from rfpsurvey.instrument import as_instrument
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def probability(
     instrument: _options.InstrumentOption = "lamost",
-    repeats: Annotated[int, typer.Option(help="Runs of each method and effort, with other random numbers.")] = 7,
+    repeats: Annotated[int, typer.Option(help="Runs of each method and effort, with other random numbers.")] = 30,
     seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 0,
     plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
         "benchmark_probability.png"

@@ -93,7 +93,8 @@ def benchmark_collisions(
     -------
     QTable
         A row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time`` of a tile,
-        ``ratio`` to that of ``exact``, true ``n_colliding`` pairs, ``n_missed`` and ``n_spurious`` pairs,
+        ``ratio`` to that of ``exact``, ``n_colliding_true`` (pairs
+        that collide in truth, the same for every method), ``n_missed`` and ``n_spurious`` pairs,
         ``misclassified`` (both, for each colliding pair), ``max_error`` and ``mean_error`` of the distances of
         colliding pairs that were found. Counts are sums over the configurations.
 
@@ -125,7 +126,7 @@ def benchmark_collisions(
     table["n_points"] = MaskedColumn(table["n_points"], mask=table["n_points"] < 0)
     table["time"] = (1e3 * np.array(table["time"])) * u.ms
     table["ratio"] = (table["time"] / table["time"][0]).value
-    for name in ("n_colliding", "n_missed", "n_spurious", "misclassified"):
+    for name in ("n_colliding_true", "n_missed", "n_spurious", "misclassified"):
         table[name] = [row[name] for row in rows]
     for name in ("max_error", "mean_error"):
         table[name] = [row[name] for row in rows] * u.mm
@@ -181,7 +182,7 @@ def _errors(truth, found):
         n, missed, spurious = n + len(true), missed + len(true) - len(both), spurious + len(distances) - len(both)
         errors += [abs(distances[k] - true[k]) for k in both]
     return {
-        "n_colliding": n, "n_missed": missed, "n_spurious": spurious,
+        "n_colliding_true": n, "n_missed": missed, "n_spurious": spurious,
         "misclassified": (missed + spurious) / n if n else np.nan,
         "max_error": max(errors, default=np.nan), "mean_error": float(np.mean(errors)) if errors else np.nan,
     }  # fmt: skip

@@ -3,6 +3,7 @@
 import os
 import platform
 from importlib.metadata import version
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from rfpsurvey.collision import place_arms
 from rfpsurvey.errors import InputError
 
-__all__ = ["check_positive", "has_gpu", "provenance", "random_tips"]
+__all__ = ["check_positive", "has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
@@ -52,5 +53,15 @@ def provenance(instrument, plane):
         "instrument": name, "n_positioners": len(plane), "n_neighbor_pairs": len(plane._neighbors),
         "min_separation_mm": plane.positioner._separation_mm,
         "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "machine": f"{processor()}, {os.cpu_count()} cores",
     }  # fmt: skip
+
+
+def processor(cpuinfo="/proc/cpuinfo"):
+    """Return the name of the processor, or of its architecture where the system does not state it."""
+    try:
+        lines = Path(cpuinfo).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(filter(None, names), platform.machine())

@@ -31,7 +31,7 @@ def benchmark_probability(
     instrument: str | Instrument | FocalPlane = "lamost",
     *,
     efforts: Mapping[str, Sequence[int]] | None = None,
-    repeats: int = 7,
+    repeats: int = 30,
     precision: float = 2e-4,
     rng: int | np.random.Generator | None = 0,
     progress: bool = False,
@@ -59,8 +59,10 @@ def benchmark_probability(
     Returns
     -------
     QTable
-        A row for each method and effort: ``method``, ``estimand``, ``effort``, median ``time``, mean ``value``, root
-        mean square ``error``, mean ``standard_error`` as estimated, ``truth`` and ``truth_error``.
+        A row for each method and effort: ``method``, ``estimand``, ``effort``, median ``time``, mean ``value``,
+        ``bias`` (mean minus truth) and its standard error ``bias_error``, root mean square ``error`` and its standard
+        error ``error_error`` (NaN for a single run), mean ``standard_error`` as estimated, ``truth`` and
+        ``truth_error``.
 
     Raises
     ------
@@ -100,14 +102,25 @@ def benchmark_probability(
     for (method, n), values in results.items():
         seconds, value, error = np.array(values).T
         true = truth[estimands[method]]
-        miss = np.sqrt(np.mean((value - true.value) ** 2))
-        own = name_of(method), true.estimand, n, np.median(seconds), value.mean(), miss, error.mean()
-        rows.append((*own, true.value, true.standard_error))
-    names = ("method", "estimand", "effort", "time", "value", "error", "standard_error", "truth", "truth_error")
+        own = name_of(method), true.estimand, n, np.median(seconds), value.mean()
+        rows.append((*own, *_misses(value, true), error.mean(), true.value, true.standard_error))
+    names = (
+        "method", "estimand", "effort", "time", "value", "bias", "bias_error", "error", "error_error", "standard_error",
+        "truth", "truth_error",
+    )  # fmt: skip
     table = QTable(rows=rows, names=names)
     table["time"] = 1e3 * table["time"] * u.ms
     table.meta.update(provenance(instrument, plane), repeats=repeats)
     return table
+
+
+def _misses(values, true):
+    """Return bias and root mean square error of repeated runs, each with a standard error."""
+    n, away = len(values), values - true.value
+    squares = away**2
+    error = float(np.sqrt(squares.mean()))
+    scatter, spread = (x.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan for x in (values, squares))
+    return away.mean(), np.hypot(scatter, true.standard_error), error, spread / (2 * error) if error > 0 else spread
 
 
 def benchmark_densities(

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_reproduction"]
 
+GROUPS = ("arms", "targets_per_positioner", "sky")
+
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
     """Return the figures of an experiment by name."""
@@ -112,6 +114,54 @@ def _intervals(tables):
     return figure
 
 
+def _one_sky(tables):
+    """Draw the coverage of the interval of given targets against the number of positioners."""
+    table = tables["one_sky"]
+    figure, (ax,) = _figure(size=(7.5, 6))
+    groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))
+    for k, group in enumerate(groups):
+        rows = np.all([np.asarray(table[c]) == value for c, value in zip(GROUPS, group, strict=True)], axis=0)
+        part = table[rows & np.isfinite(table["coverage"])]
+        style = {"color": SERIES[k % 8], "marker": MARKERS[(k + k // 8) % 8], "linestyle": ":", "capsize": 2}
+        label = f"{group[0]}, {group[1]:g} targets per positioner, {group[2]}"
+        ax.errorbar(part["positioners"], part["coverage"], yerr=2 * part["coverage_error"], label=label, **style)
+    ax.axhline(0.95, color="0.4", lw=0.8)
+    numbers = sorted(set(np.asarray(table["positioners"]).tolist()))
+    ax.set_xscale("log")
+    ax.set_xticks(numbers, [str(n) for n in numbers])
+    ax.set_xticks([], minor=True)
+    ax.set_xlabel("number of positioners")
+    ax.set_ylabel("fraction of skies whose interval holds the expectation")
+    figure.legend(fontsize="small", ncols=2, loc="outside lower center")
+    return figure
+
+
+def _poisson_disc(tables):
+    """Draw by how much uniform targets collide more than Poisson-disc ones, against the ratio of the arms."""
+    table, summary = tables["poisson"], tables["poisson_disc"]
+    figure, (ax,) = _figure(size=(7, 4.8))
+    for k, separation in enumerate(summary["min_separation"].to_value("mm")):
+        name = f"disc, separation {separation:.2f} mm"
+        some = table[np.isfinite(table[name])]
+        drop = 100 * np.asarray(some["uniform"] / some[name] - 1)
+        error = 100 * np.hypot(some["uniform error"] / some["uniform"], some[f"{name} error"] / some[name])
+        style = {
+            "color": SERIES[k % len(SERIES)],
+            "marker": MARKERS[k % 8],
+            "linestyle": "",
+            "ms": 5,
+            "elinewidth": 0.8,
+        }
+        ax.errorbar(some["ratio"], drop, yerr=error, label=f"{separation:g} mm", **style)
+    ax.axhline(2.6, color="0.4", lw=0.8, ls="--")
+    ax.text(0.99, 2.6, "paper: 2.6 %", transform=ax.get_yaxis_transform(), ha="right", va="bottom", fontsize="small")
+    ax.axhline(0, color="0.6", lw=0.8)
+    ax.set_xlabel("eccentric over central arm")
+    ax.set_ylabel("uniform targets collide more often by [%]")
+    ax.legend(title="minimum separation", fontsize="small")
+    return figure
+
+
 def _speed(tables):
     """Draw the time of methods against their errors."""
     figure, axes = _figure(2, size=(7.5, 7))
@@ -120,6 +170,7 @@ def _speed(tables):
 
 
 FIGURES = {
-    "small": {"small": _small}, "large": {"large": _large}, "poisson": {"poisson": _poisson},
-    "fit": {"surrogate": _surrogate}, "intervals": {"intervals": _intervals}, "speed": {"speed": _speed},
+    "small": {"small": _small}, "large": {"large": _large}, "fit": {"surrogate": _surrogate},
+    "poisson": {"poisson": _poisson, "poisson_disc": _poisson_disc},
+    "intervals": {"intervals": _intervals, "one_sky": _one_sky}, "speed": {"speed": _speed},
 }  # fmt: skip

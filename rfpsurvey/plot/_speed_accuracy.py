@@ -7,19 +7,22 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._axes import check_columns, new_axes
-from rfpsurvey.plot._style import IDLE, MARKERS, SERIES
+from rfpsurvey.plot._axes import check_columns
+from rfpsurvey.plot._style import MARKERS, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
+LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
+"""Height of a label, width of a letter, and the gap that is kept around a label, in points."""
+
 
 def plot_speed_accuracy(
     table: QTable, *, axes: "tuple[Axes, Axes] | None" = None, **kwargs: object
 ) -> "tuple[Axes, Axes]":
-    """Draw the time of a tile against errors, a point for each method and number of points.
+    """Draw the time per tile against errors, a point for each method and number of points.
 
     Parameters
     ----------
@@ -33,7 +36,8 @@ def plot_speed_accuracy(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Both axes. Zeros are drawn at the lower edge.
+        Both axes. Where no pair is misclassified, an arrow points down from an upper limit, one over the number of
+        colliding pairs. Methods to the lower left are better.
 
     Raises
     ------
@@ -46,91 +50,182 @@ def plot_speed_accuracy(
     >>> table = rs.benchmark_collisions("sdss_apo", methods=["exact", "sampled"], repeats=1)
     >>> above, below = rs.plot_speed_accuracy(table)
     >>> below.get_xlabel()
-    'time of a tile [ms]'
+    'time per tile [ms]'
     """
-    from matplotlib.figure import Figure
-
-    check_columns(table, {"method", "n_points", "time", "misclassified", "max_error"}, "benchmark_collisions")
-    if axes is None:
-        axes = tuple(Figure(figsize=(7.5, 7), layout="constrained").subplots(2, sharex=True))
+    columns = {"method", "n_points", "time", "n_colliding_true", "misclassified", "max_error"}
+    check_columns(table, columns, "benchmark_collisions")
+    axes = _new_axes(2, vertical=True) if axes is None else axes
     if len(axes) != 2:
         raise InputError(f"axes must be two Axes, got {len(axes)}")
-    time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
+    limit = 1 / np.maximum(np.asarray(table["n_colliding_true"], float), 1)
+    errors = table["max_error"].to_value(u.mm)
+    least = errors[errors > 0].min(initial=1.0)
     panels = (
-        (np.asarray(table["misclassified"]), "misclassified pairs, for each colliding one"),
-        (table["max_error"].to_value(u.mm), "largest error of a distance [mm]"),
+        (np.asarray(table["misclassified"], float), limit, "misclassified pairs per colliding pair"),
+        (errors, np.full(len(table), least), "largest error of a distance [mm]"),
     )
-    for ax, (values, label) in zip(axes, panels, strict=True):
-        seen = values[values > 0]
-        floor = 10.0 ** (np.floor(np.log10(seen.min())) - 1) if len(seen) else 1e-16
-        for k, method in enumerate(dict.fromkeys(table["method"])):
-            rows = np.flatnonzero(table["method"] == method)
-            y = np.where(values[rows] > 0, values[rows], floor)
-            style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
-            style["markerfacecolor"] = style["color"] if k == 0 else "none"  # let others shine through
-            ax.plot(time[rows], y, **{**style, **kwargs})
-            for row, height in zip(rows, y, strict=True):
-                if points[row] is not np.ma.masked:
-                    where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
-                    ax.annotate(str(points[row]), (time[row], height), **where)
-        ax.set_yscale("log")
-        ax.set_xscale("log")
+    for ax, (values, limits, label) in zip(axes, panels, strict=True):
+        _draw_methods(ax, table, values, limits, kwargs)
         ax.set_ylabel(label)
-        top = seen.max(initial=10 * floor)
-        ax.set_ylim(floor / 2, top * (top / floor) ** 0.1)  # room for labels above the highest point
-        ax.axhspan(floor / 2, 2 * floor, color=IDLE, alpha=0.2, linewidth=0)
-        ax.text(0.99, floor, "none", transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize="small")
+    n = int(np.max(table["n_colliding_true"], initial=0))
+    _state(
+        axes[0], table, f"{n} colliding pairs", "labels: points per arm; arrows: none misclassified, less than one pair"
+    )
     axes[0].legend(fontsize="small", ncols=2)
-    axes[1].set_xlabel("time of a tile [ms]")
-    title = table.meta.get("instrument", "")
-    axes[0].set_title(f"{title}: {table.meta.get('n_neighbor_pairs', '?')} pairs of neighbors; labels: points an arm")
+    axes[1].set_xlabel("time per tile [ms]")
     return axes
 
 
-def plot_probability_accuracy(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
+def _draw_methods(ax, table, values, limits, style):
+    """Draw a line for each method; zeros as upper limits with arrows."""
+    time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
+    heights = np.where(values > 0, values, limits)
+    for k, method in enumerate(dict.fromkeys(table["method"])):
+        rows = np.flatnonzero(table["method"] == method)
+        own = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
+        own["markerfacecolor"] = own["color"] if k == 0 else "none"  # let others shine through
+        (line,) = ax.plot(time[rows], heights[rows], **{**own, **style})
+        line.set_linestyle("none")  # limits are not connected
+        some = rows[values[rows] > 0]
+        ax.plot(time[some], heights[some], color=own["color"], linestyle=":", linewidth=line.get_linewidth(), zorder=1)
+        for row in rows[values[rows] == 0]:
+            arrow = {"arrowstyle": "<-", "color": own["color"], "shrinkA": 0, "shrinkB": 3}
+            ax.annotate("", (time[row], heights[row]), (0, -22), textcoords="offset points", arrowprops=arrow)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    known = heights[np.isfinite(heights) & (heights > 0)]
+    low, high = known.min(initial=1e-3), known.max(initial=1e-3)
+    stretch = max(np.log10(high / low), 1.0)
+    ax.set_ylim(low * 10 ** (-0.18 * stretch), high * 10 ** (0.12 * stretch))
+    labels = [(time[k], heights[k], str(points[k])) for k in range(len(table)) if points[k] is not np.ma.masked]
+    _label(ax, labels, np.column_stack([time, heights]))
+
+
+def plot_probability_accuracy(
+    table: QTable, *, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
+) -> "tuple[Axes, ...]":
     """Draw the error of collision probabilities against the time they take, a line for each method.
+
+    Answers to the two questions, of allocated and of independent targets, are in panels of their own, since they
+    cannot be compared.
 
     Parameters
     ----------
     table : QTable
         What `benchmark_probability` returns.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+    axes : tuple of matplotlib.axes.Axes, optional
+        Where to draw, one for each estimand of the table, in alphabetic order; a new figure by default.
     **kwargs
-        Passed to ``loglog`` of each method, for example ``markersize``.
+        Passed to ``errorbar`` of each method, for example ``markersize``.
 
     Returns
     -------
-    matplotlib.axes.Axes
-        The axes. Open markers: formulas, whose error no effort reduces.
+    tuple of matplotlib.axes.Axes
+        The axes. Bars are one standard error; open markers are formulas, whose error no effort reduces; below the gray
+        line errors are those of the truth. Methods to the lower left are better.
 
     Raises
     ------
     InputError
-        If the table has other columns.
+        If the table has other columns, or the number of axes differs from that of the estimands.
 
     Examples
     --------
     >>> import rfpsurvey as rs
     >>> table = rs.benchmark_probability("sdss_apo", efforts={"closed_form": [0], "quadrature": [64]}, repeats=2)
-    >>> rs.plot_probability_accuracy(table).get_xlabel()
+    >>> (ax,) = rs.plot_probability_accuracy(table)
+    >>> ax.get_xlabel()
     'time [ms]'
     """
-    check_columns(table, {"method", "effort", "time", "error", "estimand"}, "benchmark_probability")
-    ax = new_axes(7.5, 5.5) if ax is None else ax
-    for k, method in enumerate(dict.fromkeys(table["method"])):
-        rows = table[table["method"] == method]
-        formula = not np.asarray(rows["effort"]).any()
-        color = SERIES[k % len(SERIES)]
-        style = {"color": color, "marker": MARKERS[k % 8], "linestyle": ":"}
-        style |= {"markerfacecolor": "none" if formula else color, "label": f"{method} ({rows['estimand'][0]})"}
-        ax.loglog(rows["time"].to_value(u.ms), rows["error"], **{**style, **kwargs})
-        for row in rows:
-            if not formula:
-                where = {"textcoords": "offset points", "xytext": (4, 4), "fontsize": "x-small"}
-                ax.annotate(str(row["effort"]), (row["time"].to_value(u.ms), row["error"]), **where)
-    ax.set_xlabel("time [ms]")
-    ax.set_ylabel("root mean square error of the probability")
-    ax.set_title(f"{table.meta.get('instrument', '')}: labels are iterations, realizations or points")
-    ax.legend(fontsize="small")
-    return ax
+    columns = {"method", "effort", "time", "error", "error_error", "estimand", "truth_error"}
+    check_columns(table, columns, "benchmark_probability")
+    estimands = sorted(set(np.asarray(table["estimand"]).tolist()))
+    axes = _new_axes(len(estimands), vertical=False) if axes is None else axes
+    if len(axes) != len(estimands):
+        raise InputError(f"axes must be {len(estimands)} Axes, one for each estimand, got {len(axes)}")
+    methods = list(dict.fromkeys(table["method"]))
+    for ax, estimand in zip(axes, estimands, strict=True):
+        rows = table[table["estimand"] == estimand]
+        for k, method in enumerate(methods):
+            part = rows[rows["method"] == method]
+            if len(part):
+                _draw_errors(ax, part, method, {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8]}, kwargs)
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.axhline(rows["truth_error"][0], color="0.6", lw=0.8, zorder=0)
+        ax.margins(x=0.12, y=0.08)
+        efforts = [(t, e, str(n)) for t, e, n in zip(_ms(rows), rows["error"], rows["effort"], strict=True) if n]
+        _label(ax, efforts, np.column_stack([_ms(rows), rows["error"]]))
+        ax.set_title(f"{estimand} targets", fontsize="medium")
+        ax.set_xlabel("time [ms]")
+        ax.set_ylabel("root mean square error of the probability")
+        ax.legend(fontsize="small")
+    repeats = table.meta.get("repeats", "?")
+    words = f"{repeats} runs per point", "labels: iterations, realizations or points; gray: standard error of the truth"
+    _state(axes[0], table, *words, figure=True)
+    return axes
+
+
+def _draw_errors(ax, part, method, style, options):
+    """Draw the errors of a method, with bars that stay above zero."""
+    formula = not np.asarray(part["effort"]).any()
+    error, uncertain = np.asarray(part["error"]), np.nan_to_num(np.asarray(part["error_error"]))
+    bars = [np.minimum(uncertain, 0.9 * error), uncertain]
+    style = {**style, "linestyle": ":", "capsize": 2, "elinewidth": 0.9, "label": method}
+    style["markerfacecolor"] = "none" if formula else style["color"]
+    ax.errorbar(_ms(part), error, yerr=None if formula else bars, **{**style, **options})
+
+
+def _ms(table):
+    return table["time"].to_value(u.ms)
+
+
+def _new_axes(n, *, vertical):
+    """Return axes in a figure of their own, above or beside each other."""
+    from matplotlib.figure import Figure
+
+    size = (7.5, 7) if vertical else (5.2 * n + 0.6, 4.8)
+    figure = Figure(figsize=size, layout="constrained")
+    shape = {"nrows": n, "sharex": True} if vertical else {"ncols": n}
+    return tuple(figure.subplots(squeeze=False, **shape).ravel())
+
+
+def _state(ax, table, number, legend, *, figure=False):
+    """Put above a chart what was measured on which machine, and which corner is better."""
+    meta = table.meta
+    machine = f"{meta['machine']}; " if "machine" in meta else ""
+    first = f"{meta.get('instrument', '')}: {meta.get('n_positioners', '?')} positioners, {number}"
+    (ax.figure.suptitle if figure else ax.set_title)(
+        f"{first}\n{legend}\n{machine}lower left is better", fontsize="small"
+    )
+
+
+def _label(ax, labels, markers):
+    """Write labels beside their points, at the first of several places where they overlap no marker and no label."""
+    ax.figure.draw_without_rendering()
+    scale = 72 / ax.figure.dpi
+    taken = [
+        (x - 3, y - 3, x + 3, y + 3) for x, y in scale * ax.transData.transform(markers) if np.isfinite([x, y]).all()
+    ]
+    places = [(5, 3), (5, -10), (None, 3), (None, -10), (5, 11), (None, 11), (12, -3), (5, -18)]
+    for x, y, text in labels:
+        if not np.isfinite([x, y]).all():
+            continue
+        wide = LETTER_POINTS * len(text)
+        left, low = scale * ax.transData.transform((x, y))
+        best, least = (5, 3), np.inf
+        for across, up in places:
+            across = -5 - wide if across is None else across
+            box = left + across - GAP_POINTS, low + up, left + across + wide + GAP_POINTS, low + up + LABEL_POINTS
+            covered = sum(_overlap(box, other) for other in taken)
+            if covered < least:
+                best, least = (across, up), covered
+        taken.append((left + best[0], low + best[1], left + best[0] + wide, low + best[1] + LABEL_POINTS))
+        ax.annotate(text, (x, y), xytext=best, textcoords="offset points", fontsize=LABEL_POINTS)
+
+
+def _overlap(one, other):
+    """Return the area that two boxes (left, low, right, high) share."""
+    wide = min(one[2], other[2]) - max(one[0], other[0])
+    high = min(one[3], other[3]) - max(one[1], other[1])
+    return max(wide, 0.0) * max(high, 0.0)

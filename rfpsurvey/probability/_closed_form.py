@@ -1,4 +1,4 @@
-"""Formulas without an error: overlap of patrol areas, the closed form of Chen et al., close pairs of targets."""
+"""Formulas without an error: overlap of patrol areas, the closed form of Chen et al. (2024), close pairs of targets."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,7 +19,7 @@ def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the sum over neighbors of two ratios of areas (Chen et al., Eq. 5 to 9)."""
+    """Return the sum over neighbors of two ratios of areas (Chen et al. 2024, arXiv:2409.07288, Eq. 5 to 9)."""
     check_choice(variant, VARIANTS, "variant of the closed form")
     d, l1, l2 = plane.positioner._clearance_mm, plane._l1_mm, plane._l2_mm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)

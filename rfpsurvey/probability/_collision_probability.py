@@ -108,7 +108,8 @@ def collision_probability(
         as it is printed, which equal arms make 0/0.
     precision : float, optional
         Standard error to reach: iterations end when the interval is no wider than one of a normal distribution with
-        this standard error. 0.001 by default, unless ``max_iterations`` is given.
+        this standard error, and there are enough of them where collisions are rare. 0.001 by default, unless
+        ``max_iterations`` is given.
     max_iterations : int, optional
         Most iterations, realizations or points to use; without ``precision`` exactly so many iterations.
     confidence : float, optional
@@ -133,7 +134,8 @@ def collision_probability(
     -------
     Estimate
         The probability with its interval, per positioner, and pairs. For one sky the value is that of its targets, and
-        the error says how far another patch of such a sky may differ.
+        the error states how far another patch of such a sky may differ; a focal plane with too few positioners to
+        estimate that, such as seven, has no interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------
@@ -148,7 +150,8 @@ def collision_probability(
 
     References
     ----------
-    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi Positioners".
+    Chen et al. 2024, "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
+    Positioners", arXiv:2409.07288.
 
     Examples
     --------

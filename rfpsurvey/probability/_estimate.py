@@ -18,9 +18,10 @@ class Estimate:
     value_assigned : float
         The same of the assigned ones alone.
     low, high : float
-        Interval about ``value`` at the confidence in ``meta``; NaN for methods without an error.
+        Interval about ``value`` at the confidence in ``meta``; NaN for methods without an error, and for given targets
+        on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
     standard_error : float
-        Of ``value``; NaN for methods without an error.
+        Of ``value``; NaN where there is no interval.
     n : int
         Iterations (``monte_carlo``), realizations (``conditional``) or points a positioner and scramble
         (``quadrature``); 0 if nothing had to be computed.

@@ -85,7 +85,7 @@ def _simulated(name: str, question: Question) -> dict:
         **_of_tally(tally, found), "n": len(tally.pairs), "met": found["met"],
         "meta": {
             **source.describe(), "allocator": name_of(question.allocator), "design_effect": found["design_effect"],
-            "trials": tally.trials,
+            "trials": tally.trials, **_reason(found),
         },
     }  # fmt: skip
 
@@ -95,7 +95,7 @@ def _integrated(question: Question) -> dict:
     if allocations is not None:
         tally = pool(question.plane, allocations, parked_obstacles=question.parked_obstacles)
         found = summarize(tally, question.plane, question.precision, question.rng, given=True)
-        meta = {"density": "empirical", "n_allocations": len(allocations)}
+        meta = {"density": "empirical", "n_allocations": len(allocations), **_reason(found)}
         return {**_of_tally(tally, found), "n": int(np.mean([len(a.queues[1]) for a in allocations])), "meta": meta}
     density = question.density
     check_usable(question.plane)
@@ -105,6 +105,11 @@ def _integrated(question: Question) -> dict:
     environments = found.pop("n_environments")
     name = density if isinstance(density, str) else "given"
     return {**found, "value_assigned": found["value"], "meta": {"density": name, "environments": environments}}
+
+
+def _reason(found) -> dict:
+    """Return why there is no interval, if there is none."""
+    return {"no_interval": found["no_interval"]} if "no_interval" in found else {}
 
 
 def _of_tally(tally, found) -> dict:

@@ -12,9 +12,10 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
+from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
 from rfpsurvey.probability._simulate import Tally, merge
 
-__all__ = ["Precision", "Progress", "patch_error", "rate_interval", "run", "summarize"]
+__all__ = ["Precision", "Progress", "rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
 """Tasks before the first look at the error."""
@@ -22,8 +23,15 @@ GROWTH = 8
 """The next look comes after at most this many times what has been seen."""
 HITS = 25
 """Where most realizations have no collision (or nothing else): so many others it takes to know how rates scatter."""
+FLOOR = 4.0
+"""Where collisions are rare, take at least so many realizations over the precision, times the part of the positioners
+that a pair is: with fewer, those that see no collision would end early, and the mean of all estimates be too low."""
 FORESIGHT = 1.05
 """What is foreseen to be needed is taken a little more of, so that there is rarely another look."""
+TOO_FEW = (
+    "the focal plane has too few positioners to estimate from one sky how far another patch of such a sky may differ"
+)
+"""Why an estimate has no interval."""
 
 
 @dataclass(frozen=True)
@@ -92,25 +100,41 @@ def run(
             continue
         summary = summarize(tally, plane, precision, rng, given=given)
         wide = summary.pop("half_width")
+        floor = _fewest(tally, precision)
         met = precision.standard_error is not None and (
-            wide <= precision.half_width if precision.stop == "interval" else converged(means, precision.standard_error)
+            wide <= precision.half_width and done >= floor
+            if precision.stop == "interval"
+            else converged(means, precision.standard_error)
         )
         if met or done >= precision.max_iterations:
             break
         more = done + chunk
         if precision.stop == "interval":
             needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
-            more = max(more, int(min(FORESIGHT * needed, GROWTH * done)))
+            more = max(more, int(min(max(FORESIGHT * needed, floor), GROWTH * done)))
         goal = min(-(-more // chunk) * chunk, precision.max_iterations)
     bar.close()
     return tally, {**summary, "met": met}
+
+
+def _fewest(tally, precision):
+    """Return how many realizations to make at least where fewer than half of them see a collision (or none does not).
+
+    The error of rare events grows with their number, so that a rule that looks at the error ends early where there are
+    too few of them by chance. With a number that depends on the precision alone it does not.
+    """
+    rates = tally.rates()
+    if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
+        return 0.0
+    return FLOOR / precision.standard_error * min(1.0, 2 / float(tally.colliding[:, 1].mean()))
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
     """Return value, interval and error of what has been seen, and the half width that more iterations can reduce.
 
     Where the targets are given, or for another reason nothing scatters, there is one sky: what another patch of it
-    would say is part of the error.
+    would say is part of the error. A plane that is too small to estimate that gets no interval, and ``no_interval``
+    says why.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
@@ -118,21 +142,45 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
     n, p = len(rates), min(float(rates.mean()), 1.0)
     scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
+    student = quantile(precision.confidence, n - 1)
     one_sky = given or scatter == 0.0
-    error = float(np.hypot(scatter, patch_error(plane, tally.per_positioner))) if one_sky and 0 < p < 1 else scatter
-    trials = n if n > 1 else tally.trials / (1 + 2 * len(plane._neighbors) / len(plane))
-    number, student = effective_number(p, error, trials), quantile(precision.confidence, n - 1)
-    low, high = INTERVALS["wilson" if one_sky else precision.interval](
-        rates, p, number, tally.trials, normal if one_sky else student, precision.confidence, rng
-    )
+    error, number, width = scatter, float(n), student
+    if one_sky:
+        error, number, width = _of_one_sky(tally, plane, p, scatter, precision.confidence, single=given or n == 1)
+    number, low, high = effective_number(p, error, number), np.nan, np.nan
+    if not np.isnan(error):
+        low, high = INTERVALS["wilson" if one_sky else precision.interval](
+            rates, p, number, tally.trials, width, precision.confidence, rng
+        )
     # what iterations can reduce, whatever interval is reported
-    half = half_width(wilson(p, effective_number(p, scatter if given else error, trials), student))
+    reducible = scatter if given or np.isnan(error) else error
+    half = half_width(wilson(p, effective_number(p, reducible, n), student))
     if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < min(HITS, n / 2):
         half = max(half, half_width(wilson(0.0, n, normal)))
+    reason = {"no_interval": TOO_FEW} if np.isnan(low) else {}
     return {
         "value": p, "low": low, "high": high, "standard_error": error, "n_effective": number,
-        "half_width": half, "design_effect": tally.trials / number,
+        "half_width": half, "design_effect": tally.trials / number, **reason,
     }  # fmt: skip
+
+
+def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
+    """Return standard error, trials where nothing scatters, and quantile; NaN where the plane is too small.
+
+    Without ``single`` there are several skies that are alike: where none (or all) of them collide, each is a trial.
+    """
+    variance, degrees = sky_variance(plane, tally.per_positioner)
+    n, certain = len(tally.rates()), p in (0.0, 1.0)
+    if degrees < FEWEST_DEGREES and (single or not certain):
+        return np.nan, np.nan, np.nan
+    if certain:
+        return 0.0, _trials(plane, tally.trials / n) if single else float(n), quantile(confidence, np.inf)
+    return float(np.hypot(scatter, np.sqrt(variance))), _trials(plane, tally.trials / n), quantile(confidence, degrees)
+
+
+def _trials(plane, n):
+    """Return how many independent trials ``n`` positioners are, if the pairs of neighbors were fully correlated."""
+    return n / (1 + 2 * len(plane._neighbors) / len(plane))
 
 
 def half_width(interval: tuple[float, float]) -> float:
@@ -140,31 +188,20 @@ def half_width(interval: tuple[float, float]) -> float:
     return (interval[1] - interval[0]) / 2
 
 
-def patch_error(plane: FocalPlane, risk: np.ndarray, mean: float | None = None) -> float:
-    """Return the standard error of the mean over positioners, each correlated with its neighbors.
-
-    It says how far another patch of a sky of the same kind may differ.
-    """
-    away = np.where(np.isnan(risk), 0.0, risk - (np.nanmean(risk) if mean is None else mean))
-    n = np.count_nonzero(~np.isnan(risk))
-    own = float(away @ away)
-    first, second = plane._neighbors.T
-    return float(np.sqrt(max(own + 2 * float(away[first] @ away[second]), own)) / n)
-
-
 def rate_interval(plane: FocalPlane, risks: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
     """Return the mean over positioners and fields, and its interval: how far other fields of the kind may differ.
 
-    Each row of ``risks`` is a field, with NaN where a positioner does not count.
+    Each row of ``risks`` is a field, with NaN where a positioner does not count. The ends of the interval are NaN where
+    the fields have too few positioners to estimate their scatter.
     """
     counts = np.array([np.count_nonzero(~np.isnan(risk)) for risk in risks])
     n = int(counts.sum())
     if n == 0:
         return np.nan, np.nan, np.nan
     p = min(float(np.nansum(risks) / n), 1.0)
-    errors = np.array(
-        [patch_error(plane, risk, p) if count else 0.0 for risk, count in zip(risks, counts, strict=True)]
-    )
-    error = float(np.hypot.reduce(errors * counts) / n) if 0 < p < 1 else 0.0
-    trials = n / (1 + 2 * len(plane._neighbors) / len(plane))
-    return p, *wilson(p, effective_number(p, error, trials), quantile(confidence, np.inf))
+    found = np.array([sky_variance(plane, risk) for risk, count in zip(risks, counts, strict=True) if count])
+    variances, degrees = found[:, 0] * (counts[counts > 0] / n) ** 2, float(found[:, 1].sum())
+    if degrees < FEWEST_DEGREES or np.isnan(variances).any():
+        return p, np.nan, np.nan
+    width = quantile(confidence, degrees if 0 < p < 1 else np.inf)
+    return p, *wilson(p, effective_number(p, float(np.sqrt(variances.sum())), _trials(plane, n)), width)

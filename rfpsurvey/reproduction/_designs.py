@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
+from astropy.table import QTable, Row
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey.focal_plane import FocalPlane
@@ -14,7 +14,7 @@ from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Estimate, collision_probability
 from rfpsurvey.probability._run import Progress
 
-__all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "plane_of", "random_designs"]
+__all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "numbers_of", "plane_of", "random_designs"]
 
 D = 4.5
 N_TARGETS = 20_000
@@ -54,6 +54,12 @@ def random_designs(settings: Settings) -> QTable:
     rng = np.random.default_rng([settings.seed, 80])
     l1, ratio, pitch = rng.uniform((7.25, 1, 24.6), (14.5, 2, 35), (80, 3))[: settings.pick(80, 24)].T
     return QTable({"central_arm": l1 * u.mm, "ratio": ratio, "pitch": pitch * u.mm})
+
+
+def numbers_of(design: Row) -> tuple[float, float, float]:
+    """Return central arm (mm), ratio of the arms and pitch (mm) of a design."""
+    l1, pitch = (float(design[name].to_value(u.mm)) for name in ("central_arm", "pitch"))
+    return l1, float(design["ratio"]), pitch
 
 
 def estimate(

@@ -16,6 +16,7 @@ from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
 from rfpsurvey.reproduction._designs import Settings, each
+from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
 
@@ -56,7 +57,7 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "n is the number of positioners times iterations",
             )
         )  # fmt: skip
-    return {"intervals": table}, claims
+    return {"intervals": table, "one_sky": one_sky(settings)}, claims
 
 
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:

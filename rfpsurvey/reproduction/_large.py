@@ -1,4 +1,4 @@
-"""469 positioners of random designs: the formula against simulation, uniform targets against other ones, the fit."""
+"""469 positioners of random designs: the formula against simulation, and the fit."""
 
 import astropy.units as u
 import numpy as np
@@ -7,17 +7,13 @@ from astropy.table import QTable
 from rfpsurvey.probability import fit_polynomial, surrogate_probability
 from rfpsurvey.probability._surrogate import interior_risk
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
-from rfpsurvey.reproduction._designs import LARGE, N_TARGETS, D, Settings, each, estimate, random_designs
+from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs
 
-__all__ = ["fit", "large", "poisson"]
+__all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 
 COVERED = {**LARGE, "target_radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
-DISC_DESIGNS = 24
-"""Designs that disc targets are tried on, the first ones: their difference to uniform targets is that of a pair."""
-FEW_ERROR = 5e-3
-"""Standard error of a design whose targets reach few positioners: 0.2 % of the mean over designs needs no more."""
 NORMALIZATIONS = {
     "scaled to 0 and 1": lambda v: (v - v.min()) / (v.max() - v.min()),
     "divided by the largest": lambda v: v / v.max(),
@@ -30,14 +26,14 @@ def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     jobs = [(way, k) for way in WAYS for k in range(len(designs))]
 
     table = designs.copy()
-    found = each(lambda job: _allocated(designs[job[1]], *job, settings), jobs, settings)
+    found = each(lambda job: uniform_estimate(designs[job[1]], *job, settings), jobs, settings)
     for w, way in enumerate(WAYS):
         own = found[w * len(designs) : (w + 1) * len(designs)]
         for name, attribute in (("", "value"), ("_error", "standard_error"), ("_assigned", "value_assigned")):
             table[f"{way}{name}"] = [getattr(e, attribute) for e in own]
     for variant in ("corrected", "pitch"):
         options = {"method": "closed_form", "variant": variant}
-        formulas = [estimate(*_numbers(d), LARGE, settings, [0], **options) for d in designs]
+        formulas = [estimate(*numbers_of(d), LARGE, settings, [0], **options) for d in designs]
         table[f"closed_form_{variant}"] = [e.value for e in formulas]
     table["surrogate"] = surrogate_probability(
         table["central_arm"], table["ratio"] * table["central_arm"], table["pitch"], D * u.mm
@@ -48,17 +44,9 @@ def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     return {"large": table, "large_differences": differences, "large_plain": plain}, claims
 
 
-def _allocated(design, way, k, settings):
+def uniform_estimate(design, way, k, settings):
     """Estimate design number k with uniform targets."""
-    return estimate(*_numbers(design), WAYS[way], settings, [settings.seed, 469, list(WAYS).index(way), k])
-
-
-def _numbers(design):
-    return (
-        float(design["central_arm"].to_value(u.mm)),
-        float(design["ratio"]),
-        float(design["pitch"].to_value(u.mm)),
-    )
+    return estimate(*numbers_of(design), WAYS[way], settings, [settings.seed, 469, list(WAYS).index(way), k])
 
 
 def _differences(table, settings):
@@ -148,70 +136,6 @@ def _of_plain(plain):
             )
         )  # fmt: skip
     return claims
-
-
-def poisson(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return estimates for every reading of Poisson-distributed targets, and the difference to uniform ones."""
-    designs = random_designs(settings)
-    if table is None:
-        jobs = range(len(designs))
-        uniform = each(lambda k: _allocated(designs[k], "range_200", k, settings), jobs, settings)
-        known = np.array([(e.value, e.standard_error) for e in uniform])
-    else:
-        known = np.column_stack([table["range_200"], table["range_200_error"]])
-    jam = 2 * 200 * np.sqrt(0.547 / N_TARGETS)
-    readings = {
-        "point process": {"targets": "poisson"},
-        **{
-            f"disc, separation {s:.2f} mm": {"targets": "poisson_disc", "min_separation": s * u.mm}
-            for s in np.array([0.25, 0.5, 0.75]) * jam
-        },
-        "coordinates with mean 100 mm": {"targets": _coordinates(1.0), "precision": FEW_ERROR},
-        "coordinates, 3 deviations are 200 mm": {"targets": _coordinates(200 / 30), "precision": FEW_ERROR},
-    }
-    sizes = {name: min(DISC_DESIGNS if name.startswith("disc") else len(designs), len(designs)) for name in readings}
-    jobs = [(name, k) for name in readings for k in range(sizes[name])]
-
-    def run(job):
-        name, k = job
-        seed = [settings.seed, 26, list(readings).index(name), k]
-        found = estimate(*_numbers(designs[k]), LARGE, settings, seed, **readings[name])
-        return found.value, found.standard_error
-
-    found = dict(zip(jobs, each(run, jobs, settings), strict=True))
-    result, claims = designs.copy(), []
-    result["uniform"], result["uniform error"] = known.T
-    for name, n in sizes.items():
-        own = np.array([found[name, k] for k in range(n)])
-        full = np.full((len(designs), 2), np.nan)
-        full[:n] = own
-        result[name], result[f"{name} error"] = full.T
-        claims.append(_of_reading(name, known[:n], own))
-    return {"poisson": result}, claims
-
-
-def _of_reading(name, uniform, own):
-    """Compare the mean over designs with that of uniform targets."""
-    mean, other = uniform[:, 0].mean(), own[:, 0].mean()
-    error, other_error = (np.sqrt((x[:, 1] ** 2).sum()) / len(x) for x in (uniform, own))
-    excess = 100 * (mean / other - 1)
-    spread = 100 * mean / other * np.hypot(error / mean, other_error / other)
-    lower = np.count_nonzero(own[:, 0] < uniform[:, 0])
-    return Claim(
-        "poisson", "uniform targets collide 2.6 % more than Poisson ones", "2.6 %",
-        f"{excess:+.2f} % +- {spread:.2f} % ({100 * (mean - other):+.2f} percentage points; lower in {lower} of "
-        f"{len(own)} designs)",
-        REPRODUCED if abs(excess - 2.6) <= max(2 * spread, 0.2) else NOT_REPRODUCED, name,
-    )  # fmt: skip
-
-
-def _coordinates(scale):
-    """Return a sampler of points with coordinates that are Poisson distributed about 0, in units of ``scale`` mm."""
-
-    def sampler(rng):
-        return scale * (rng.poisson(100.0, (N_TARGETS, 2)) - 100.0) * u.mm
-
-    return sampler
 
 
 def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTable], list[Claim]]:

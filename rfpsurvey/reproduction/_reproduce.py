@@ -16,7 +16,8 @@ from rfpsurvey.plot import draw_reproduction
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table
 from rfpsurvey.reproduction._designs import Settings
 from rfpsurvey.reproduction._intervals import intervals
-from rfpsurvey.reproduction._large import fit, large, poisson
+from rfpsurvey.reproduction._large import fit, large
+from rfpsurvey.reproduction._poisson import poisson
 from rfpsurvey.reproduction._small import small
 from rfpsurvey.reproduction._speed import speed
 
@@ -27,8 +28,8 @@ EXPERIMENTS: dict[str, Callable] = {
 }  # fmt: skip
 """Name to function of `Settings` -> (tables by name, claims)."""
 TABLES = {
-    "small": ("small",), "large": ("large", "large_differences", "large_plain"), "poisson": ("poisson",),
-    "fit": ("fit", "surrogate"), "intervals": ("intervals",), "speed": ("speed",),
+    "small": ("small",), "large": ("large", "large_differences", "large_plain"), "poisson": ("poisson", "poisson_disc"),
+    "fit": ("fit", "surrogate"), "intervals": ("intervals", "one_sky"), "speed": ("speed",),
 }  # fmt: skip
 """Name to the tables that the experiment writes."""
 
@@ -51,7 +52,7 @@ def reproduce(
         ``small``: 19 positioners, scans of arm ratio and pitch. ``large``: 469 positioners, 80 random designs, formula
         against simulation. ``poisson``: the same designs with Poisson-distributed targets in every reading. ``fit``:
         the polynomial, and the surrogate at designs that it never saw. ``intervals``: how often intervals hold the
-        truth. ``speed``: arms of 64 segments against swept areas.
+        truth, those of given targets among them. ``speed``: arms of 64 segments against swept areas.
     folder : str or path, optional
         Where tables (ECSV), figures (PNG) and the page of claims (``claims.rst``) go; made if it is not there.
     quick : bool, optional
@@ -78,7 +79,8 @@ def reproduce(
 
     References
     ----------
-    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi Positioners".
+    Chen et al. 2024, "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
+    Positioners", arXiv:2409.07288.
 
     Examples
     --------

@@ -149,9 +149,9 @@ def test_speed_against_accuracy():
         "method": ["exact", "sampled", "sampled", "sweep"],
         "n_points": MaskedColumn([0, 5, 65, 9], mask=[True, False, False, False]),
         "time": [0.04, 0.03, 0.8, 13] * u.ms,
-        "misclassified": [0, 0.02, 0, 1.7],
+        "n_colliding_true": [1100] * 4, "misclassified": [0, 0.02, 0, 1.7],
         "max_error": np.array([1e-15, 1.2, 0.07, 4.2]) * u.mm,
-    }, meta={"instrument": "lamost", "n_neighbor_pairs": 11769})  # fmt: skip
+    }, meta={"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"})  # fmt: skip
     figure = Figure(figsize=(9, 9))
     return rs.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
 
@@ -162,9 +162,11 @@ def test_probability_against_time():
         "method": ["closed_form", "conditional", "conditional", "quadrature", "quadrature"],
         "estimand": ["independent", "allocated", "allocated", "independent", "independent"],
         "effort": [0, 4, 64, 64, 256], "time": [1, 9, 120, 40, 160] * u.ms,
-        "error": [0.3, 0.02, 0.004, 0.003, 0.0007],
-    }, meta={"instrument": "mine"})  # fmt: skip
-    return rs.plot_probability_accuracy(table, ax=axes(6, 5)).figure
+        "error": [0.3, 0.02, 0.004, 0.003, 0.0007], "error_error": [0, 0.002, 0.0006, 0.0004, 0.0001],
+        "truth_error": [0.0005] * 5,
+    }, meta={"instrument": "mine", "n_positioners": 37, "repeats": 30})  # fmt: skip
+    figure, room = Figure(figsize=(9, 5)), {"top": 0.8, "wspace": 0.35}
+    return rs.plot_probability_accuracy(table, axes=tuple(figure.subplots(1, 2, gridspec_kw=room)))[0].figure
 
 
 @kept

@@ -1,0 +1,33 @@
+"""How far the mean of estimates is from the truth where collisions are rare, as the page on probability says.
+
+Seven positioners, two Poisson targets, precision 0.01. ``python tests/benchmarks/stopping_bias.py``; three minutes on
+one core.
+"""
+
+import astropy.units as u
+import numpy as np
+
+import rfpsurvey as rs
+
+UNIT = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm, step=0.1 * u.deg)
+PRECISION, REPEATS = 0.01, 4000
+
+
+def main():
+    for pitch in (24, 28, 32, 36, 40):
+        plane = rs.FocalPlane.hexagonal(UNIT, rings=1, pitch=pitch * u.mm)
+        options = {"method": "monte_carlo", "targets": "poisson", "n_targets": 2}
+        truth = rs.collision_probability(plane, max_iterations=1_000_000, rng=1, **options)
+        seeds = np.random.default_rng(5).spawn(REPEATS)
+        found = [rs.collision_probability(plane, precision=PRECISION, rng=rng, **options) for rng in seeds]
+        values, n = (np.array([getattr(e, name) for e in found]) for name in ("value", "n"))
+        error = np.hypot(values.std() / np.sqrt(REPEATS), truth.standard_error)
+        held = np.mean([e.low <= truth.value <= e.high for e in found])
+        bias = values.mean() - truth.value
+        print(f"pitch {pitch} mm: p = {truth.value:.5f}; mean of the estimates "
+              f"{100 * bias / truth.value:+.1f} +- {100 * error / truth.value:.1f} %, {bias / PRECISION:+.3f} of the "
+              f"precision; interval holds {held:.3f}; {np.median(n):.0f} iterations")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

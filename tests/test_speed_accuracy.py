@@ -1,0 +1,130 @@
+"""Charts of speed against accuracy: what is drawn, and that it can be read."""
+
+from itertools import combinations
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, QTable
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+import rfpsurvey as rs
+from rfpsurvey.benchmark._common import processor
+
+
+def collisions():
+    points = [3, 5, 9, 17, 33]
+    return QTable({
+        "method": ["exact", *["sampled"] * 5, "endpoints"],
+        "n_points": MaskedColumn([0, *points, 0], mask=[True, *[False] * 5, True]),
+        "time": [0.030, 0.029, 0.031, 0.032, 0.06, 0.2, 0.028] * u.ms,
+        "n_colliding_true": [577] * 7,
+        "misclassified": [0, 0.12, 0.02, 0.007, 0, 0, 0.024],
+        "max_error": [1e-15, 4, 2.4, 1, 0.5, 0.1, 4.1] * u.mm,
+    }, meta={"instrument": "mine", "n_positioners": 500, "machine": "a processor, 2 cores"})  # fmt: skip
+
+
+def probabilities(repeats=30):
+    return QTable({
+        "method": ["closed_form", "quadrature", "quadrature", "conditional"],
+        "estimand": [*["independent"] * 3, "allocated"], "effort": [0, 64, 128, 16], "time": [1, 2, 4, 3] * u.ms,
+        "error": [0.1, 0.01, 0.005, 0.02], "error_error": [0, 0.001, 0.0006, 0.04], "truth_error": [2e-4] * 3 + [1e-4],
+    }, meta={"instrument": "mine", "repeats": repeats})  # fmt: skip
+
+
+def labels_of(ax):
+    return [t for t in ax.texts if t.get_text()]
+
+
+def assert_readable(axes):
+    """No label overlaps another one or leaves the figure."""
+    figure = axes[0].figure
+    figure.draw_without_rendering()
+    for ax in axes:
+        boxes = [t.get_window_extent() for t in labels_of(ax)]
+        assert not [1 for one, other in combinations(boxes, 2) if one.overlaps(other)]
+    wide, high = figure.bbox.size
+    titles = [ax.title for ax in axes] + [figure._suptitle] * (figure._suptitle is not None)
+    for text in [*titles, *(label for ax in axes for label in labels_of(ax))]:
+        box = text.get_window_extent()
+        assert box.x0 >= 0
+        assert box.y0 >= 0
+        assert box.x1 <= wide
+        assert box.y1 <= high
+
+
+def test_zeros_are_upper_limits_with_arrows():
+    table = collisions()
+    above, below = rs.plot_speed_accuracy(table)
+    arrows = [t for t in above.texts if isinstance(t, Annotation) and t.arrow_patch is not None]
+    assert sorted(a.xy[0] for a in arrows) == [0.03, 0.06, 0.2]
+    assert {a.xy[1] for a in arrows} == {1 / 577}
+    assert all(a.xyann[1] < 0 for a in arrows)
+    assert not [t for t in below.texts if t.arrow_patch is not None]
+    exact = above.get_lines()[0].get_xydata()
+    np.testing.assert_allclose(exact, [[0.03, 1 / 577]])
+    assert above.get_ylim()[0] < 1 / 577
+
+
+def test_the_chart_states_machine_and_better_corner():
+    above, _ = rs.plot_speed_accuracy(collisions())
+    for words in ("mine: 500 positioners, 577 colliding pairs", "a processor, 2 cores", "lower left is better"):
+        assert words in above.get_title()
+
+
+@pytest.mark.parametrize("size", [(7.5, 7), (6, 6)])
+def test_labels_of_collisions_can_be_read(size):
+    assert_readable(rs.plot_speed_accuracy(collisions(), axes=tuple(Figure(size, layout="constrained").subplots(2))))
+
+
+def test_labels_of_probabilities_can_be_read():
+    table = probabilities()
+    table["time"][2] = 2.1 * u.ms
+    table["error"][2] = 0.0098
+    assert_readable(rs.plot_probability_accuracy(table))
+
+
+def test_estimands_have_panels_of_their_own():
+    allocated, independent = rs.plot_probability_accuracy(probabilities())
+    assert [ax.get_title() for ax in (allocated, independent)] == ["allocated targets", "independent targets"]
+    assert [t.get_text() for t in independent.get_legend().get_texts()] == ["closed_form", "quadrature"]
+    assert [t.get_text() for t in allocated.get_legend().get_texts()] == ["conditional"]
+    assert [t.get_text() for t in labels_of(independent)] == ["64", "128"]
+    formula, quadrature = independent.containers
+    assert formula[0].get_markerfacecolor() == "none"
+    np.testing.assert_array_equal(quadrature[0].get_xydata(), [[2, 0.01], [4, 0.005]])
+    bars = quadrature[2][0].get_segments()
+    np.testing.assert_allclose([bar[:, 1] for bar in bars], [[0.009, 0.011], [0.0044, 0.0056]])
+    assert allocated.containers[0][2][0].get_segments()[0][0, 1] > 0  # bars end above 0
+    assert "30 runs per point" in allocated.figure.get_suptitle()
+
+
+def test_options_reach_the_lines_and_axes_are_those_given():
+    axes = tuple(Figure().subplots(1, 2))
+    assert rs.plot_probability_accuracy(probabilities(), axes=axes, markersize=9) == axes
+    assert axes[0].containers[0][0].get_markersize() == 9
+    with pytest.raises(rs.InputError, match="axes must be 2 Axes, one for each estimand, got 1"):
+        rs.plot_probability_accuracy(probabilities(), axes=axes[:1])
+
+
+def test_errors_of_repeated_runs_have_errors_of_their_own():
+    """Against many independent benchmarks the stated error of the error is right."""
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane.hexagonal(robot, rings=1, pitch=25.6 * u.mm)
+    options = {"efforts": {"conditional": [32]}, "repeats": 20, "precision": 5e-4}
+    tables = [rs.benchmark_probability(plane, rng=k, **options) for k in range(30)]
+    errors = np.array([t["error"][0] for t in tables])
+    stated = np.mean([t["error_error"][0] for t in tables])
+    # a standard deviation of 30 values is known to 13 %, the mean of the stated ones to 6 %: three times their sum
+    assert stated == pytest.approx(errors.std(ddof=1), rel=0.45)
+    bias = np.array([t["bias"][0] for t in tables])
+    assert (np.abs(bias) < 4 * np.array([t["bias_error"][0] for t in tables])).all()
+    np.testing.assert_allclose(bias, [t["value"][0] - t["truth"][0] for t in tables])
+
+
+def test_the_processor_is_named_as_the_system_does(tmp_path):
+    file = tmp_path / "cpuinfo"
+    file.write_text("processor : 0\nmodel name\t: A Processor 9000\nprocessor : 1\nmodel name\t: A Processor 9000\n")
+    assert processor(file) == "A Processor 9000"
+    assert processor(tmp_path / "none") != ""
