@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import astropy.units as u
@@ -309,3 +310,27 @@ def test_scores_follow_the_epoch(small):
         rs.score_tile(plan, small, center=CENTER, position_angle=0 * u.deg, epoch=e) for e in (None, 2016.1)
     )
     assert (moved.table["tip_x"] - still.table["tip_x"])[18].to_value(MM) == pytest.approx(2, rel=1e-4)
+
+
+def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
+    said = {}
+    for name in ("lamost", "sdss_apo"):
+        tile = rs.plan_tile(sky, presets[name], CENTER)
+        said[name] = tile.summary["model"]
+        plane = presets[name].focal_plane
+        tested, near = (int(n) for n in re.search(r"of (\d+) pairs .*, (\d+) needed", said[name]).groups())
+        assert tested == len(plane.neighbor_pairs())
+        # every pair that is closer than an arm is long is near
+        middle = np.column_stack([(tile.table["elbow_x"] + tile.table["arm_x"]) / 2,
+                                  (tile.table["elbow_y"] + tile.table["arm_y"]) / 2])  # fmt: skip
+        gap = np.hypot(*(middle[plane.neighbor_pairs()[:, 0]] - middle[plane.neighbor_pairs()[:, 1]]).T)
+        assert tile.summary["n_colliding_pairs"] <= near <= (gap < 60 * u.mm).sum()
+    assert "(collision type 2)" in said["lamost"]
+    assert "one plate scale" in said["lamost"]
+    assert "(collision type 3)" in said["sdss_apo"]
+    assert "capsules" in said["sdss_apo"]
+    assert "radial map, one for each fiber type" in said["sdss_apo"]
+    far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
+    lonely = rs.Instrument("lonely", far, plate_scale=300 * u.mm / u.deg)
+    tile = rs.plan_tile(rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1), lonely, CENTER)
+    assert "No two arms can touch (collision type 1), so that no pair was tested" in tile.summary["model"]

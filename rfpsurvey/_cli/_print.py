@@ -134,6 +134,8 @@ def print_summary(tile: "rs.Tile") -> None:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
+    if "model" in tile.summary:
+        print(f"model: {tile.summary['model']}")
     for label, value in tile_facts(tile).items():
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
     _print_aims(tile)

@@ -68,8 +68,11 @@ def allocate(
         one requirement after the other, idle positioners take what is lacking, and after them those with
         the least important targets, which are released.
         ``sdss``: network flow: as many as possible class after class, arms may collide; then the least sum of squared
-        distances from the centers. ``optimal``: as many as possible class after class such that no two arms
-        collide, with a proof. ``repair``: the plan ``start``, its collisions ended by local moves. Another name is that
+        distances from the centers. ``optimal``: as many as possible class after class such that no arm with a target
+        collides with another arm or an obstacle, with a proof. Idle arms that stay in the way (parked equal-arm
+        units with ``parked_obstacles``, disabled and stuck units) count as other arms; two idle arms that collide
+        with each other, or an idle arm at an obstacle, are not its concern and stay as they are.
+        ``repair``: the plan ``start``, its collisions ended by local moves. Another name is that
         of an allocator of an installed package; a function of an `AllocationProblem` is taken as it is.
     priority : array_like of float, shape (n_targets,), optional
         Larger is more important; targets of one value form a class.

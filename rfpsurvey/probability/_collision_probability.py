@@ -19,7 +19,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
 from rfpsurvey.probability._intervals import INTERVALS
-from rfpsurvey.probability._methods import Question, cheapest, check_usable
+from rfpsurvey.probability._methods import Question, cheapest, check_usable, reason_of
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES, MOST_POINTS
 from rfpsurvey.probability._run import Precision
@@ -205,6 +205,7 @@ def collision_probability(
         )
     found.pop("met", None)
     meta = {"confidence": confidence, "interval": interval, "n_positioners": len(plane), **found.pop("meta")}
+    meta["choice"] = meta.get("certain") or reason_of(name, allocator, source, chosen=method == "auto")
     if source is not None and (software := packages(allocator)):
         meta["software"] = {**software, **meta.get("software", {})}
     estimate = Estimate(**found, method=name, estimand=asked, seconds=perf_counter() - start, meta=meta)

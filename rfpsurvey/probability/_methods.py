@@ -141,6 +141,19 @@ SHORT = 2.0
 """Queues are not worth an average where there are fewer targets a positioner."""
 
 
+def reason_of(name: str, allocator: object, source: Source | None, *, chosen: bool) -> str:
+    """Return why a method was used; ``chosen`` says that `cheapest` chose it."""
+    if not chosen:
+        return f"{name}, as asked for"
+    if name == "quadrature":
+        return "quadrature, the cheapest method with an error estimate for independent targets"
+    if name == "conditional":
+        return "conditional, the cheapest method with an error estimate where positioners have queues of targets"
+    few = source is not None and source.kind not in ("given", "sampler") and source.each < SHORT
+    why = f"there are fewer than {SHORT:g} targets per positioner" if few else "this allocator makes no queues"
+    return f"monte_carlo, since {why}"
+
+
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
     """Return the cheapest method of an estimand that has an error.
 

@@ -86,6 +86,8 @@ def _asked(tile) -> dict:
     if p["allocator"] in ("sdss", "optimal"):
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
     asked["idle arms stand in the way"] = p.get("parked_obstacles", True)
+    if "model" in tile.summary:
+        asked["model"] = tile.summary["model"]
     return asked
 
 

@@ -17,6 +17,7 @@ from rfpsurvey import _io
 from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.tile._model import model_sentence
 
 __all__ = ["Tile", "build_tile", "versions"]
 
@@ -68,7 +69,7 @@ class Tile:
 
     @property
     def summary(self) -> dict:
-        """Counts, rates, and seconds of each stage."""
+        """Counts, rates, the model that was used and why it suffices, and seconds of each stage."""
         return self.table.meta["summary"]
 
     @property
@@ -217,6 +218,7 @@ def build_tile(
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,
+        "model": model_sentence(instrument, posed),
     }
     meta = {
         "summary": summary,
