@@ -245,6 +245,17 @@ def test_units_that_nobody_knows(tmp_path):
     assert "must have a unit convertible to deg, got degrrr" in refusal(path)
 
 
+def test_the_meta_of_a_focal_plane(small):
+    """In YAML the name y is a truth value, and no text."""
+    table = small.focal_plane.to_table()
+    table.meta["positioner"] = {True: "8.25 mm"}
+    with pytest.raises(rs.InputError, match="unknown entries: True"):
+        rs.FocalPlane.from_table(table)
+    table.meta["positioner"] = {"central_arm": "far"}
+    with pytest.raises(rs.InputError, match="the positioner in the table's meta cannot be read"):
+        rs.FocalPlane.from_table(table)
+
+
 def test_a_damaged_part_of_a_survey_is_named(tmp_path, small):
     """With a checksum that agrees, as another program leaves it behind."""
     from valid_files import sign
