@@ -1,4 +1,4 @@
-"""Tables on disk: formats by file name, nothing half written, nothing overwritten unasked.
+"""Tables on disk: nothing half written, nothing overwritten unasked; readers are in ``_readers``.
 
 FITS headers hold no nested values, so that there the table's ``meta`` travels as one JSON string under
 ``RFPSURVY``, beside the plain cards that a person may want to read.
@@ -15,8 +15,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from astropy.table import QTable, Table
+from astropy.table import QTable
 
+from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of, to_path
 from rfpsurvey.errors import InputError
 
 __all__ = [
@@ -24,72 +25,9 @@ __all__ = [
     "table_bytes", "temporary_folder", "to_path", "write_bytes", "write_table",
 ]  # fmt: skip
 
-FORMATS = {
-    ".fits": "fits",
-    ".fit": "fits",
-    ".ecsv": "ascii.ecsv",
-    ".csv": "ascii.csv",
-    ".vot": "votable",
-    ".xml": "votable",
-    ".votable": "votable",
-    ".parquet": "parquet",
-}
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")
-META_KEY = "RFPSURVY"
 TEMPORARY_PREFIX = ".rfpsurvey-"
-
-
-def to_path(path: object) -> Path:
-    """Return a Path from text or a path."""
-    try:
-        return Path(path)
-    except TypeError:
-        raise InputError(f"a path must be text or a path, got {path!r}") from None
-
-
-def suffix_of(path: Path) -> str:
-    """Return the ending that tells the format; ``.gz`` is looked through."""
-    suffixes = [s.lower() for s in path.suffixes]
-    if suffixes and suffixes[-1] in ZIPPED:
-        suffixes.pop()
-    return suffixes[-1] if suffixes else ""
-
-
-def read_table(path: str | os.PathLike) -> QTable:
-    """Read a table in any of `FORMATS`."""
-    path = to_path(path)
-    suffix = suffix_of(path)
-    if suffix not in FORMATS:
-        raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (or with .gz)")
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
-    options = {
-        "fits": {"mask_invalid": False, "character_as_bytes": False},
-        "ascii.csv": {"comment": "#"},
-    }.get(FORMATS[suffix], {})
-    try:
-        # CSV carries no units: a plain Table, whose text columns stay text
-        cls = Table if FORMATS[suffix] == "ascii.csv" else QTable
-        table = QTable(cls.read(path, format=FORMATS[suffix], **options))
-    except ImportError as error:
-        hint = " (pip install 'rfpsurvey[parquet]')" if FORMATS[suffix] == "parquet" else ""
-        raise InputError(f"{path}: reading this format needs another package: {error}{hint}") from error
-    except Exception as error:  # readers of seven formats raise what they like
-        reason = str(error).strip().split("\n")[0] or type(error).__name__
-        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {reason}") from error
-    first = table.colnames[0] if table.colnames else ""
-    if first.lstrip("\ufeff") != first:  # the mark that spreadsheets put before a CSV file
-        table.rename_column(first, first.lstrip("\ufeff").strip('"'))
-    for name in table.colnames:
-        if getattr(table[name], "dtype", np.dtype(float)).kind == "S":
-            table[name] = np.char.decode(np.asarray(table[name]), "utf-8")
-    if META_KEY in table.meta:
-        try:
-            table.meta = json.loads(table.meta[META_KEY])
-        except ValueError as error:
-            raise InputError(f"{path}: the header card {META_KEY} is damaged: {error}") from None
-    return table
 
 
 def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = False, cards: dict | None = None) -> None:
@@ -235,14 +173,3 @@ def _fits_template(dtype: np.dtype):
     types = {"b": lambda t: np.dtype("u1"), "U": lambda t: np.dtype(f"S{max(t.itemsize // 4, 1)}")}
     disk = [(name, types.get(dtype[name].kind, lambda t: t.newbyteorder(">"))(dtype[name])) for name in dtype.names]
     return file.getvalue(), header, np.dtype(disk)
-
-
-def read_fits_bytes(content: bytes) -> tuple[np.ndarray, dict]:
-    """Return rows and cards of `fits_bytes`."""
-    from astropy.io import fits
-
-    with fits.open(io.BytesIO(content), memmap=False, character_as_bytes=False) as file:
-        table = file[1]
-        columns = [np.asarray(table.data[name]) for name in table.columns.names]
-        columns = [c.astype(c.dtype.newbyteorder("=")) for c in columns]
-        return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)

@@ -40,7 +40,7 @@ class Plugin:
             yield
         except InputError as error:
             raise InputError(f"{self}: {error}") from error
-        except Exception as error:  # plugins raise what they like
+        except (Exception, SystemExit) as error:  # plugins raise what they like, and must not end the program
             raise InputError(f"{self} failed: {type(error).__name__}: {error}") from error
 
 

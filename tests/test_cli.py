@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 
@@ -208,6 +209,31 @@ def test_a_closed_pipe_loses_no_file(tmp_path):
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert rs.Tile.read(tmp_path / "a.fits").summary["n_positioners"] == 1001
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("command", ["instruments", "--help", "--version", "plan --help", "plan --instrument moons"])
+def test_a_reader_that_has_gone_is_told_as_any_shell_does(command, unbuffered):
+    """With 1, after which a script with pipefail could not tell a broken pipe from bad input."""
+    receive, send = os.pipe()
+    os.close(receive)
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(
+        [sys.executable, "-m", "rfpsurvey", *command.split()], stdout=send, stderr=subprocess.PIPE, text=True,
+        check=False, env=environment,
+    )  # fmt: skip
+    os.close(send)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
+def test_a_full_device_is_a_sentence():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "rfpsurvey", "instruments"], stdout=full, stderr=subprocess.PIPE, text=True,
+            check=False,
+        )  # fmt: skip
+    assert "No space left on device" in sentence(done.returncode, done.stderr)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,11 @@
+import ast
 import os
+import re
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
 
 BASE = "import astropy.coordinates, astropy.table, numba, scipy.spatial"
 
@@ -16,6 +21,29 @@ def test_import_brings_in_nothing_heavy():
     """What is not needed to plan a tile waits until it is."""
     extra = {name.split(".")[0] for name in loaded("import rfpsurvey") - loaded(BASE)}
     assert not extra & {"matplotlib", "typer", "rich", "pandas", "pyarrow", "shapely"}
+
+
+def test_all_that_is_imported_is_declared():
+    """Pillow and pyerfa came with other packages, and were not asked for."""
+    root = Path(__file__).parent.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    lists = [
+        project["dependencies"],
+        *(project["optional-dependencies"][name] for name in ("cuda", "distributed", "parquet")),
+    ]
+    declared = {re.match(r"[\w-]+", text)[0].lower().replace("_", "-") for names in lists for text in names}
+    imported = set()
+    for path in (root / "rfpsurvey").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
+            imported |= {name.partition(".")[0] for name in names}
+    found = packages_distributions()
+    for name in (
+        imported - sys.stdlib_module_names - {"rfpsurvey", "shapely"}
+    ):  # shapely is compared with where it is there
+        distributions = {d.lower().replace("_", "-") for d in found.get(name, [name])}
+        assert distributions & declared, name
 
 
 def test_import_costs_little(tmp_path):

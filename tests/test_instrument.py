@@ -177,11 +177,17 @@ def test_other_packages_add_instruments(tmp_path, monkeypatch):
     ("content", "message"),
     [
         ("[[", "cannot be read as TOML"),
-        ('name = "x"', "lacks"),
+        ('name = "x"', "section .positioner. must be there"),
         (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
         (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
-        (DESCRIPTION.replace("value = 0.3", "value = -1"), "central_arm must be one finite value above 0 mm"),
-        (DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'), "plate_scale must have a unit convertible to"),
+        (
+            DESCRIPTION.replace("value = 0.3", "value = -1"),
+            "positioner.central_arm must be a length above 0, got -1 cm",
+        ),
+        (
+            DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'),
+            "the unit of optics.plate_scale must be convertible to mm / rad, got 'um'",
+        ),
         (DESCRIPTION.replace('unit = "cm"', 'unit = "centimetre"'), "centimetre"),
         (DESCRIPTION.replace("pitch = ", "pich = "), "unknown entry of .layout. 'pich'.* Did you mean 'pitch'"),
     ],
@@ -211,7 +217,7 @@ def test_the_description_in_the_documentation_works(tmp_path):
     mine = rs.Instrument.read(path)
     assert len(mine.focal_plane) == 469
     (tmp_path / "wider.toml").write_text('inherits = "mine"\nname = "wider"\n[layout]\nrings.value = 2\n')
-    with pytest.raises(rs.InputError, match="lacks or misuses 'status'"):
+    with pytest.raises(rs.InputError, match="layout.rings must have a status, got only value"):
         rs.Instrument.read(tmp_path / "wider.toml")
     rings = 'rings = { value = 2, status = "assumed", source = "a smaller one" }\n'
     (tmp_path / "wider.toml").write_text(f'inherits = "mine"\nname = "wider"\n[layout]\n{rings}')

@@ -75,6 +75,31 @@ def test_a_broken_package_breaks_nothing_else(hers, install, run):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("code", ["raise SystemExit(0)", "import sys\nsys.exit()", "raise SystemExit('enough')"])
+def test_a_plugin_that_exits_ends_nothing(install, run, code):
+    """The program ended with exit code 0 and without a word."""
+    body = code.replace("\n", "\n    ")
+    install("gone", f"{code}\n", allocators={"import": "f"}, instruments={"import": "f"})
+    install("going", f"def f(problem):\n    {body}\n", allocators={"call": "f"}, probability_methods={"call": "f"})
+    with pytest.raises(rs.InputError, match=r"'import' of gone 1.0 \(gone:f\) failed: SystemExit"):
+        rs.allocate(FOUR, PAIR, method="import")
+    with pytest.raises(rs.InputError, match=r"'call' of going 1.0 \(going:f\) failed: SystemExit"):
+        rs.allocate(FOUR, PAIR, method="call")
+    with pytest.raises(rs.InputError, match="failed: SystemExit"):
+        rs.collision_probability(PAIR, method="call")
+    code, _, err = run("plan", "--instrument", "import")
+    assert code == 2
+    assert err.startswith("rfpsurvey: the instrument 'import' of gone 1.0 (gone:f) failed: SystemExit")
+
+
+def test_an_interrupt_is_that_of_the_user():
+    def interrupted(problem):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rs.allocate(FOUR, PAIR, method=interrupted)
+
+
 def test_one_name_of_two_packages_is_nobodys(hers, install):
     install("his", HERS, "2.1", allocators={"swapped": "swapped"})
     with pytest.raises(rs.InputError, match="several packages add the allocator 'swapped': hers 1.0, his 2.1; all but"):

@@ -6,6 +6,7 @@ import signal
 import sys
 import warnings
 from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -37,6 +38,8 @@ __all__ = [
     "units_of",
 ]  # fmt: skip
 
+# What a shell reports of a program that writes to a pipe whose reader has gone.
+READER_GONE = 141
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
 app = typer.Typer(
@@ -71,14 +74,37 @@ def main() -> None:
     warnings.filterwarnings("ignore", module="astropy")
     warnings.simplefilter("always", rs.RfpsurveyWarning)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # let outputs that are half written be removed
+    code = 0
     try:
         app()
-    except BrokenPipeError:  # the reader of the output has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+    except SystemExit as stop:  # which typer raises in any case, also when the reader of the output has gone
+        code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
+    except BrokenPipeError:
+        code = READER_GONE
     except (rs.InputError, OSError, BrokenExecutor) as error:
+        code = _complain(error)
+    sys.exit(_flush(code))
+
+
+def _complain(error: Exception) -> int:
+    """Print one sentence, and return the exit code of bad input."""
+    with suppress(BrokenPipeError):
         print(f"rfpsurvey: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+    return 2
+
+
+def _flush(code: int) -> int:
+    """Write what is still in buffers, while an error can still be told, and return the exit code."""
+    for stream in filter(None, (sys.__stdout__, sys.__stderr__)):
+        try:
+            stream.flush()
+        except OSError as error:
+            gone = isinstance(error, BrokenPipeError)
+            code = READER_GONE if gone else _complain(error)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # the interpreter flushes again
+        except ValueError:  # closed
+            pass
+    return code
 
 
 def parse_center(text: str):

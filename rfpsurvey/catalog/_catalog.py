@@ -97,8 +97,10 @@ class Catalog:
             value = getattr(self, name)
             if value is not None:
                 try:
-                    columns[name] = to_plain(value).astype(_TYPES.get(name, str))
-                except ValueError as error:
+                    columns[name] = to_plain(value, name).astype(_TYPES.get(name, str))
+                except InputError:
+                    raise
+                except (TypeError, ValueError) as error:
                     raise InputError(f"{name} must be numbers: {error}") from None
         for name, value in columns.items():
             if value.shape != (n,):

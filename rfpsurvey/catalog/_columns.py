@@ -45,6 +45,8 @@ ROLES = {
 }
 UNITS = {"ra": u.deg, "dec": u.deg, "lon": u.deg, "lat": u.deg, "pmra": u.mas / u.yr, "pmdec": u.mas / u.yr,
          "x": u.mm, "y": u.mm}  # fmt: skip
+# One degree a day: nothing outside of the solar system moves as fast.
+MOST_MOTION = 1.3e9 * u.mas / u.yr
 
 
 @dataclass
@@ -118,16 +120,28 @@ class Finder:
                 )
             unit = UNITS[role]
         try:
-            return u.Quantity(values, unit).to(UNITS[role])
-        except u.UnitConversionError:
+            values = u.Quantity(values, unit).to(UNITS[role])
+        except (TypeError, ValueError):  # units that do not convert, or that nobody knows
             raise InputError(
                 f"column {name!r} ({role}) must have a unit convertible to {UNITS[role]}, got {unit}"
             ) from None
+        return self._bounded(role, values) if role in ("pmra", "pmdec") else values
+
+    def _bounded(self, role: str, motion: u.Quantity) -> u.Quantity:
+        """Return proper motions with NaN where they are infinite, if all others are possible."""
+        motion = np.where(np.isfinite(motion), motion, np.nan)
+        fast = np.abs(motion) > MOST_MOTION
+        if fast.any():
+            raise InputError(
+                f"column {self.name_of(role)!r} ({role}) must lie between -{MOST_MOTION:.0f} and {MOST_MOTION:.0f}, "
+                f"got {motion[fast][0]:g}"
+            )
+        return motion
 
     def _decimal(self, role: str) -> np.ndarray:
         """Return the column as float64; text that reads as decimal numbers will do."""
         name = self.name_of(role)
-        values = to_plain(self.table[name])
+        values = self._plain(role)
         try:
             if values.dtype.kind == "U":
                 values = np.where(np.char.strip(values) == "", "nan", values)
@@ -137,8 +151,21 @@ class Finder:
             what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
             row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not _is_decimal(v))
             raise InputError(
-                f"column {name!r} ({role}) must hold {what}, but holds text such as {text!r} (row {row + 1})"
+                f"column {name!r} ({role}) must hold {what}, but holds text such as {text[:60]!r} (row {row + 1})"
             ) from None
+
+    def _plain(self, role: str) -> np.ndarray:
+        """Return the column as numbers or text, one value a row."""
+        self._check_shape(role)
+        name = self.name_of(role)
+        return to_plain(self.table[name], f"column {name!r} ({role})")
+
+    def _check_shape(self, role: str) -> None:
+        name = self.name_of(role)
+        shape = self.table[name].shape[1:]
+        if shape:
+            sizes = " x ".join(map(str, shape))
+            raise InputError(f"column {name!r} ({role}) must have one value per row, got {sizes} values per row")
 
     def is_text(self, role: str) -> bool:
         """Tell whether the column holds text that does not read as decimal numbers."""
@@ -159,7 +186,10 @@ class Finder:
         name = self.name_of(role)
         if self.columns.get(role, "").startswith("-"):
             raise InputError(f"columns: a leading minus is for numbers, not for {role} ({self.columns[role]})")
-        return None if name is None else to_labels(self.table[name], f"column {name!r} ({role})")
+        if name is None:
+            return None
+        self._check_shape(role)
+        return to_labels(self.table[name], f"column {name!r} ({role})")
 
     def missing(self, what: str) -> InputError:
         """Return the error for a column that is needed and not there."""

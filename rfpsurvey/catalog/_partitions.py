@@ -3,20 +3,22 @@
 import hashlib
 import os
 import re
+import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import Table
+from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
+from rfpsurvey._readers import content_of, import_parquet, read_parquet, sentence
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
@@ -40,6 +42,7 @@ ROLES = (
 INDEX_ORDER = 29
 ROWS_PER_PART = 20_000
 MOST_ORDER = 13
+MOST_PROPERTIES = 2**20
 SLACK_RAD = 1e-9
 
 
@@ -105,10 +108,14 @@ class PartitionedCatalog:
             files = "files such as Norder=5/Dir=0/Npix=77.parquet"
             raise InputError(f"{self.folder} is a folder without partitions, {files}")
         given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
+        said = given.pop("nrows", None)
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
         self._refuse_overlaps()
         self._names, self._rows  # noqa: B018  (raise where columns are missing)
+        if said is not None and said != str(len(self)):
+            text = f"{self.folder}: the catalog must have {said} rows, as its properties say, but {len(self)} are there"
+            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
 
     @cached_property
     def _files(self) -> list[tuple[int, int, Path]]:
@@ -139,7 +146,7 @@ class PartitionedCatalog:
     @cached_property
     def _rows(self) -> np.ndarray:
         """First row of each partition, and the number of all rows."""
-        parquet, counts, columns = _parquet(), [], None
+        parquet, counts, columns = import_parquet(), [], None
         for *_, path in self._files:
             about = _try(path, lambda path=path: parquet.read_metadata(path))
             counts.append(about.num_rows)
@@ -154,7 +161,7 @@ class PartitionedCatalog:
     def _names(self) -> list[str]:
         """Columns to read."""
         path = self._files[0][2]
-        schema = _try(path, lambda: _parquet().read_schema(path))
+        schema = _try(path, lambda: import_parquet().read_schema(path))
         find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.columns), {})
         names = [find.name_of(role) for role in ROLES]
         needed = ("ra", "dec") if self.frame.lower() in ("icrs", "fk5", "fk4", "fk4noeterms") else ("lon", "lat")
@@ -194,7 +201,10 @@ class PartitionedCatalog:
             If a file cannot be read, or holds values that no `Catalog` may have.
         """
         tables = [self._table(k, self._names) for k in range(len(self._files))]
-        merged = Table({name: np.concatenate([table[name] for table in tables]) for name in self._names})
+        try:
+            merged = Table({name: _joined([table[name] for table in tables]) for name in self._names})
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{self.folder}: columns must have one type in all partitions: {error}") from None
         return self._catalog(merged, self.folder)
 
     def _near(self, center: np.ndarray, radius_rad: float) -> np.ndarray:
@@ -229,9 +239,7 @@ class PartitionedCatalog:
         return np.concatenate([getattr(self._part(k), name) for k in range(len(self._files))])
 
     def _table(self, k: int, names: list[str]) -> Table:
-        path = self._files[k][2]
-        content = _try(path, lambda: _parquet().read_table(path, columns=names, partitioning=None))
-        table = Table({name: content[name].to_numpy() for name in names})
+        table = read_parquet(self._files[k][2], names)
         if self._has_no_id:
             table["id"] = np.arange(self._rows[k], self._rows[k + 1])
         return table
@@ -292,7 +300,7 @@ def partition_catalog(
     ...     print(len(parts), len(parts.read()))
     1000 1000
     """
-    parquet, catalog = _parquet(), as_catalog(catalog)
+    parquet, catalog = import_parquet(), as_catalog(catalog)
     import pyarrow as pa
 
     if len(catalog) == 0:
@@ -336,29 +344,36 @@ def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Cata
     return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)
 
 
+def _joined(columns: list) -> np.ndarray:
+    """Return the values of columns one after the other, masked where one of them is."""
+    masked = any(isinstance(column, MaskedColumn) for column in columns)
+    kinds = {column.dtype.kind == "U" for column in columns}
+    if len(kinds) > 1:
+        raise TypeError(f"{columns[0].name} holds numbers and text")
+    return (np.ma.concatenate if masked else np.concatenate)(columns)
+
+
 def _mean_rows(vectors, order) -> float:
     return len(vectors) / len(np.unique(_healpix.pixels_of(2**order, vectors)))
 
 
 def _properties(folder: Path) -> dict[str, str]:
-    """Return the columns of positions that a HATS catalog names."""
+    """Return the columns of positions that a HATS catalog names, and its number of rows."""
     found = {}
     for name in PROPERTIES:
         path = folder / name
         if path.is_file():
-            for line in path.read_text().splitlines():
+            try:
+                text = content_of(path, most=MOST_PROPERTIES).decode("utf-8")
+            except UnicodeDecodeError as error:
+                raise InputError(
+                    f"{path} must be text in UTF-8, got the byte 0x{error.object[error.start]:02x}"
+                ) from None
+            for line in text.splitlines():
                 key, sign, value = line.partition("=")
-                if sign and key.strip() in ("hats_col_ra", "hats_col_dec"):
-                    found[key.strip().removeprefix("hats_col_")] = value.strip()
+                if sign and key.strip() in ("hats_col_ra", "hats_col_dec", "hats_nrows"):
+                    found[key.strip().removeprefix("hats_").removeprefix("col_")] = value.strip()
     return found
-
-
-def _parquet():
-    try:
-        import pyarrow.parquet
-    except ImportError as error:
-        raise InputError(f"partitioned catalogs need pyarrow (pip install 'rfpsurvey[parquet]'): {error}") from error
-    return pyarrow.parquet
 
 
 def _try(path, read):
@@ -366,5 +381,4 @@ def _try(path, read):
     try:
         return read()
     except Exception as error:  # pyarrow raises what it likes
-        reason = str(error).strip().split("\n")[0]
-        raise InputError(f"{path} cannot be read: {reason}") from error
+        raise InputError(f"{path} cannot be read: {sentence(error)}") from error

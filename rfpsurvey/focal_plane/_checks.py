@@ -53,8 +53,11 @@ def check_columns(plane) -> None:
         value = getattr(plane, name)
         if value is not None:
             lengths = to_mm(value, name)
-            if lengths.shape != (n,) or not ((lengths > 0) & (lengths < 1e6)).all():
-                raise InputError(f"{name} must be {n} positive lengths, got {value}")
+            if lengths.shape != (n,):
+                raise InputError(f"{name} must be {n} positive lengths, got the shape {lengths.shape}")
+            strange = lengths[~((lengths > 0) & (lengths < 1e6))]
+            if len(strange):
+                raise InputError(f"{name} must be {n} positive lengths below 1 km, got {strange[0]:g} mm")
     if plane.stuck is not None:
         angles = to_radian(plane.stuck, "stuck")
         if angles.shape != (n, 2):
@@ -63,6 +66,9 @@ def check_columns(plane) -> None:
             raise InputError("stuck must give both theta and phi of a unit, or neither")
     if plane.obstacles is not None:
         circles = to_mm(plane.obstacles, "obstacles")
-        shape_ok = circles.ndim == 2 and circles.shape[1] == 3
-        if not (shape_ok and np.isfinite(circles).all() and (circles[:, 2] >= 0).all()):
-            raise InputError(f"obstacles must be finite rows (x, y, radius) with radius >= 0, got {plane.obstacles}")
+        what = "obstacles must be finite rows (x, y, radius) with radius >= 0"
+        if circles.ndim != 2 or circles.shape[1] != 3:
+            raise InputError(f"{what}, got the shape {circles.shape}")
+        strange = circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]
+        if len(strange):
+            raise InputError(f"{what}, got {strange[0].tolist()} mm")

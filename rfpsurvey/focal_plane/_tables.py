@@ -29,7 +29,7 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     columns = {}
     for name in ("id", "spectrograph", "fiber_type", "disabled"):
         if name in names:
-            columns[name] = to_plain(table[name][unit])
+            columns[name] = to_plain(table[name][unit], f"column {name!r}")
     for name in ("central_arm", "eccentric_arm"):
         if name in names:
             columns[name] = _quantity(table, name, u.mm)[unit]
@@ -70,7 +70,13 @@ def _quantity(table, name, unit):
         raise InputError(f"column {name!r} must have a unit convertible to {unit}, got none")
     if not column.unit.is_equivalent(unit):
         raise InputError(f"column {name!r} must have a unit convertible to {unit}, got {column.unit}")
-    return u.Quantity(to_plain(column).astype(float), column.unit).to(unit)
+    values = to_plain(column, f"column {name!r}")
+    if values.ndim != 1:
+        raise InputError(f"column {name!r} must have one value per row, got the shape {values.shape}")
+    try:
+        return u.Quantity(values.astype(float), column.unit).to(unit)
+    except ValueError as error:
+        raise InputError(f"column {name!r} must hold numbers: {error}") from None
 
 
 def _spare_names(ids, m):
@@ -104,7 +110,7 @@ def _positioner_from_meta(meta) -> Positioner:
     names = {f.name for f in fields(Positioner)}
     unknown = [name for name in meta if name not in names]
     if unknown:
-        raise InputError(f"the positioner in the table's meta has unknown entries: {', '.join(unknown)}")
+        raise InputError(f"the positioner in the table's meta has unknown entries: {', '.join(map(str, unknown))}")
 
     def quantity(value):
         if isinstance(value, list):
@@ -113,5 +119,7 @@ def _positioner_from_meta(meta) -> Positioner:
 
     try:
         return Positioner(**{n: v if n in ("handedness", "arm_model") else quantity(v) for n, v in meta.items()})
-    except TypeError as error:
+    except InputError:
+        raise
+    except (TypeError, ValueError) as error:
         raise InputError(f"the positioner in the table's meta cannot be read: {error}") from None

@@ -1,76 +1,49 @@
 """Descriptions of instruments: TOML files in which every figure has a status and a source."""
 
-import tomllib
-from dataclasses import fields
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._io import read_table
+from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
+from rfpsurvey.instrument._entries import SECTIONS, check_description
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
 __all__ = ["build", "load"]
-
-SCHEMA = 1
-STATUSES = ("published", "derived", "assumed")
-
-
-KEYS = {
-    "": {
-        "schema", "name", "title", "layout_is", "notes", "inherits", "sources", "positioner", "layout", "optics",
-        "observing",
-    },
-    "layout": {
-        "table", "rings", "count", "pitch", "inner_radius", "rows_along", "vacant_cells", "fiducial_cells",
-        "fiducial_radius", "names", "fiber_types", "first_type_only_cells", "spectrographs", "spectrograph_shape",
-    },
-    "optics": {"plate_scale", "max_angle", "factor", "radial_map"},
-}  # fmt: skip
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
     """Read a description; ``inherits`` names another one whose figures it starts from."""
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path} cannot be read as TOML: {getattr(error, 'strerror', None) or error}") from error
+    content = read_toml(path)
     parent = content.pop("inherits", None)
-    if parent is not None:
-        base = load(path.with_name(f"{parent}.toml"), (*heirs, path))
-        for key, value in content.items():
-            base[key] = {**base[key], **value} if isinstance(value, dict) and key in base else value
-        return base
-    return content
+    if parent is None:
+        return content
+    if not isinstance(parent, str):
+        raise InputError(f"{path}: inherits must be the name of another description, got {parent!r}")
+    base = load(path.with_name(f"{parent}.toml"), (*heirs, path))
+    for key, value in content.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        base[key] = {**base[key], **value} if both else value
+    return base
 
 
 def build(content: dict, folder: Path) -> dict:
     """Return the arguments of the Instrument that a description describes; tables are looked for in ``folder``."""
-    known = {**KEYS, "positioner": {f.name for f in fields(Positioner)}}
-    for section, names in known.items():
-        for name in content.get(section, {}) if section else content:
-            check_choice(name, names, f"entry of [{section}]" if section else "section or entry")
-    if content.get("schema", SCHEMA) != SCHEMA:
-        raise InputError(f"schema must be {SCHEMA}, the only one that this version reads, got {content['schema']!r}")
-    for name in ("name", "title", "notes"):
-        if not isinstance(content.get(name, ""), str) or (name == "name" and not content.get(name)):
-            raise InputError(f"{name} must be text, got {content.get(name)!r}")
-    lacking = {"central_arm", "eccentric_arm", "clearance"} - set(content.get("positioner", {}))
+    check_description(content)
+    if "positioner" not in content:
+        raise InputError("the section [positioner] must be there, got none")
+    lacking = {"central_arm", "eccentric_arm", "clearance"} - set(content["positioner"])
     if lacking:
         raise InputError(f"[positioner] lacks {', '.join(sorted(lacking))}")
-    sources = content.get("sources", {})
-    values = {}
-    for section in ("positioner", "layout", "optics", "observing"):
+    sources, values = content.get("sources", {}), {}
+    for section in SECTIONS:
         for name, entry in content.get(section, {}).items():
-            entry = dict(entry)
-            check_choice(entry["status"], STATUSES, f"status of {section}.{name}")
-            entry["source"] = sources.get(entry["source"], entry["source"])
-            values[f"{section}.{name}"] = entry
+            values[f"{section}.{name}"] = {**entry, "source": sources.get(entry["source"], entry["source"])}
 
     def get(name, default=None):
         entry = values.get(name)
@@ -82,8 +55,8 @@ def build(content: dict, folder: Path) -> dict:
     options = {k: get(f"positioner.{k}") for k in content["positioner"] if k != "arm_angle"}
     angle = values.get("positioner.arm_angle")
     if angle is not None:
-        by_type = {t: v * u.Unit(angle["unit"]) for t, v in angle["value"].items()}
-        options["arm_angle"] = by_type
+        value, unit = angle["value"], u.Unit(angle["unit"])
+        options["arm_angle"] = {t: v * unit for t, v in value.items()} if isinstance(value, dict) else value * unit
     focal_plane = _layout(Positioner(**options), get, folder)
     maps = {
         t: RadialMap(

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import re
 import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.resources import files
@@ -18,13 +17,13 @@ from rfpsurvey._plugins import find_plugin, plugin_names
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.projection import RadialMap, TangentPlane
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
 
 GROUP = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
-_NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +140,7 @@ class Instrument:
         """Sky fibers and standards that a tile needs, as `allocate` reads them, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
-            match = _NEED.fullmatch(name)
+            match = NEED.fullmatch(name)
             if match:
                 fiber, kind, per = match.groups()
                 fiber = f"@{fiber.upper()}" if fiber else ""
@@ -210,7 +209,10 @@ class Instrument:
         except InputError as error:
             raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{path}: the description of the instrument lacks or misuses {error}") from error
+            what = f"{type(error).__name__}: {error}"
+            raise InputError(
+                f"{path}: the description must be one of an instrument, got what fails with {what}"
+            ) from error
 
     def to_table(self) -> Table:
         """Return the figures behind the instrument with their sources.

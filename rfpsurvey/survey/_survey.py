@@ -17,6 +17,14 @@ from rfpsurvey.survey._ledger import OUTCOMES
 
 __all__ = ["Survey"]
 
+# What the tables of a folder, and the part of a tile, must have.
+COLUMNS = (
+    ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
+    ("pass", "priority", "n_targets", "n_wanted", "n_observed", "n_complete", "completeness"),
+    ("target_id", "wanted", "observed", "outcome"),
+)
+VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
+
 
 @dataclass(frozen=True, eq=False)
 class Survey:
@@ -116,7 +124,9 @@ class Survey:
         if self.parts is not None:
             rows = self.parts[k]
         else:
-            rows = _io.read_fits_bytes(read_verified(self.folder, part_name(k), self._known))[0]
+            name = part_name(k)
+            rows = _io.read_fits_bytes(read_verified(self.folder, name, self._known), self.folder / name)[0]
+            _check_columns(self.folder / name, rows.dtype.names, VISITS)
         table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
         for name in rows.dtype.names:
             table[name] = rows[name] * u.deg if name in ("ra", "dec") else rows[name]
@@ -157,9 +167,21 @@ class Survey:
             raise InputError(f"{folder} holds a survey that is not finished ({n} tiles are there): continue it first")
         for name in TABLES:
             read_verified(folder, name, known)
-        return cls(*(_io.read_table(folder / name) for name in TABLES), folder)
+        tables = [_io.read_table(folder / name) for name in TABLES]
+        for name, table, columns in zip(TABLES, tables, COLUMNS, strict=True):
+            _check_columns(folder / name, table.colnames, columns)
+        for name in ("summary", "provenance"):
+            if not isinstance(tables[0].meta.get(name), dict):
+                raise InputError(f"{folder / TABLES[0]} must hold the {name} of a survey, got none")
+        return cls(*tables, folder)
 
     @cached_property
     def _known(self) -> dict:
         """Sizes and checksums of the files."""
         return read_index(self.folder)
+
+
+def _check_columns(path: Path, names: tuple, needed: tuple) -> None:
+    lacking = [name for name in needed if name not in (names or ())]
+    if lacking:
+        raise InputError(f"{path} must have the columns of a survey, got a table without {', '.join(lacking)}")

@@ -21,6 +21,10 @@ from rfpsurvey.tile._model import model_sentence
 
 __all__ = ["Tile", "build_tile", "versions"]
 
+MUST_HAVE = (
+    "summary.n_positioners", "summary.n_assigned", "summary.n_colliding", "summary.collision_rate", "summary.seconds",
+    "provenance.instrument.name", "provenance.parameters.allocator", "provenance.catalog",
+)  # fmt: skip
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 
 
@@ -66,6 +70,12 @@ class Tile:
         lacking = [name for name in ("summary", "provenance", "geometry") if name not in self.table.meta]
         if lacking or "in_collision" not in self.table.colnames:
             raise InputError("the table is not that of a tile: it lacks " + (", ".join(lacking) or "in_collision"))
+        for path in MUST_HAVE:
+            value = self.table.meta
+            for name in path.split("."):
+                value = value.get(name) if isinstance(value, dict) else None
+            if value is None:
+                raise InputError(f"the meta of a tile must have the entry {path}, got none")
 
     @property
     def summary(self) -> dict:

@@ -1,0 +1,12 @@
+"""Read tables and documents from files, within limits of size; what cannot be read is refused in one sentence."""
+
+from rfpsurvey._readers._documents import parse_json, read_toml
+from rfpsurvey._readers._fits import read_fits_bytes
+from rfpsurvey._readers._limits import content_of, sentence
+from rfpsurvey._readers._parquet import import_parquet, read_parquet
+from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, suffix_of, to_path
+
+__all__ = [
+    "FORMATS", "META_KEY", "content_of", "import_parquet", "parse_json", "read_fits_bytes", "read_parquet",
+    "read_table", "read_toml", "sentence", "suffix_of", "to_path",
+]  # fmt: skip

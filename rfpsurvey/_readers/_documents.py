@@ -1,0 +1,67 @@
+"""TOML and JSON within limits of size and depth."""
+
+import json
+import re
+from pathlib import Path
+
+from rfpsurvey._readers._limits import content_of, sentence
+from rfpsurvey.errors import InputError
+
+__all__ = ["check_size", "parse_json", "read_toml"]
+
+MOST_TOML, MOST_JSON = 2**20, 2**24
+MOST_DEPTH, MOST_VALUES = 32, 100_000
+# A key of so many parts, at the beginning of a word so that a search takes linear time.
+LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
+
+
+def read_toml(path: Path) -> dict:
+    """Return the content of a TOML file."""
+    import tomllib
+
+    content = content_of(path, most=MOST_TOML, kind="TOML")
+    try:
+        text = content.decode("utf-8")
+        long = LONG_KEY.search(text)
+        if long:
+            number = text.count("\n", 0, long.start()) + 1
+            raise InputError(f"{path}: a key in line {number} must have at most {MOST_DEPTH} parts, got more")
+        found = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{path}: values must be nested at most {MOST_DEPTH} deep, got more") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path} cannot be read as TOML: {sentence(error)}") from error
+    check_size(found, path)
+    return found
+
+
+def parse_json(text: object, what: object) -> dict:
+    """Return the object that a text in JSON holds; ``what`` begins the sentence of an error."""
+    if not isinstance(text, str):
+        raise InputError(f"{what} must be an object in JSON, got {type(text).__name__}")
+    if len(text) > MOST_JSON:
+        raise InputError(f"{what} must have at most {MOST_JSON} characters, got {len(text)}")
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise InputError(f"{what} must be nested at most {MOST_DEPTH} deep, got more") from None
+    except ValueError as error:
+        raise InputError(f"{what} must be an object in JSON: {sentence(error)}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{what} must be an object in JSON, got {type(found).__name__}")
+    check_size(found, what)
+    return found
+
+
+def check_size(found: object, what: object) -> None:
+    """Refuse nested values that are too deep or, counted as often as they are referred to, too many."""
+    todo, n = [(found, 0)], 0
+    while todo:
+        value, depth = todo.pop()
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+        n += len(inner)
+        if depth > MOST_DEPTH:
+            raise InputError(f"{what}: values must be nested at most {MOST_DEPTH} deep, got more")
+        if n > MOST_VALUES:
+            raise InputError(f"{what}: there must be at most {MOST_VALUES} values, got more")
+        todo.extend((child, depth + 1) for child in inner if isinstance(child, dict | list | tuple))

@@ -1,0 +1,193 @@
+"""FITS tables, whose headers are compared with the size of the file before astropy reads them."""
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._readers._limits import open_content, sentence
+from rfpsurvey.errors import InputError, RfpsurveyWarning
+
+__all__ = ["read_fits", "read_fits_bytes"]
+
+BLOCK, CARD = 2880, 80
+MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
+WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
+FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
+SIZES = re.compile(rb"(?:BITPIX|NAXIS\d*|PCOUNT|GCOUNT|TFIELDS|GROUPS)\s*")
+
+
+def read_fits(path: Path) -> QTable:
+    """Return the first table of a FITS file, its text as bytes."""
+    with open_content(path) as file:
+        at, others = _find_table(file, path)
+        if others:
+            text = f"{path}: the file has {1 + others} tables, of which the first was read"
+            warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+        table, n_rows = _read(file, at)
+    if len(table) != n_rows:
+        raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")
+    return table
+
+
+def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
+    """Return the table of a header and data unit, and the number of rows that its header names."""
+    from astropy.io import fits
+
+    file.seek(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of cards against the standard, and of units that are found when they are used
+        with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
+            unit = units[at]
+            table = QTable.read(unit, format="fits", mask_invalid=False)
+            return table, unit.header["NAXIS2"]
+
+
+def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
+    """Return rows and cards of a FITS file with one table; anything else is an InputError that begins with ``name``."""
+    from astropy.io import fits
+
+    try:
+        file = io.BytesIO(content)
+        at, _ = _find_table(file, name)
+        file.seek(0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with fits.open(file, memmap=False, character_as_bytes=False) as units:
+                table = units[at]
+                columns = [np.asarray(table.data[name]) for name in table.columns.names]
+                columns = [c.astype(c.dtype.newbyteorder("=")) for c in columns]
+                return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)
+    except InputError:
+        raise
+    except Exception as error:  # astropy raises what it likes
+        raise InputError(f"{name} cannot be read as fits: {sentence(error)}") from error
+
+
+def _find_table(file: BinaryIO, path: object) -> tuple[int, int]:
+    """Return the number of the first table, and how many others there are, if all that headers promise is there."""
+    size, place, tables = file.seek(0, io.SEEK_END), 0, []
+    if size == 0:
+        raise InputError(f"{path}: the file must be a FITS file, got an empty one")
+    for number in range(MOST_UNITS):
+        cards, begin = _read_header(file, place, size, path)
+        if cards is None:
+            break
+        what = _text(cards.get(b"XTENSION", b""))
+        is_table = number > 0 and what in ("BINTABLE", "TABLE", "A3DTABLE")
+        n_bytes = _data_size(cards, path)
+        if begin + n_bytes > size:
+            raise InputError(
+                f"{path}: the file must have {begin + n_bytes} bytes, as its header says, got {size}: it is cut "
+                "off, or the header is damaged"
+            )
+        end = begin + n_bytes + -n_bytes % BLOCK
+        if is_table:
+            _check_table(file, cards, what, begin + n_bytes, min(end, size), path)
+            tables.append(number)
+        place = end
+        if place >= size:
+            break
+    else:
+        raise InputError(f"{path}: the file must have at most {MOST_UNITS} header and data units, got more")
+    if not tables:
+        raise InputError(f"{path}: the file must hold a table, got {number + (cards is not None)} units without one")
+    return tables[0], len(tables) - 1
+
+
+def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | None, int]:
+    """Return the values of the cards that matter, and where the header ends; None where only padding follows."""
+    file.seek(place)
+    cards, first = {}, b"XTENSION" if place else b"SIMPLE  "
+    for _ in range(-(-MOST_CARDS * CARD // BLOCK)):
+        block = file.read(BLOCK)
+        if not cards and place and not block.strip(b"\0 "):
+            _refuse_rest(file, path)
+            return None, size
+        if not cards and not block.startswith(first):
+            if place:
+                raise InputError(_surplus(path))
+            raise InputError(f"{path} cannot be read as fits: it must begin with SIMPLE, got {block[:16]!r}")
+        if len(block) < BLOCK:
+            break
+        for k in range(0, BLOCK, CARD):
+            card = block[k : k + CARD]
+            if card.rstrip() == b"END":
+                return cards, file.tell()
+            if card[8:10] == b"= ":
+                cards.setdefault(card[:8].strip(), card[10:])
+    raise InputError(f"{path}: a FITS header must end with END within {MOST_CARDS} cards, got none")
+
+
+def _refuse_rest(file, path):
+    """Raise an error where something follows that is not padding."""
+    while chunk := file.read(2**20):
+        if chunk.strip(b"\0 "):
+            raise InputError(_surplus(path))
+
+
+def _surplus(path) -> str:
+    return f"{path}: a FITS extension must begin with XTENSION, got bytes that belong to no table"
+
+
+def _text(value: bytes) -> str:
+    return value.decode("latin-1").strip().lstrip("'").split("'")[0].strip()
+
+
+def _whole(cards, name: str, path, *, default: int | None = None, most: int | None = None) -> int:
+    """Return the value of a card that is a whole number of at least 0."""
+    given = cards.get(name.encode())
+    if given is None and default is not None:
+        return default
+    text = "no such card" if given is None else given.split(b"/")[0].decode("latin-1").strip()
+    if not text.isdecimal() or not text.isascii() or (most is not None and int(text[:20]) > most):
+        limit = " of at least 0" if most is None else f" from 0 to {most}"
+        raise InputError(f"{path}: the header card {name} must be a whole number{limit}, got {text}")
+    return int(text[:20])
+
+
+def _data_size(cards, path) -> int:
+    """Return the number of bytes that follow a header."""
+    if _text(cards.get(b"GROUPS", b"F"))[:1] == "T":
+        raise InputError(f"{path}: the file must hold a table, got random groups")
+    bits = cards.get(b"BITPIX", b"").split(b"/")[0].strip()
+    if bits not in (b"8", b"16", b"32", b"64", b"-32", b"-64"):
+        raise InputError(
+            f"{path}: the header card BITPIX must be 8, 16, 32, 64, -32 or -64, got {bits.decode('latin-1') or 'none'}"
+        )
+    n_axes = _whole(cards, "NAXIS", path, most=999)
+    n = 1 if n_axes else 0
+    for k in range(1, n_axes + 1):
+        n *= _whole(cards, f"NAXIS{k}", path)
+    parameters = _whole(cards, "PCOUNT", path, default=0)
+    return abs(int(bits)) // 8 * _whole(cards, "GCOUNT", path, default=1) * (parameters + n)
+
+
+def _check_table(file, cards, what, begin, end, path):
+    """Refuse a table whose columns do not fill its rows, or after whose rows something follows that is no padding."""
+    if _whole(cards, "NAXIS", path) != 2:
+        raise InputError(f"{path}: the header card NAXIS of a table must be 2, got {_whole(cards, 'NAXIS', path)}")
+    n_fields = _whole(cards, "TFIELDS", path, most=MOST_FIELDS)
+    width = _whole(cards, "NAXIS1", path)
+    found = 0
+    for k in range(1, n_fields + 1):
+        text = _text(cards.get(f"TFORM{k}".encode(), b""))
+        match = FORMAT.fullmatch(text)
+        if what == "TABLE":
+            continue
+        if not match:
+            raise InputError(f"{path}: the header card TFORM{k} must be the format of a column, got {text or 'none'}")
+        found += -(-int(match[1] or 1) * WIDTHS[match[2]] // 1)
+    if what != "TABLE" and found != width:
+        raise InputError(f"{path}: the columns of a row must take NAXIS1 = {width} bytes, got {int(found)}")
+    if width == 0 and _whole(cards, "NAXIS2", path):
+        raise InputError(f"{path}: the rows of a table must have at least one byte, got NAXIS1 = 0")
+    file.seek(begin)
+    if end - begin >= width and file.read(end - begin).strip(b"\0 "):
+        raise InputError(
+            f"{path}: the {end - begin} bytes after the last row must be zero, got others: NAXIS2 may be wrong"
+        )

@@ -1,0 +1,85 @@
+"""How large a file may become in memory, and the content of a file within these limits."""
+
+import bz2
+import gzip
+import io
+import lzma
+import zlib
+from pathlib import Path
+from typing import BinaryIO
+
+from rfpsurvey.errors import InputError
+
+__all__ = ["MOST_COLUMNS", "check_width", "content_of", "is_compressed", "open_content", "sentence"]
+
+OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
+# A compressed file may hold so many times its size; tables of real targets stay below a tenth of it.
+MOST_RATIO = 100
+# No limit applies to what is smaller than this, in bytes.
+FREE = 2**26
+# A column of text takes the width of its longest value in every row: so many times the file, or so many bytes.
+MOST_PADDING, FREE_TEXT = 64, 2**30
+MOST_COLUMNS = 10_000
+CHUNK = 2**20
+
+
+def sentence(error: Exception) -> str:
+    """Return the first line of what an exception says, with its type where that is no error of values or files."""
+    text, kind = str(error).strip().split("\n")[0][:300], type(error).__name__
+    if not text:
+        return kind
+    return text if isinstance(error, ValueError | OSError) else f"{kind}: {text}"
+
+
+def _opener(path: Path):
+    with path.open("rb") as file:
+        head = file.read(6)
+    return next((opener for magic, opener in OPENERS.items() if head.startswith(magic)), None)
+
+
+def is_compressed(path: Path) -> bool:
+    """Return whether a file is compressed, by its first bytes and not by its name."""
+    return _opener(path) is not None
+
+
+def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
+    """Return the content of a file, decompressed; ``most`` limits its size in bytes, ``kind`` is for the error.
+
+    Without ``most`` what is not compressed has no limit, and what is compressed has that of `MOST_RATIO`.
+    """
+    try:
+        size, opener = path.stat().st_size, _opener(path)
+        limit = most if most is not None else None if opener is None else max(FREE, MOST_RATIO * size)
+        if opener is None and limit is None:
+            return path.read_bytes()
+        found = io.BytesIO()
+        with (opener or open)(path, "rb") as file:
+            while chunk := file.read(CHUNK):
+                found.write(chunk)
+                if found.tell() > limit:
+                    raise InputError(_too_large(path, limit, opener if most is None else None))
+        return found.getvalue()
+    except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+        reason = getattr(error, "strerror", None) or sentence(error)
+        raise InputError(f"{path} cannot be read{kind and f' as {kind}'}: {reason}") from error
+
+
+def _too_large(path, limit, opener) -> str:
+    if opener is None:
+        return f"{path}: the file must have at most {limit} bytes, got more"
+    return f"{path}: the decompressed content must have at most {limit} bytes, {MOST_RATIO} times the file, got more"
+
+
+def open_content(path: Path) -> BinaryIO:
+    """Return an open file that can be searched: the file itself, or its decompressed content."""
+    return io.BytesIO(content_of(path)) if is_compressed(path) else path.open("rb")
+
+
+def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:
+    """Refuse a text so long that a column of its width would not fit into memory."""
+    needed = 4 * n_rows * longest
+    if needed > max(FREE_TEXT, MOST_PADDING * size):
+        raise InputError(
+            f"{path}: {where} must be short enough for a column of its width, got {longest} characters, which in "
+            f"{n_rows} rows take {needed / 1e9:.0f} GB"
+        )

@@ -1,0 +1,122 @@
+"""Parquet, whose columns may be missing values, categories and kinds that numpy does not have."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from astropy.table import QTable, Table
+
+from rfpsurvey._readers._limits import check_width, sentence
+from rfpsurvey.errors import InputError
+
+__all__ = ["import_parquet", "read_parquet"]
+
+# The values of all rows take at most so many times the file, or so many bytes; equal values take little in the file.
+MOST_RATIO, FREE = 1000, 2**28
+
+
+def import_parquet():
+    """Return the module that reads Parquet."""
+    try:
+        import pyarrow.parquet
+    except ImportError as error:
+        text = f"reading Parquet needs another package: {error} (pip install 'rfpsurvey[parquet]')"
+        raise InputError(text) from error
+    return pyarrow.parquet
+
+
+def read_parquet(path: Path, names: list[str] | None = None) -> Table:
+    """Return a table of a Parquet file, with the columns that are named or with all that numpy can hold.
+
+    Times are read as they are; lists, structures and durations are left out.
+    """
+    parquet = import_parquet()
+    try:
+        with parquet.ParquetFile(path) as file:
+            n_rows, schema, size = file.metadata.num_rows, file.schema_arrow, path.stat().st_size
+            names = [name for name in names or schema.names if _is_plain(schema.field(name).type)]
+            if not 0 <= 8 * n_rows * max(len(names), 1) <= max(FREE, MOST_RATIO * size):
+                raise InputError(f"{path}: the number of rows must fit the file of {size} bytes, got {n_rows} rows")
+            content = file.read(columns=names)
+        if content.num_rows != n_rows:
+            raise InputError(f"{path}: the table must have {n_rows} rows, got {content.num_rows}")
+        return _with_units(_to_table(content, names, path), schema.metadata or {})
+    except InputError:
+        raise
+    except Exception as error:  # pyarrow raises what it likes
+        raise InputError(f"{path} cannot be read as parquet: {sentence(error)}") from error
+
+
+def _is_plain(kind) -> bool:
+    """Return whether numpy has an array for a kind of column."""
+    from pyarrow import types
+
+    if types.is_dictionary(kind):
+        kind = kind.value_type
+    tests = ("boolean", "integer", "floating", "decimal", "string", "large_string", "binary", "large_binary",
+             "fixed_size_binary", "timestamp", "date", "null", "string_view", "binary_view")  # fmt: skip
+    return any(getattr(types, f"is_{name}", lambda _: False)(kind) for name in tests)
+
+
+def _to_table(content, names: list[str], path: Path) -> Table:
+    """Return a table of columns of Arrow, missing values masked."""
+    return Table({name: _to_array(content[name], name, path) for name in names}, copy=False)
+
+
+def _to_array(column, name: str, path: Path) -> np.ndarray:
+    import pyarrow as pa
+    from pyarrow import types
+
+    if types.is_dictionary(column.type):
+        column = column.cast(column.type.value_type)
+    if types.is_decimal(column.type):
+        column = column.cast(pa.float64())
+    if types.is_null(column.type):
+        column = column.cast(pa.float64())
+    missing = np.asarray(column.is_null()) if column.null_count else None
+    if any(test(column.type) for test in (types.is_string, types.is_large_string, types.is_string_view)):
+        values = _texts(column, path, name)
+    elif any(test(column.type) for test in (types.is_binary, types.is_large_binary, types.is_binary_view,
+                                            types.is_fixed_size_binary)):  # fmt: skip
+        values = np.array([_decoded(value, path, name) for value in column.to_pylist()], dtype=str)
+    else:
+        if missing is not None and types.is_boolean(column.type):
+            column = column.fill_null(False)
+        elif missing is not None and types.is_integer(column.type):
+            column = column.fill_null(0)
+        values = np.array(column.to_numpy())  # what pyarrow returns may not be written to
+    return values if missing is None else np.ma.array(values, mask=missing)
+
+
+def _texts(column, path: Path, name: str) -> np.ndarray:
+    import pyarrow.compute as pc
+
+    longest = pc.max(pc.utf8_length(column)).as_py() or 0
+    check_width(path, len(column), longest, path.stat().st_size, f"a value of the column {name!r}")
+    return column.fill_null("").to_numpy().astype(f"U{max(longest, 1)}")
+
+
+def _decoded(value: bytes | None, path: Path, name: str) -> str:
+    try:
+        return "" if value is None else value.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: column {name!r} must hold numbers or text, got the bytes {value[:20]!r}") from None
+
+
+def _with_units(table: Table, metadata: dict) -> Table:
+    """Return the table with the units and columns of coordinates that astropy wrote beside it."""
+    text = metadata.get(b"table_meta_yaml")
+    if text is None:
+        return table
+    from astropy.table import meta, serialize
+
+    header = meta.get_header_from_yaml(text.decode("utf-8").split("\n"))
+    for about in header.get("datatype", []):
+        if about["name"] in table.colnames:
+            for attribute in ("description", "format", "unit", "meta"):
+                if attribute in about:
+                    setattr(table[about["name"]], attribute, about[attribute])
+    table.meta.update(header.get("meta", {}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return QTable(serialize._construct_mixins_from_columns(table))

@@ -1,0 +1,116 @@
+"""Tables in any of the formats."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._readers._documents import check_size, parse_json
+from rfpsurvey._readers._fits import read_fits
+from rfpsurvey._readers._limits import check_width, sentence
+from rfpsurvey._readers._parquet import read_parquet
+from rfpsurvey._readers._text import read_csv, read_ecsv
+from rfpsurvey._readers._votable import read_votable
+from rfpsurvey.errors import InputError
+
+__all__ = ["FORMATS", "META_KEY", "read_table", "suffix_of", "to_path"]
+
+FORMATS = {
+    ".fits": "fits",
+    ".fit": "fits",
+    ".ecsv": "ascii.ecsv",
+    ".csv": "ascii.csv",
+    ".vot": "votable",
+    ".xml": "votable",
+    ".votable": "votable",
+    ".parquet": "parquet",
+}
+READERS = {
+    "fits": read_fits,
+    "ascii.ecsv": read_ecsv,
+    "ascii.csv": read_csv,
+    "votable": read_votable,
+    "parquet": read_parquet,
+}
+ZIPPED = (".gz", ".bz2", ".xz")
+META_KEY = "RFPSURVY"
+
+
+def to_path(path: object) -> Path:
+    """Return a Path from text or a path."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise InputError(f"a path must be text or a path, got {path!r}") from None
+
+
+def suffix_of(path: Path) -> str:
+    """Return the ending that tells the format; ``.gz`` is looked through."""
+    suffixes = [s.lower() for s in path.suffixes]
+    if suffixes and suffixes[-1] in ZIPPED:
+        suffixes.pop()
+    return suffixes[-1] if suffixes else ""
+
+
+def read_table(path: str | os.PathLike) -> QTable:
+    """Read a table in any of `FORMATS`."""
+    path = to_path(path)
+    suffix = suffix_of(path)
+    if suffix not in FORMATS:
+        raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (or with .gz)")
+    if not _is_file(path):
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    try:
+        table = QTable(READERS[FORMATS[suffix]](path))
+        for name in table.colnames:
+            _make_text(table, name, path)
+        check_size(table.meta, path)
+    except InputError:
+        raise
+    except ImportError as error:
+        raise InputError(f"{path}: reading this format needs another package: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: it is nested too deep") from error
+    except Exception as error:  # readers of five formats raise what they like
+        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {sentence(error)}") from error
+    if META_KEY in table.meta:
+        table.meta = parse_json(table.meta[META_KEY], f"{path}: the header card {META_KEY}")
+    return table
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except ValueError:  # a NUL in the name
+        return False
+
+
+def _make_text(table: QTable, name: str, path: Path) -> None:
+    """Replace a column of bytes, or of objects that are all text, by one of text."""
+    column = table[name]
+    kind = getattr(getattr(column, "dtype", None), "kind", "")
+    if kind == "S":
+        try:
+            text = np.char.decode(np.asarray(column), "utf-8")
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"{path}: column {name!r} must hold text in ASCII or UTF-8, got the bytes {error.object[:20]!r}"
+            ) from None
+        _replace(table, name, text)
+    elif kind == "O" and column.ndim == 1 and all(isinstance(v, str) for v in np.asarray(column)):
+        check_width(
+            path, len(column), max(map(len, np.asarray(column)), default=0), path.stat().st_size, f"a value of {name!r}"
+        )
+
+
+def _replace(table: QTable, name: str, values: np.ndarray) -> None:
+    mask = getattr(table[name], "mask", None)
+    if mask is not None and np.any(mask):
+        values = np.ma.array(values, mask=mask)
+    info = table[name].info
+    description, meta = info.description, info.meta
+    table[name] = values
+    table[name].info.description = description
+    if meta:
+        table[name].info.meta = meta

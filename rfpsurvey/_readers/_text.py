@@ -1,0 +1,115 @@
+"""CSV and ECSV, of which every line is a row."""
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey._readers._limits import content_of
+from rfpsurvey._readers._lines import count_lines, line_number
+from rfpsurvey.errors import InputError, RfpsurveyWarning
+
+__all__ = ["read_csv", "read_ecsv"]
+
+MOST_HEADER = 2**18
+MOST_CELLS = 100_000
+COMMA = re.compile(rb"^# *delimiter: *['\"]?,", re.MULTILINE)
+SHAPE = re.compile(rb"subtype: *['\"]?\w+\[([^\]\n]*)")
+WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
+
+
+def read_csv(path: Path) -> Table:
+    """Return the table of a CSV file; comments begin with #."""
+    content = _checked_content(path)
+    n_lines = count_lines(path, content, 0, b",")
+    if n_lines == 0:
+        return Table()
+    text = content.decode("utf-8")
+    del content
+    from astropy.io import ascii as text_tables
+
+    options = {"format": "csv", "guess": False, "comment": "#"}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        if text.isascii():
+            if "\n" not in text:  # it would be taken for a path
+                text += "\n"
+            table = text_tables.read(text, fast_reader={"enable": "force"}, **options)
+        else:  # which the fast reader cannot read
+            lines = [line for line in text.split("\n") if _is_data(line)]
+            table = text_tables.read(lines, fast_reader=False, **options)
+    for message in dict.fromkeys(str(w.message) for w in caught if "FloatType" in str(w.message)):
+        warnings.warn(f"{path}: {message}", RfpsurveyWarning, stacklevel=4)
+    table.meta.clear()
+    return _with_all_rows(path, table, n_lines - 1)
+
+
+def read_ecsv(path: Path) -> Table:
+    """Return the table of an ECSV file."""
+    content = _checked_content(path)
+    begin = _end_of_header(content)
+    header = content[:begin]
+    if begin > MOST_HEADER:
+        raise InputError(f"{path}: the ECSV header must have at most {MOST_HEADER} bytes, got {begin}")
+    for found in SHAPE.findall(header):
+        sizes = [int(n) for n in re.findall(rb"\d{1,9}", found)]
+        if np.prod(sizes, dtype=float) > MOST_CELLS:
+            raise InputError(f"{path}: a value must have at most {MOST_CELLS} elements, got [{found.decode()}]")
+    for width in WIDE.findall(header):
+        if len(width) > 5:
+            raise InputError(f"{path}: a value must have at most 99999 characters, got the width {width.decode()}")
+    from astropy.io import ascii as text_tables
+
+    n_lines = count_lines(path, content, begin, b"," if COMMA.search(header) else b" ", ragged=True)
+    lines = content.decode("utf-8").split("\n")
+    del content
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        table = text_tables.read(lines, format="ecsv", guess=False)
+    return _with_all_rows(path, table, n_lines - 1)
+
+
+def _checked_content(path: Path) -> bytes:
+    """Return the content of a text file, its lines ended by a line feed (or both)."""
+    content = content_of(path).removeprefix(b"\xef\xbb\xbf")  # the mark that spreadsheets put before a file
+    if b"\r" in content and content.count(b"\r") != content.count(b"\r\n"):
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    where = content.find(b"\0")
+    if where >= 0:
+        raise InputError(f"{path}: line {line_number(content, where)} must be text, got a NUL byte")
+    try:
+        if not content.isascii():
+            content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        number = line_number(content, error.start)
+        raise InputError(
+            f"{path}: line {number} must be text in UTF-8, got the byte 0x{content[error.start]:02x}"
+        ) from None
+    return content
+
+
+def _is_data(line: str) -> bool:
+    line = line.lstrip(" \t")
+    return bool(line.strip()) and not line.startswith("#")
+
+
+def _end_of_header(content: bytes) -> int:
+    """Return where the comments end that an ECSV file begins with."""
+    place = 0
+    while place < len(content):
+        end = content.find(b"\n", place) + 1 or len(content)
+        line = content[place:end].lstrip(b" \t")
+        if line.strip() and not line.startswith(b"#"):
+            break
+        place = end
+        if place > MOST_HEADER:
+            break
+    return place
+
+
+def _with_all_rows(path, table, n_rows):
+    if len(table) != n_rows:
+        raise InputError(f"{path}: the table must have the {n_rows} rows of the file, got {len(table)}")
+    return table

@@ -1,0 +1,180 @@
+"""VOTables, which may name files and addresses to read from: none of these is followed.
+
+A first pass over the XML counts rows and columns, so that what astropy returns can be compared with what is there.
+"""
+
+import binascii
+import math
+import re
+import struct
+import warnings
+from pathlib import Path
+
+from astropy.table import QTable
+
+from rfpsurvey._readers._limits import MOST_COLUMNS, MOST_PADDING, open_content
+from rfpsurvey.errors import InputError
+
+__all__ = ["read_votable"]
+
+SIZES = {"boolean": 1, "bit": 1 / 8, "unsignedByte": 1, "short": 2, "int": 4, "long": 8, "char": 1, "unicodeChar": 2,
+         "float": 4, "double": 8, "floatComplex": 8, "doubleComplex": 16}  # fmt: skip
+# The bytes of a row, and of all rows as long as they are not many times the file.
+MOST_ROW, FREE_ROWS = 400_000, 2**29
+# Warnings of astropy about values that it changes: text that is cut off, numbers beyond their type.
+ALTERED = re.compile(r"\b(?:W46|W51): (.*)")
+
+
+def read_votable(path: Path) -> QTable:
+    """Return the only table of a VOTable file."""
+    with open_content(path) as file:
+        about = _Contents(path)
+        about.read(file)
+        n_rows = about.n_rows(file.tell())
+        file.seek(0)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            table = QTable.read(file, format="votable", verify="warn")
+    for warning in caught:
+        altered = ALTERED.search(str(warning.message))
+        if altered:
+            raise InputError(f"{path}: every value must fit into its column, got one that does not: {altered[1]}")
+    if len(table) != n_rows:
+        raise InputError(f"{path}: the table must have the {n_rows} rows of the file, got {len(table)}")
+    return table
+
+
+class _Contents:
+    """What is in a file, by its elements alone."""
+
+    def __init__(self, path: Path):
+        from xml.parsers import expat
+
+        self._path, self._error = path, expat.ExpatError
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler = self._start
+        self._parser.EntityDeclHandler = self._refuse_entity
+        self._parser.SkippedEntityHandler = self._refuse_entity
+        self._n_tables = self._n_tr = 0
+        self._fields, self._rows_said, self._data = [], None, None
+        self._stream: list[str] = []
+        self._in_stream = False
+
+    def read(self, file) -> None:
+        """Read the whole file."""
+        try:
+            self._parser.ParseFile(file)
+        except self._error as error:
+            raise InputError(f"{self._path} cannot be read as votable: {error}") from None
+
+    def _start(self, name, attributes):
+        name = name.rpartition(":")[2]
+        if self._in_stream:
+            self._refuse(f"STREAM must hold nothing but its data, got {name}")
+        if name == "TR":
+            self._n_tr += 1
+        elif name == "TABLE":
+            self._n_tables += 1
+            self._rows_said = attributes.get("nrows")
+        elif name == "FIELD":
+            self._add_field(attributes)
+        elif name in ("TABLEDATA", "BINARY", "BINARY2"):
+            self._data = name
+        elif name in ("FITS", "PARQUET"):
+            self._refuse(f"the data must be in TABLEDATA, BINARY or BINARY2, got {name}")
+        elif name == "STREAM":
+            if "href" in attributes:
+                self._refuse(
+                    f"STREAM must hold its data, got the address {attributes['href'][:80]!r}, which is not read"
+                )
+            if attributes.get("encoding") != "base64":
+                self._refuse(f"the encoding of STREAM must be base64, got {attributes.get('encoding')!r}")
+            self._in_stream = True
+            self._parser.CharacterDataHandler = self._stream.append
+            self._parser.EndElementHandler = self._end
+
+    def _end(self, name):
+        self._in_stream = False
+        self._parser.CharacterDataHandler = self._parser.EndElementHandler = None
+
+    def _refuse(self, text):
+        raise InputError(f"{self._path}: {text} (line {self._parser.CurrentLineNumber})")
+
+    def _refuse_entity(self, name, *_):
+        self._refuse(f"a VOTable must not have entities, got {name!r}")
+
+    def _add_field(self, attributes):
+        kind, size = attributes.get("datatype", ""), attributes.get("arraysize", "1").strip()
+        name = attributes.get("name") or attributes.get("ID") or len(self._fields) + 1
+        numbers = re.fullmatch(r"(?:(\d{1,9}(?:x\d{1,9})*)x?)?(\*?)", size)
+        if kind not in SIZES or not numbers:
+            self._refuse(
+                f"the column {name} must have a datatype and an arraysize of VOTable, got {kind!r} and {size!r}"
+            )
+        n = math.prod(map(int, (numbers[1] or "1").split("x")))
+        if numbers[2] and kind not in ("char", "unicodeChar"):
+            # the last dimension is the one that varies
+            n = math.prod(map(int, (numbers[1] or "1").split("x"))) if size.endswith("x*") else 1
+        self._fields.append((kind, n, bool(numbers[2])))
+        if len(self._fields) > MOST_COLUMNS:
+            self._refuse(f"a table must have at most {MOST_COLUMNS} columns, got more")
+
+    def n_rows(self, size: int) -> int:
+        """Return the number of rows, if they are whole and fit into memory; ``size`` is that of the file."""
+        path = self._path
+        if self._n_tables != 1:
+            raise InputError(f"{path}: the file must hold one table, got {self._n_tables}")
+        n = self._n_tr if self._data == "TABLEDATA" else 0 if self._data is None else self._binary_rows()
+        said = self._rows_said
+        if said is not None and said.strip() != str(n):
+            raise InputError(f"{path}: the table must have the nrows = {said[:20]} rows that it names, got {n}")
+        width = sum((4 if kind in ("char", "unicodeChar") else SIZES[kind]) * k for kind, k, open_ in self._fields)
+        if width > MOST_ROW or (n + 512) * width > max(FREE_ROWS, MOST_PADDING * size):
+            raise InputError(
+                f"{path}: a row must have at most {MOST_ROW} bytes and be filled, got {width:.0f} bytes a row"
+            )
+        return n
+
+    def _binary_rows(self) -> int:
+        """Return the number of rows of a stream that holds nothing else."""
+        try:
+            content = binascii.a2b_base64(re.sub(r"\s", "", "".join(self._stream)), strict_mode=True)
+        except ValueError as error:
+            raise InputError(f"{self._path}: STREAM must be in base64: {error}") from None
+        steps = [(len(self._fields) + 7) // 8 if self._data == "BINARY2" else 0]
+        for kind, n, varies in self._fields:
+            if varies:
+                steps += [(kind, n if kind not in ("char", "unicodeChar") else 1), 0]
+            else:
+                steps[-1] += -(-SIZES[kind] * n // 1)
+        n_rows, place = 0, 0
+        if len(steps) == 1:
+            n_rows, rest = divmod(len(content), steps[0]) if steps[0] else (0, len(content))
+            place = len(content) - rest
+        else:
+            while place < len(content):
+                try:
+                    place = _skip_row(content, place, steps)
+                except struct.error:
+                    place = -1
+                if not 0 <= place <= len(content):
+                    place = -1
+                    break
+                n_rows += 1
+        if place != len(content):
+            raise InputError(f"{self._path}: STREAM must hold whole rows, got a rest after {n_rows} rows")
+        return n_rows
+
+
+def _skip_row(content: bytes, place: int, steps: list) -> int:
+    """Return where a row ends that begins at a place: steps of bytes, and arrays of a length that comes first."""
+    place = int(place)
+    for step in steps:
+        if isinstance(step, tuple):
+            kind, n = step
+            (count,) = struct.unpack_from(">I", content, place)
+            item = SIZES[kind] * n
+            place += 4 + int(count * (item if item >= 1 and kind != "bit" else -(-item // 1)))
+        else:
+            place += int(step)
+    return place

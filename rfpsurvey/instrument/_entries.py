@@ -1,0 +1,197 @@
+"""What each entry of an instrument's description must be: a table of kinds, and one function that reads it."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite
+
+import astropy.units as u
+
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
+
+__all__ = ["NEED", "SECTIONS", "check_description"]
+
+STATUSES = ("published", "derived", "assumed")
+PARTS = ("value", "unit", "status", "source")
+NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
+SCALE = u.mm / u.rad
+MOST_NUMBER = 1e12
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a value may be."""
+
+    what: str
+    """Goes on after "must be"."""
+    fits: Callable[[object], bool]
+    unit: u.UnitBase | None = None
+
+
+def _is_number(value, low=-inf, high=inf) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and low <= value <= high
+
+
+def _is_whole(value, low=-inf, high=inf) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
+def _is_text(value) -> bool:
+    return isinstance(value, str) and bool(value.strip())
+
+
+def _is_list(value, fits, n=None) -> bool:
+    return isinstance(value, list) and all(map(fits, value)) and (n is None or len(value) == n)
+
+
+def _number(what, low=-inf, high=MOST_NUMBER, unit=None) -> Kind:
+    return Kind(what, lambda value: _is_number(value, low, high), unit)
+
+
+def _whole(low, high) -> Kind:
+    return Kind(f"a whole number from {low} to {high}", lambda value: _is_whole(value, low, high))
+
+
+def _choice(*names) -> Kind:
+    return Kind(f"one of {', '.join(names)}", lambda value: isinstance(value, str) and value in names)
+
+
+def _is_map(value) -> bool:
+    if not isinstance(value, dict) or not set(value) <= {"form", "coefficients", "radius", "unit_tangent"}:
+        return False
+    numbers = [value[name] for name in ("radius", "unit_tangent") if name in value]
+    coefficients = value.get("coefficients")
+    return (
+        _is_text(value.get("form"))
+        and _is_list(coefficients, _is_number)
+        and 0 < len(coefficients) <= 100
+        and all(_is_number(number, 1e-300) for number in numbers)
+    )
+
+
+TINY = 1e-300  # numbers above zero
+LENGTH = _number("a length above 0", TINY, unit=u.mm)
+CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
+ANGLE = _number("an angle", unit=u.rad)
+ANGLES = Kind("two angles", lambda value: _is_list(value, _is_number, 2), u.rad)
+CELLS = Kind(
+    "a list of pairs of whole numbers",
+    lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
+)
+TEXT = Kind("text", _is_text)
+NAMES = Kind("a list of names", lambda value: _is_list(value, _is_text) and len(value) > 0)
+ENTRIES = {
+    "positioner.central_arm": LENGTH,
+    "positioner.eccentric_arm": LENGTH,
+    "positioner.clearance": CLOSED_LENGTH,
+    "positioner.step": _number("an angle of at least 0", 0, unit=u.rad),
+    "positioner.handedness": _choice(*HANDEDNESS),
+    "positioner.theta_range": ANGLES,
+    "positioner.phi_range": ANGLES,
+    "positioner.home": ANGLES,
+    "positioner.displacement": CLOSED_LENGTH,
+    "positioner.arm_model": _choice(*ARM_MODELS),
+    "positioner.arm_length": CLOSED_LENGTH,
+    "positioner.arm_angle": Kind(
+        "an angle, or a table of a fiber type to an angle",
+        lambda value: (
+            _is_number(value) or (isinstance(value, dict) and len(value) > 0 and all(map(_is_number, value.values())))
+        ),
+        u.rad,
+    ),
+    "layout.table": TEXT,
+    "layout.rings": _whole(0, 500),
+    "layout.count": _whole(1, 1_000_000),
+    "layout.pitch": LENGTH,
+    "layout.inner_radius": CLOSED_LENGTH,
+    "layout.rows_along": _choice("x", "y"),
+    "layout.vacant_cells": CELLS,
+    "layout.fiducial_cells": CELLS,
+    "layout.fiducial_radius": CLOSED_LENGTH,
+    "layout.names": _choice("row and column"),
+    "layout.fiber_types": NAMES,
+    "layout.first_type_only_cells": CELLS,
+    "layout.spectrographs": Kind(
+        "a whole number from 1 to 1000000, or 'one a fiber type'",
+        lambda value: _is_whole(value, 1, 1_000_000) or value == "one a fiber type",
+    ),
+    "layout.spectrograph_shape": _choice("blocks", "wedges"),
+    "optics.plate_scale": _number("a length per angle above 0", TINY, 1e12, SCALE),
+    "optics.max_angle": _number("an angle above 0", TINY, unit=u.rad),
+    "optics.factor": _number("a number above 0", TINY),
+    "optics.radial_map": Kind(
+        "a table of a fiber type, or any, to a table of form and coefficients (and radius or unit_tangent, above 0)",
+        lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
+    ),
+    "observing.targets_per_fiber": _number("a number above 0", TINY),
+}
+OBSERVING = _whole(0, 1_000_000)
+SECTIONS = ("positioner", "layout", "optics", "observing")
+TABLE = Kind("a table", lambda value: isinstance(value, dict))
+WORDS = Kind("text", lambda value: isinstance(value, str))
+TOP = {
+    "schema": Kind("1, the only one that this version reads", lambda value: _is_whole(value, 1, 1)),
+    "name": TEXT,
+    "title": WORDS,
+    "layout_is": WORDS,
+    "notes": WORDS,
+    "inherits": TEXT,
+    "sources": Kind("a table of texts", lambda value: isinstance(value, dict) and all(map(_is_text, value.values()))),
+    **dict.fromkeys(SECTIONS, TABLE),
+}
+
+
+def check_description(content: dict) -> None:
+    """Raise an error for the first entry of a description that is not what it must be."""
+    if "name" not in content:
+        raise InputError("name must be text, got no such entry")
+    for name, value in content.items():
+        check_choice(name, TOP, "section or entry")
+        if not TOP[name].fits(value):
+            raise InputError(f"{name} must be {TOP[name].what}, got {_short(value)}")
+    for section in SECTIONS:
+        for name, entry in content.get(section, {}).items():
+            _check_entry(section, name, entry)
+
+
+def _check_entry(section: str, name: str, entry: object) -> None:
+    full = f"{section}.{name}"
+    kind = OBSERVING if NEED.fullmatch(full) else ENTRIES.get(full)
+    if kind is None:
+        known = {key.partition(".")[2] for key in ENTRIES if key.startswith(section)}
+        check_choice(name, known, f"entry of [{section}]")
+    if not isinstance(entry, dict):
+        raise InputError(f"{full} must be a table with value, status and source, got {_short(entry)}")
+    for part in entry:
+        check_choice(part, PARTS, f"part of {full}")
+    for part in ("value", "status", "source"):
+        if part not in entry:
+            raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}")
+    check_choice(entry["status"], STATUSES, f"status of {full}")
+    if not _is_text(entry["source"]):
+        raise InputError(f"the source of {full} must be text, got {_short(entry['source'])}")
+    value, unit = entry["value"], _unit(full, kind, entry)
+    if not kind.fits(value):
+        raise InputError(f"{full} must be {kind.what}, got {_short(value)}{'' if unit is None else f' {unit}'}")
+
+
+def _unit(full: str, kind: Kind, entry: dict) -> object:
+    """Return the unit of an entry as it is written, if it has the one that it must have."""
+    given = entry.get("unit")
+    if kind.unit is None:
+        if given is not None:
+            raise InputError(f"{full} must have no unit, got {_short(given)}")
+        return None
+    try:
+        fits = isinstance(given, str) and u.Unit(given).is_equivalent(kind.unit)
+    except (ValueError, TypeError):
+        fits = False
+    if not fits:
+        raise InputError(f"the unit of {full} must be convertible to {kind.unit}, got {_short(given)}")
+    return given
+
+
+def _short(value: object) -> str:
+    text = "no such entry" if value is None else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,210 @@
+"""Damaged files: ways to damage valid ones, and what must come of reading them.
+
+Whatever is done to a file, a reader must return all of its rows, or raise an InputError. It must not raise anything
+else, leak a warning of another package, or return fewer rows without a warning.
+"""
+
+import bz2
+import gzip
+import lzma
+import re
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import rfpsurvey as rs
+from valid_files import Sample
+
+NUMBER = re.compile(rb"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
+HUGE = (b"999999999", b"-1", b"0", b"1e400", b"99999999999999999999", b"2147483648", b"NaN", b"1000000")
+TOKENS = (
+    b'"',
+    b"\0",
+    b"\n",
+    b"\r",
+    b",",
+    b"#",
+    b"\xff",
+    b"\xe9",
+    b"<",
+    b">",
+    b"&",
+    b"'",
+    b"[",
+    b"]",
+    b"{",
+    b"=",
+    b"END",
+)
+
+
+def _some(rng, n, most=64):
+    begin = int(rng.integers(n + 1))
+    return begin, min(begin + 1 + int(rng.integers(most)), n)
+
+
+def flip(rng, b):
+    b = bytearray(b)
+    for _ in range(1 + int(rng.integers(8)) if b else 0):
+        b[int(rng.integers(len(b)))] ^= 1 << int(rng.integers(8))
+    return bytes(b)
+
+
+def truncate(rng, b):
+    return b[: int(rng.integers(len(b) + 1))]
+
+
+def cut_the_end(rng, b):
+    return b[: -1 - int(rng.integers(min(len(b), 100)))] if b else b
+
+
+def remove(rng, b):
+    begin, end = _some(rng, len(b))
+    return b[:begin] + b[end:]
+
+
+def duplicate(rng, b):
+    begin, end = _some(rng, len(b), 4096)
+    return b[:end] + b[begin:]
+
+
+def insert(rng, b):
+    where = int(rng.integers(len(b) + 1))
+    return b[:where] + TOKENS[int(rng.integers(len(TOKENS)))] * (1 + int(rng.integers(2))) + b[where:]
+
+
+def insert_noise(rng, b):
+    where = int(rng.integers(len(b) + 1))
+    return b[:where] + rng.bytes(1 + int(rng.integers(40))) + b[where:]
+
+
+def blank(rng, b):
+    begin, end = _some(rng, len(b), 3000)
+    return b[:begin] + (b"\0" if rng.integers(2) else b" ") * (end - begin) + b[end:]
+
+
+def _lines(rng, b, change):
+    lines = b.split(b"\n")
+    change(lines, *(int(rng.integers(len(lines))) for _ in range(2)))
+    return b"\n".join(lines)
+
+
+def swap_lines(rng, b):
+    def change(lines, one, other):
+        lines[one], lines[other] = lines[other], lines[one]
+
+    return _lines(rng, b, change)
+
+
+def drop_line(rng, b):
+    return _lines(rng, b, lambda lines, one, _: lines.pop(one))
+
+
+def double_line(rng, b):
+    return _lines(rng, b, lambda lines, one, other: lines.insert(other, lines[one]))
+
+
+def change_number(rng, b):
+    found = list(NUMBER.finditer(b))
+    if not found:
+        return b
+    match = found[int(rng.integers(len(found)))]
+    other = HUGE[int(rng.integers(len(HUGE)))] if rng.integers(2) else str(int(rng.integers(1000))).encode()
+    return b[: match.start()] + other + b[match.end() :]
+
+
+def change_card(rng, b):
+    """Change a card of a FITS header, or a number elsewhere."""
+    cards = [k for k in range(0, min(len(b), 40_000), 80) if b[k + 8 : k + 10] == b"= "]
+    if not cards:
+        return change_number(rng, b)
+    k = cards[int(rng.integers(len(cards)))]
+    values = (*HUGE, b"'", b"'X'", b"T", b"", b"'999999999D'", b"'1PD(999999999)'", b"'(9999,9999)'", b"1", b"12")
+    return b[: k + 10] + values[int(rng.integers(len(values)))].rjust(20).ljust(70)[:70] + b[k + 80 :]
+
+
+def change_word(rng, b):
+    found = list(re.finditer(rb"[A-Za-z_]{3,}", b))
+    if not found:
+        return b
+    one, other = (found[int(rng.integers(len(found)))] for _ in range(2))
+    return b[: one.start()] + other[0] + b[one.end() :]
+
+
+def encode(rng, b):
+    try:
+        return b.decode("utf-8").encode(("utf-16", "utf-32", "utf-16-le", "utf-8-sig", "cp037")[int(rng.integers(5))])
+    except UnicodeError:
+        return b[::-1]
+
+
+def compress(rng, b):
+    return (gzip.compress, bz2.compress, lzma.compress, lambda b: gzip.compress(gzip.compress(b)))[
+        int(rng.integers(4))
+    ](b)
+
+
+MUTATORS = (
+    flip, flip, truncate, cut_the_end, remove, duplicate, insert, insert, insert_noise, blank, swap_lines, drop_line,
+    double_line, change_number, change_number, change_card, change_card, change_word, encode, compress,
+)  # fmt: skip
+
+
+def damage(rng: np.random.Generator, sample: Sample, folder: Path) -> tuple[Path, str]:
+    """Write a damaged copy into a folder; return its path, and what was done to it."""
+    path = folder / sample.path.name
+    if sample.pieces:
+        shutil.copytree(sample.path, path)
+        piece = path / sample.pieces[int(rng.integers(len(sample.pieces)))]
+    else:
+        piece = path
+        shutil.copy(sample.path, path)
+    before = piece.read_bytes()
+    inside = piece.suffix == ".gz" and rng.integers(2)
+    after = gzip.decompress(before) if inside else before
+    done = []
+    for _ in range(1 if rng.integers(3) else 2):
+        mutator = MUTATORS[int(rng.integers(len(MUTATORS)))]
+        after = mutator(rng, after)
+        done.append(mutator.__name__)
+    piece.write_bytes(gzip.compress(after, mtime=0) if inside else after)
+    if sample.pieces and rng.integers(4):
+        sample.repair(path)
+    return path, f"{piece.name}: {', '.join(done)}"
+
+
+def outcome(sample: Sample, path: Path) -> tuple[str, str]:
+    """Read a damaged file; return what came of it in a word, and more about it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            n = sample.read(path)
+        except rs.InputError as error:
+            cause = error
+            while cause is not None:
+                if isinstance(cause, MemoryError):
+                    return "too large", str(error)
+                cause = cause.__cause__
+            text = str(error)
+            if "\n" in text or len(text) > 1000 + 3 * len(str(path)):
+                return "long sentence", text[:300]
+            return "refused", text
+        except Exception as error:
+            return "traceback", f"{type(error).__name__}: {error}"
+    strange = [w for w in caught if not issubclass(w.category, rs.RfpsurveyWarning)]
+    if strange:
+        return "foreign warning", f"{strange[0].category.__name__}: {strange[0].message}"
+    try:
+        expected = sample.count(path)
+    except Exception as error:
+        return "row loss", f"{n} rows were read, and cannot be counted otherwise: {type(error).__name__}: {error}"
+    told = any("rows" in str(w.message) or "tables" in str(w.message) for w in caught)
+    # rows of zeros that a number of rows takes from the padding of FITS are none that were lost
+    if expected is not None and (n < expected or (n > expected and sample.format != "survey")) and not told:
+        return "row loss", f"{n} rows of {expected}"
+    return "read", ""
+
+
+FINE = ("read", "refused")
