@@ -88,6 +88,8 @@ def test_a_reading_is_judged_by_each_average():
     assert _of_reading("disc", table).verdict == "not reproduced"
     table["uniform"][2], table["uniform error"][2] = 0.0512, 2e-4  # 2.4 +- 0.4 %
     assert _of_reading("disc", table).reading == "disc; LAMOST's design"
+    table["disc"][0] = 0.0  # nothing collides: no ratio
+    assert "; +0.00 % +- 0.02 % (mean of the drops); +nan" in _of_reading("disc", table).ours
     table["disc"][2] = np.nan
     assert "LAMOST" not in _of_reading("disc", table).ours
 

@@ -95,6 +95,7 @@ def _averages(table, name):
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
+    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # else no ratio
     drop = 100 * (uniform / own - 1)
     return part, np.array([drop, (100 + drop) * np.hypot(error / uniform, own_error / own)])
 
@@ -133,9 +134,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
         for low, high in pairwise(RATIOS):
             groups[f"ratio_{low:.2f}_{high:.2f}"] = (part["ratio"] >= low) & (part["ratio"] < high)
         for key, some in groups.items():
-            n = int(np.count_nonzero(some))
-            row[key] = drop[some].mean() if n else np.nan
-            row[f"{key}_error"] = np.sqrt((error[some] ** 2).sum()) / n if n else np.nan
+            row[key], row[f"{key}_error"] = _mean(drop[some], error[some])
         _, (own, own_error) = _averages(table[-1:], name)
         row["lamost"], row["lamost_error"] = own[0], own_error[0]
         rows.append(row)
@@ -164,7 +163,10 @@ def _of_reading(name, table):
 
 
 def _mean(values, errors):
-    return values.mean(), np.sqrt((errors**2).sum()) / len(values)
+    """Return the mean of known values and its standard error."""
+    known = np.isfinite(values)
+    n = int(np.count_nonzero(known))
+    return (values[known].mean(), np.sqrt((errors[known] ** 2).sum()) / n) if n else (np.nan, np.nan)
 
 
 def _coordinates(scale):
