@@ -10,7 +10,7 @@ from rfpsurvey.reproduction import EXPERIMENTS
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
 from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
 from rfpsurvey.reproduction._one_sky import one_sky
-from rfpsurvey.reproduction._poisson import _averages, _of_reading, drops_by_ratio
+from rfpsurvey.reproduction._poisson import _of_reading, drops_by_ratio
 
 QUICK = Settings(quick=True)
 
@@ -55,7 +55,7 @@ def test_designs_are_those_of_the_paper():
 def disc_designs():
     """Uniform targets collide 10 % more in a design of equal arms, 1 % in one of unequal arms; LAMOST's comes last."""
     return QTable({
-        "ratio": [1.1, 1.9, 1.0], "uniform": [0.11, 0.505, 0.0515], "uniform error": [1e-4, 1e-4, 1e-4],
+        "ratio": [1.1, 1.9, 1.0], "uniform": [0.11, 0.505, 0.053], "uniform error": [1e-4, 1e-4, 1e-4],
         "disc": [0.1, 0.5, 0.05], "disc error": [0.0, 0.0, 0.0],
     })  # fmt: skip
 
@@ -68,7 +68,7 @@ def test_drops_are_averaged_over_means_and_over_designs():
     assert row["ratio_1.00_1.25"] == pytest.approx(10)
     assert np.isnan(row["ratio_1.25_1.50"])
     assert row["ratio_1.50_2.00"] == pytest.approx(1)
-    assert row["lamost"] == pytest.approx(3)
+    assert row["lamost"] == pytest.approx(6)
     errors = 100 * np.array([1e-4 / 0.1, 1e-4 / 0.5])
     assert row["of_designs_error"] == pytest.approx(np.hypot(*errors) / 2)
     assert row["lamost_error"] == pytest.approx(100 * 1e-4 / 0.05)
@@ -77,14 +77,21 @@ def test_drops_are_averaged_over_means_and_over_designs():
 
 def test_a_reading_is_judged_by_each_average():
     """One average that agrees is named; without any the claim is not reproduced."""
-    table = disc_designs()[:2]
-    claim = _of_reading("disc", *_averages(table, "disc"))
+    table = disc_designs()
+    claim = _of_reading("disc", table)
     assert claim.verdict == "reproduced"
     assert claim.reading == "disc; means"
+    assert "+6.00 % +- 0.20 % (LAMOST's design)" in claim.ours
     assert "+2.50 % +- 0.02 % (means)" in claim.ours
     assert "+10.00 % +- 0.10 % (mean of the drops for ratios below 1.25)" in claim.ours
     table["uniform"] = table["disc"]
-    assert _of_reading("disc", *_averages(table, "disc")).verdict == "not reproduced"
+    assert _of_reading("disc", table).verdict == "not reproduced"
+    table["uniform"][2], table["uniform error"][2] = 0.0512, 2e-4  # 2.4 +- 0.4 %
+    assert _of_reading("disc", table).reading == "disc; LAMOST's design"
+    table["disc"][0] = 0.0  # nothing collides: no ratio
+    assert "; +0.00 % +- 0.02 % (mean of the drops); +nan" in _of_reading("disc", table).ours
+    table["disc"][2] = np.nan
+    assert "LAMOST" not in _of_reading("disc", table).ours
 
 
 def test_intervals_of_one_sky_are_counted():

@@ -2,9 +2,9 @@
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
+from astropy.table import QTable, Row
 
-from rfpsurvey.probability import fit_polynomial, surrogate_probability
+from rfpsurvey.probability import Estimate, fit_polynomial, surrogate_probability
 from rfpsurvey.probability._surrogate import interior_risk
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
 from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs
@@ -44,9 +44,10 @@ def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     return {"large": table, "large_differences": differences, "large_plain": plain}, claims
 
 
-def uniform_estimate(design, way, k, settings):
-    """Estimate design number k with uniform targets."""
-    return estimate(*numbers_of(design), WAYS[way], settings, [settings.seed, 469, list(WAYS).index(way), k])
+def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **options: object) -> Estimate:
+    """Return the estimate of design number k with uniform targets."""
+    seed = [settings.seed, 469, list(WAYS).index(way), k]
+    return estimate(*numbers_of(design), WAYS[way], settings, seed, **options)
 
 
 def _differences(table, settings):
