@@ -1,6 +1,7 @@
 """Surveys on disk: any number of workers, killed at any moment, damaged, refused."""
 
 import errno
+import hashlib
 import multiprocessing
 import os
 import signal
@@ -17,6 +18,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey import _io
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
 
@@ -136,6 +138,23 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, tmp_path, undisturbed):
     with pytest.raises(rs.InputError, match=r"is not finished \(36 tiles are there\): continue it"):
         rs.Survey.read(folder)
     with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is missing"):
+        plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+@pytest.mark.parametrize("what", ["text", "another table", "cut off"])
+def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, tmp_path, undisturbed, what):
+    """A part with the right checksum was taken for a table of visits: a traceback."""
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    part = folder / "tiles" / "000" / "000007.fits"
+    other = _io.table_bytes(QTable({"a": [1, 2]}), "a.fits")
+    content_of = {"text": b"nothing", "another table": other, "cut off": part.read_bytes()[:5760]}[what]
+    part.write_bytes(content_of)
+    lines = (folder / "index.csv").read_text().splitlines(keepends=True)
+    line = f"tiles/000/000007.fits,{len(content_of)},{hashlib.sha256(content_of).hexdigest()}\n"
+    (folder / "index.csv").write_text("".join(line if "000007" in old else old for old in lines))
+    with pytest.warns(rs.RfpsurveyWarning, match=r"tile 7 \(by row\) is planned again"):
         plan(case, folder, resume=True)
     assert content(folder) == undisturbed
 

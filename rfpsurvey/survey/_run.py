@@ -9,6 +9,7 @@ import numpy as np
 
 from rfpsurvey import _io
 from rfpsurvey._executors import submit
+from rfpsurvey.errors import InputError
 from rfpsurvey.survey._folder import TABLES, Folder
 from rfpsurvey.survey._progress import Ticker
 from rfpsurvey.survey._request import Request
@@ -114,7 +115,15 @@ def _read(folder, tile, job) -> Done | None:
     part = folder.part(tile)
     if part is None:
         return None
-    visits, cards = _io.read_fits_bytes(part)
+    try:
+        visits, cards = _io.read_fits_bytes(part, f"the part of tile {job.tile}")
+        lacking = [name for name in ("target_row", "observed") if name not in visits.dtype.names]
+        lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
+        if lacking:
+            raise InputError(f"it lacks {', '.join(lacking)}")
+    except InputError as error:  # whoever wrote it entered it into the index, too
+        folder.distrust(tile, str(error))
+        return None
     given = visits["target_row"] >= 0
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
