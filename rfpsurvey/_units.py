@@ -109,7 +109,7 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
-def to_plain(column: object, name: str = "the values") -> np.ndarray:
+def to_plain(column: object, name: str = "the values", what: str = "numbers or text") -> np.ndarray:
     """Return a table column or array without unit and mask: masked numbers are NaN, masked text is empty."""
     values = getattr(column, "value", column)
     mask = np.asarray(getattr(column, "mask", False))
@@ -120,9 +120,9 @@ def to_plain(column: object, name: str = "the values") -> np.ndarray:
         except UnicodeDecodeError as error:
             raise InputError(f"{name} must be text in ASCII or UTF-8, got the bytes {error.object[:20]!r}") from None
     elif values.dtype.kind == "O":
-        values = np.array([_plain_object(v, name) for v in values.ravel()]).reshape(values.shape)
+        values = np.array([_plain_object(v, name, what) for v in values.ravel()]).reshape(values.shape)
     elif values.dtype.kind not in "biufU":
-        raise InputError(f"{name} must hold numbers or text, got {values.dtype.name}")
+        raise InputError(f"{name} must hold {what}, got {values.dtype.name}")
     if mask.any():
         values = (
             np.where(mask, "", values) if values.dtype.kind == "U" else np.where(mask, np.nan, values.astype(float))
@@ -130,20 +130,20 @@ def to_plain(column: object, name: str = "the values") -> np.ndarray:
     return values
 
 
-def _plain_object(value: object, name: str) -> object:
+def _plain_object(value: object, name: str, what: str) -> object:
     """Return a number or text as it is, and nothing as empty text."""
     if value is None or value is np.ma.masked:
         return ""
     if isinstance(value, bytes):
         return value.decode("utf-8", "backslashreplace")
     if not isinstance(value, str | int | float | np.number | np.bool_):
-        raise InputError(f"{name} must hold numbers or text, got {type(value).__name__} {_short(value)}")
+        raise InputError(f"{name} must hold {what}, got {type(value).__name__} {_short(value)}")
     return value
 
 
 def to_flags(value: object, name: str) -> np.ndarray:
     """Return truth values from booleans, numbers or the words true and false; masked ones are False."""
-    values = to_plain(value, name)
+    values = to_plain(value, name, "truth values")
     if values.dtype.kind == "U":
         words = np.char.lower(np.char.strip(values))
         yes, no = np.isin(words, ("true", "t", "yes", "1")), np.isin(words, ("false", "f", "no", "0", ""))

@@ -18,7 +18,6 @@ BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
-SIZES = re.compile(rb"(?:BITPIX|NAXIS\d*|PCOUNT|GCOUNT|TFIELDS|GROUPS)\s*")
 
 
 def read_fits(path: Path) -> QTable:

@@ -4,14 +4,12 @@ import os
 from pathlib import Path
 
 import numpy as np
-from astropy.table import QTable
+from astropy.table import QTable, Table
 
 from rfpsurvey._readers._documents import check_size, parse_json
 from rfpsurvey._readers._fits import read_fits
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey._readers._parquet import read_parquet
-from rfpsurvey._readers._text import read_csv, read_ecsv
-from rfpsurvey._readers._votable import read_votable
 from rfpsurvey.errors import InputError
 
 __all__ = ["FORMATS", "META_KEY", "read_table", "suffix_of", "to_path"]
@@ -26,11 +24,25 @@ FORMATS = {
     ".votable": "votable",
     ".parquet": "parquet",
 }
+
+
+def _read_text(path: Path) -> Table:
+    from rfpsurvey._readers import _text  # imported when a file is read, as the next
+
+    return _text.read_csv(path) if suffix_of(path) == ".csv" else _text.read_ecsv(path)
+
+
+def _read_votable(path: Path) -> Table:
+    from rfpsurvey._readers._votable import read_votable
+
+    return read_votable(path)
+
+
 READERS = {
     "fits": read_fits,
-    "ascii.ecsv": read_ecsv,
-    "ascii.csv": read_csv,
-    "votable": read_votable,
+    "ascii.ecsv": _read_text,
+    "ascii.csv": _read_text,
+    "votable": _read_votable,
     "parquet": read_parquet,
 }
 ZIPPED = (".gz", ".bz2", ".xz")
