@@ -37,13 +37,23 @@ def labels_of(ax):
     return [t for t in ax.texts if t.get_text()]
 
 
+def ticks_of(axis):
+    """Labels of ticks within the limits; others are not drawn."""
+    low, high = axis.get_view_interval()
+    ticks = [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+    return [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_text() and t.label1.get_visible()]
+
+
 def assert_readable(axes):
     """No label overlaps another one or leaves the figure."""
     figure = axes[0].figure
     figure.draw_without_rendering()
     for ax in axes:
-        boxes = [t.get_window_extent() for t in labels_of(ax)]
-        assert not [1 for one, other in combinations(boxes, 2) if one.overlaps(other)]
+        across, up = ticks_of(ax.xaxis), ticks_of(ax.yaxis)
+        assert min(len(across), len(up)) >= 2
+        for texts in (labels_of(ax), across + up):
+            boxes = [t.get_window_extent() for t in texts]
+            assert not [1 for one, other in combinations(boxes, 2) if one.overlaps(other)]
     wide, high = figure.bbox.size
     titles = [ax.title for ax in axes] + [figure._suptitle] * (figure._suptitle is not None)
     for text in [*titles, *(label for ax in axes for label in labels_of(ax))]:
@@ -83,6 +93,18 @@ def test_labels_of_probabilities_can_be_read():
     table["time"][2] = 2.1 * u.ms
     table["error"][2] = 0.0098
     assert_readable(rs.plot_probability_accuracy(table))
+
+
+def test_ticks_of_a_short_axis_do_not_overlap():
+    """Labels such as 2 x 10^0, 3 x 10^0 and 4 x 10^0 ran into each other."""
+    table = QTable({
+        "method": ["conditional"] * 4, "estimand": ["allocated"] * 4, "effort": [4, 16, 64, 256],
+        "time": [2.2, 5.7, 21, 38] * u.ms, "error": [3e-3, 1.7e-3, 9e-4, 7e-4], "error_error": [3e-4] * 4,
+        "truth_error": [2e-4] * 4,
+    })  # fmt: skip
+    axes = rs.plot_probability_accuracy(table, axes=(Figure((4.5, 4), layout="constrained").add_subplot(),))
+    assert_readable(axes)
+    assert {"5", "10", "20"} <= {t.get_text() for t in ticks_of(axes[0].xaxis)}
 
 
 def test_estimands_have_panels_of_their_own():

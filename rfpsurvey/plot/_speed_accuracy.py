@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
+SHORT_AXIS = 100.0
+"""Ratio of the ends of an axis below which 1, 2 and 5 of each decade are labeled."""
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and the gap that is kept around a label, in points."""
 
@@ -64,8 +66,9 @@ def plot_speed_accuracy(
         (np.asarray(table["misclassified"], float), limit, "misclassified pairs per colliding pair"),
         (errors, np.full(len(table), least), "largest error of a distance [mm]"),
     )
+    labels = []
     for ax, (values, limits, label) in zip(axes, panels, strict=True):
-        _draw_methods(ax, table, values, limits, kwargs)
+        labels.append(_draw_methods(ax, table, values, limits, kwargs))
         ax.set_ylabel(label)
     n = int(np.max(table["n_colliding_true"], initial=0))
     _state(
@@ -73,11 +76,13 @@ def plot_speed_accuracy(
     )
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
+    for ax, own in zip(axes, labels, strict=True):
+        _label(ax, own)
     return axes
 
 
 def _draw_methods(ax, table, values, limits, style):
-    """Draw a line for each method; zeros as upper limits with arrows."""
+    """Draw a line for each method, zeros as upper limits with arrows, and return all points with their labels."""
     time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
     heights = np.where(values > 0, values, limits)
     for k, method in enumerate(dict.fromkeys(table["method"])):
@@ -97,8 +102,8 @@ def _draw_methods(ax, table, values, limits, style):
     low, high = known.min(initial=1e-3), known.max(initial=1e-3)
     stretch = max(np.log10(high / low), 1.0)
     ax.set_ylim(low * 10 ** (-0.18 * stretch), high * 10 ** (0.12 * stretch))
-    labels = [(time[k], heights[k], str(points[k])) for k in range(len(table)) if points[k] is not np.ma.masked]
-    _label(ax, labels, np.column_stack([time, heights]))
+    _set_ticks(ax)
+    return [(time[k], heights[k], "" if points[k] is np.ma.masked else str(points[k])) for k in range(len(table))]
 
 
 def plot_probability_accuracy(
@@ -154,8 +159,7 @@ def plot_probability_accuracy(
         ax.set_yscale("log")
         ax.axhline(rows["truth_error"][0], color="0.6", lw=0.8, zorder=0)
         ax.margins(x=0.12, y=0.08)
-        efforts = [(t, e, str(n)) for t, e, n in zip(_ms(rows), rows["error"], rows["effort"], strict=True) if n]
-        _label(ax, efforts, np.column_stack([_ms(rows), rows["error"]]))
+        _set_ticks(ax)
         ax.set_title(f"{estimand} targets", fontsize="medium")
         ax.set_xlabel("time [ms]")
         ax.set_ylabel("root mean square error of the probability")
@@ -163,6 +167,10 @@ def plot_probability_accuracy(
     repeats = table.meta.get("repeats", "?")
     words = f"{repeats} runs per point", "labels: iterations, realizations or points; gray: standard error of the truth"
     _state(axes[0], table, *words, figure=True)
+    for ax, estimand in zip(axes, estimands, strict=True):
+        rows = table[table["estimand"] == estimand]
+        efforts = [str(n) if n else "" for n in rows["effort"]]
+        _label(ax, list(zip(_ms(rows), rows["error"], efforts, strict=True)))
     return axes
 
 
@@ -174,6 +182,17 @@ def _draw_errors(ax, part, method, style, options):
     style = {**style, "linestyle": ":", "capsize": 2, "elinewidth": 0.9, "label": method}
     style["markerfacecolor"] = "none" if formula else style["color"]
     ax.errorbar(_ms(part), error, yerr=None if formula else bars, **{**style, **options})
+
+
+def _set_ticks(ax):
+    """Label 1, 2 and 5 of each decade where there are few decades, and decades alone elsewhere."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        axis.set_minor_formatter(NullFormatter())
+        if high < SHORT_AXIS * low:
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _ms(table):
@@ -200,28 +219,27 @@ def _state(ax, table, number, legend, *, figure=False):
     )
 
 
-def _label(ax, labels, markers):
-    """Write labels beside their points, at the first of several places where they overlap no marker and no label."""
+def _label(ax, points):
+    """Write labels (x, y, text) beside their points, where they overlap no marker and no label if there is room.
+
+    This comes last, since all other text changes the size of the axes.
+    """
     ax.figure.draw_without_rendering()
     scale = 72 / ax.figure.dpi
-    taken = [
-        (x - 3, y - 3, x + 3, y + 3) for x, y in scale * ax.transData.transform(markers) if np.isfinite([x, y]).all()
-    ]
-    places = [(5, 3), (5, -10), (None, 3), (None, -10), (5, 11), (None, 11), (12, -3), (5, -18)]
-    for x, y, text in labels:
-        if not np.isfinite([x, y]).all():
+    places = scale * ax.transData.transform([point[:2] for point in points])
+    taken = [(x - 3, y - 3, x + 3, y + 3) for x, y in places if np.isfinite([x, y]).all()]
+    for (x, y, text), (left, low) in zip(points, places, strict=True):
+        if not text or not np.isfinite([left, low]).all():
             continue
         wide = LETTER_POINTS * len(text)
-        left, low = scale * ax.transData.transform((x, y))
-        best, least = (5, 3), np.inf
-        for across, up in places:
-            across = -5 - wide if across is None else across
-            box = left + across - GAP_POINTS, low + up, left + across + wide + GAP_POINTS, low + up + LABEL_POINTS
-            covered = sum(_overlap(box, other) for other in taken)
-            if covered < least:
-                best, least = (across, up), covered
-        taken.append((left + best[0], low + best[1], left + best[0] + wide, low + best[1] + LABEL_POINTS))
-        ax.annotate(text, (x, y), xytext=best, textcoords="offset points", fontsize=LABEL_POINTS)
+        offsets = [(side, up) for up in (3, -10, 11, -18, 19) for side in (5, -5 - wide)]
+        boxes = [
+            (left + a - GAP_POINTS, low + up, left + a + wide + GAP_POINTS, low + up + LABEL_POINTS)
+            for a, up in offsets
+        ]
+        best = int(np.argmin([sum(_overlap(box, other) for other in taken) for box in boxes]))
+        taken.append(boxes[best])
+        ax.annotate(text, (x, y), xytext=offsets[best], textcoords="offset points", fontsize=LABEL_POINTS)
 
 
 def _overlap(one, other):
