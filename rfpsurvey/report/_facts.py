@@ -71,7 +71,8 @@ def estimate_facts(estimate: Estimate) -> dict:
     formula, error = np.isnan(estimate.low), estimate.standard_error
     digits = 5 if formula or not 0 < error < 1e-5 else 1 - int(np.floor(np.log10(error)))
     digits = max(digits, 1 - int(np.floor(np.log10(estimate.value)))) if 0 < estimate.value < 1e-4 else digits
-    interval = "no error is known" if formula else f"{estimate.low:.{digits}f} to {estimate.high:.{digits}f}"
+    unknown = f"none: {estimate.meta['no_interval']}" if "no_interval" in estimate.meta else "no error is known"
+    interval = unknown if formula else f"{estimate.low:.{digits}f} to {estimate.high:.{digits}f}"
     lines = {
         "collision probability": f"{estimate.value:.{digits}f}",
         f"  {100 * estimate.meta['confidence']:g} % interval": interval,
