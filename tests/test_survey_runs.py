@@ -362,7 +362,7 @@ def test_other_versions_of_the_software_are_told(case, tmp_path):
     with pytest.warns(rs.RfpsurveyWarning, match="other versions of the software"):
         plan(case, folder, resume=True)
     assert (folder / "survey.json").read_text() == request
-    for text in ("{", "null", "[1]"):
+    for text in ("{", "null", "[1]", '{"a": ' * 20000 + "1" + "}" * 20000, " " * 11_000_000):
         (folder / "survey.json").write_text(text)
         with pytest.raises(rs.InputError, match=r"survey.json is damaged"):
             plan(case, folder, resume=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes
+from rfpsurvey._readers import content_of, parse_json
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 __all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
@@ -22,6 +23,7 @@ __all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
 REQUEST, INDEX, LOCK = "survey.json", "index.csv", "lock"
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 HEADER = "file,bytes,sha256\n"
+MOST_REQUEST = 10_000_000
 LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
 
 
@@ -204,12 +206,10 @@ def part_name(tile: int) -> str:
 
 def _load(path: Path) -> dict:
     try:
-        found = json.loads(path.read_text())
-        if not isinstance(found, dict):
-            raise ValueError("it holds no request")
-    except (OSError, ValueError) as error:
+        content = content_of(path, most=MOST_REQUEST)
+        return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
+    except InputError as error:
         raise InputError(f"{path} is damaged ({error}); start the survey again in another folder") from None
-    return found
 
 
 def _short(value) -> str:
