@@ -32,11 +32,13 @@ def results(presets, small):
     scan["closed_form"] = [0.05, 0.2, 0.3]
     speed = QTable({
         "method": ["exact", "sampled"], "n_points": [0, 5], "time": [0.04, 0.03] * u.ms, "misclassified": [0, 0.02],
+        "n_colliding_true": [577, 577],
         "max_error": np.array([1e-15, 1.2]) * u.mm,
     }, meta={"instrument": "lamost"})  # fmt: skip
     accuracy = QTable({
         "method": ["closed_form", "quadrature", "quadrature"], "estimand": ["independent"] * 3, "effort": [0, 64, 128],
-        "time": [1, 2, 4] * u.ms, "error": [0.1, 0.01, 0.005],
+        "time": [1, 2, 4] * u.ms, "error": [0.1, 0.01, 0.005], "error_error": [0, 0.001, 0.0006],
+        "truth_error": [2e-4] * 3,
     }, meta={"instrument": "mine"})  # fmt: skip
     return {
         "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg),
@@ -80,7 +82,7 @@ PLOTS = {
     "probability": lambda r: rs.plot_probability(r["scan"], values=["value", "closed_form"]),
     "residuals": lambda r: rs.plot_residuals(r["scan"]),
     "speed": lambda r: rs.plot_speed_accuracy(r["speed"])[0],
-    "accuracy": lambda r: rs.plot_probability_accuracy(r["accuracy"]),
+    "accuracy": lambda r: rs.plot_probability_accuracy(r["accuracy"])[0],
 }
 
 

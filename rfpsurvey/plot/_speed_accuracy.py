@@ -178,7 +178,10 @@ def _draw_errors(ax, part, method, style, options):
     """Draw the errors of a method, with bars that stay above zero."""
     formula = not np.asarray(part["effort"]).any()
     error, uncertain = np.asarray(part["error"]), np.nan_to_num(np.asarray(part["error_error"]))
-    bars = [np.minimum(uncertain, 0.9 * error), uncertain]
+    bars = [
+        np.minimum(uncertain, 0.9 * error).tolist(),
+        uncertain.tolist(),
+    ]  # as older versions of matplotlib take them
     style = {**style, "linestyle": ":", "capsize": 2, "elinewidth": 0.9, "label": method}
     style["markerfacecolor"] = "none" if formula else style["color"]
     ax.errorbar(_ms(part), error, yerr=None if formula else bars, **{**style, **options})
