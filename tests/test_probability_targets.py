@@ -252,3 +252,22 @@ def test_an_empty_catalog_has_no_mean_direction():
     for options in ({}, {"center": CENTER}):
         with pytest.raises(rs.InputError, match="targets must have at least one row"):
             rs.collision_probability(tiny(), targets=empty, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"targets": "uniform", "n_targets": 100}, "conditional, the cheapest method with an error estimate"),
+        ({"targets": "uniform", "n_targets": 8}, "monte_carlo, since there are fewer than 2 targets per positioner"),
+        ({"targets": "uniform", "n_targets": 100, "allocator": "lamost"}, "monte_carlo, since this allocator makes no"),
+        ({"estimand": "independent"}, "quadrature, the cheapest method with an error estimate for independent"),
+        ({"method": "monte_carlo", "targets": "uniform", "n_targets": 100}, "monte_carlo, as asked for"),
+    ],
+)
+def test_an_estimate_says_why_its_method_was_used(options, expected):
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm), rings=1, pitch=25.6 * u.mm)
+    options = {"method": "auto", **options}
+    estimate = rs.collision_probability(plane, precision=0.2, rng=1, **options)
+    assert estimate.meta["choice"].startswith(expected)
+    far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=1, pitch=30 * u.mm)
+    assert rs.collision_probability(far, **options).meta["choice"] == "no two arms can touch"

@@ -90,7 +90,10 @@ class Problem:
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
         """Class of targets; that of no target (-1) comes after all others."""
-        return np.append(self.rank, len(self.classes) + 1)[target]
+        found = np.full(np.shape(target), len(self.classes) + 1, dtype=np.int64)
+        real = np.asarray(target) >= 0
+        found[real] = self.rank[target[real]]  # without a copy of the ranks of all targets
+        return found
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
