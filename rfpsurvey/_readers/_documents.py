@@ -11,7 +11,7 @@ __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# A key of so many parts, at the beginning of a word so that a search takes linear time.
+# A key with that many parts, at the beginning of a word so that a search takes linear time.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
 
 

@@ -13,11 +13,12 @@ from rfpsurvey.errors import InputError
 __all__ = ["MOST_COLUMNS", "check_width", "content_of", "is_compressed", "open_content", "sentence"]
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
-# A compressed file may hold so many times its size; tables of real targets stay below a tenth of it.
+# A compressed file may hold this many times its size; tables of real targets stay below a tenth of it.
 MOST_RATIO = 100
 # No limit applies to what is smaller than this, in bytes.
 FREE = 2**26
-# A column of text takes the width of its longest value in every row: so many times the file, or so many bytes.
+# A column of text takes the width of its longest value in every row: at most this many times the size of the file, or
+# this many bytes.
 MOST_PADDING, FREE_TEXT = 64, 2**30
 MOST_COLUMNS = 10_000
 CHUNK = 2**20

@@ -89,7 +89,7 @@ class _Lines:
         return self.block[self.start[k] : self.end[k]]
 
     def are_whole(self, n_fields: int) -> bool:
-        """Return whether every quoted value is surely closed and, unless 0, every line has so many fields."""
+        """Return whether every quoted value is surely closed and, unless 0, every line has that many fields."""
         text, delimiter = self.bytes, self.delimiter[0]
         if self.comments:
             text = text.copy()

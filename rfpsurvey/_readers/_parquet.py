@@ -11,7 +11,8 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["import_parquet", "read_parquet"]
 
-# The values of all rows take at most so many times the file, or so many bytes; equal values take little in the file.
+# The values of all rows take at most this many times the size of the file, or this many bytes: equal values take little
+# in the file.
 MOST_RATIO, FREE = 1000, 2**28
 
 

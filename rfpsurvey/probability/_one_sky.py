@@ -10,7 +10,7 @@ __all__ = ["FEWEST_DEGREES", "sky_variance"]
 FEWEST_DEGREES = 3.0
 """With fewer degrees of freedom the variance is so uncertain that no interval is given."""
 ENOUGH_DEGREES = 20.0
-"""Where so many are left, correlations with all neighbors count; below that, those with the nearest ring alone."""
+"""Where that many are left, correlations with all neighbors count; below that, those with the nearest ring alone."""
 NEAREST_RING = 1.5
 """Neighbors are in the nearest ring up to this many median distances to the nearest neighbor."""
 CORRELATION = 0.2

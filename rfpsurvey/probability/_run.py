@@ -24,7 +24,7 @@ GROWTH = 8
 HITS = 25
 """Where most realizations have no collision (or nothing else): so many others it takes to know how rates scatter."""
 FLOOR = 4.0
-"""Where collisions are rare, take at least so many realizations over the precision, times the part of the positioners
+"""Where collisions are rare, take at least this many realizations over the precision, times the part of the positioners
 that a pair is: with fewer, those that see no collision would end early, and the mean of all estimates be too low."""
 FORESIGHT = 1.05
 """What is foreseen to be needed is taken a little more of, so that there is rarely another look."""

@@ -27,7 +27,7 @@ FOLDED = 100  # rows of a complete table that are not shown until it is opened
 
 
 def html_of(page: Page, max_rows: int | None) -> str:
-    """Return a page as text, with tables of at most so many rows; None is the default of each table."""
+    """Return a page as text, with tables of at most that many rows; None is the default of each table."""
     counter = iter(range(1, 1_000_000))
     sections = "\n".join(_section(section, counter, max_rows) for section in page.sections)
     by = f"Written by rfpsurvey {versions()['rfpsurvey']}. This page is complete in itself: it fetches nothing."
