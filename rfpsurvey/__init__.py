@@ -6,7 +6,14 @@ arms, collisions, tile score.
 
 from importlib import import_module
 
-from rfpsurvey.allocation import Allocation, AllocationProblem, Requirement, allocate
+from rfpsurvey.allocation import (
+    Allocation,
+    AllocationAnswer,
+    AllocationOptions,
+    AllocationProblem,
+    Requirement,
+    allocate,
+)  # fmt: skip
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
@@ -24,6 +31,8 @@ except ImportError:  # a source tree that was never built
 
 __all__ = [
     "Allocation",
+    "AllocationAnswer",
+    "AllocationOptions",
     "AllocationProblem",
     "Catalog",
     "CollisionCounts",

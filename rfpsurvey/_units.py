@@ -17,9 +17,16 @@ from rfpsurvey.errors import InputError
 MOST_VISITS = 255
 
 __all__ = [
-    "to_direction", "to_flags", "to_generator", "to_labels", "to_lonlat", "to_mm", "to_plain", "to_points_mm",
+    "locked", "to_direction", "to_flags", "to_generator", "to_labels", "to_lonlat", "to_mm", "to_plain", "to_points_mm",
     "to_radian", "to_scalar", "to_seed", "to_spawner", "to_unit", "to_vectors", "to_visits",
 ]  # fmt: skip
+
+
+def locked(array: np.ndarray) -> np.ndarray:
+    """Return a view of an array that cannot be written to."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
 
 
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:

@@ -327,7 +327,11 @@ class TangentPlane:
         InputError
             If the points are not lengths of this shape, or types of fibers that have maps are others.
         """
-        points = to_points_mm(xy, "xy")
+        lon, lat = to_lonlat(self._unproject(to_points_mm(xy, "xy"), fiber_type))
+        return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")
+
+    def _unproject(self, points: np.ndarray, fiber_type=None) -> np.ndarray:
+        """Return the unit vectors (n, 3) of points in mm (n, 2)."""
         vectors = np.empty((len(points), 3))
         for rows, radial in self._map_of(fiber_type, len(points)):
             part = points if rows is None else points[rows]
@@ -338,8 +342,7 @@ class TangentPlane:
                 sky.unproject_radial(part, self._basis, *radial._arguments, image)
             if rows is not None:
                 vectors[rows] = image
-        lon, lat = to_lonlat(vectors)
-        return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")
+        return vectors
 
     @property
     def _focal_length(self) -> float:

@@ -32,10 +32,9 @@ from rfpsurvey.instrument import as_instrument
 from rfpsurvey.report import check_report
 
 __all__ = [
-    "app", "check_chart", "check_outputs", "files", "finish", "finish_comparison", "finish_estimate",
-    "finish_table", "finish_tiling", "instrument_of", "main", "parse_center", "parse_pairs",
-    "plan_options", "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm",
-    "units_of",
+    "allocation_options", "app", "check_chart", "check_outputs", "files", "finish", "finish_comparison",
+    "finish_estimate", "finish_table", "finish_tiling", "instrument_of", "main", "parse_center", "parse_pairs",
+    "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm", "units_of",
 ]  # fmt: skip
 
 # What a shell reports of a program that writes to a pipe whose reader has gone.
@@ -178,18 +177,19 @@ def targets_and_center(path, center, model, seed, column, unit, frame):
     return targets, field
 
 
-def plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit) -> dict:
-    """Return the arguments of plan_tile that options stand for."""
+def allocation_options(
+    allocator: str, require, sky_separation: float | None, time_limit: float, *, objective="priority", parked=True
+) -> "rs.AllocationOptions":
+    """Return the options of an allocation that options of a command stand for."""
     own = require is not None and "instrument" in require
     if own and len(require) > 1:
         raise rs.InputError("--require instrument stands for all requirements of the instrument: give no others")
     if sky_separation is not None:
         sky_separation = sky_separation * u.arcsec
-    return {
-        "position_angle": pa * u.deg, "equinox": equinox, "epoch": epoch, "required": required or None,
-        "requirements": "instrument" if own else require, "sky_separation": sky_separation, "objective": objective,
-        "time_limit": time_limit * u.s,
-    }  # fmt: skip
+    return rs.AllocationOptions(
+        allocator, requirements="instrument" if own else require, sky_separation=sky_separation, objective=objective,
+        time_limit=time_limit * u.s, parked_obstacles=parked,
+    )  # fmt: skip
 
 
 def read_assignment(path: Path, select: list[str] | None):

@@ -14,7 +14,7 @@ from rfpsurvey._executors import end_with_parent
 from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
 
-__all__ = ["options", "run", "targets_of", "workers"]
+__all__ = ["run", "targets_of", "workers"]
 
 MANY = 0.05  # collision rate
 
@@ -73,7 +73,7 @@ def _set_up_worker() -> None:
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print what came out, a line a figure."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
-    print(f"{name}, allocator {survey.provenance['parameters']['method']}")
+    print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     print("after each pass:")
@@ -83,13 +83,6 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     print(f"{seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms a tile")
 
 
-def options(allocator, visits, passes, epoch, require, sky_separation, time_limit, order) -> dict:
-    """Return the arguments of plan_survey that options stand for."""
-    common = _app.plan_options(0.0, None, epoch, require, None, sky_separation, "priority", time_limit)
-    common = {name: common[name] for name in ("epoch", "requirements", "sky_separation", "time_limit")}
-    return {"allocator": allocator, "visits": visits, "passes": passes, "order": order, **common}
-
-
 def run(
     targets, tiles: Path | None, model: "rs.Instrument", executor, options: dict, plot: Path | None, report: Path | None
 ) -> None:
@@ -97,7 +90,7 @@ def run(
     tiling = _read_tiles(tiles, targets, model)
     begin = perf_counter()
     try:
-        survey = rs.plan_survey(targets, tiling, model, executor=executor, progress=True, **options)
+        survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
     except KeyboardInterrupt:
         there = (
             "what was written stays: continue with --resume" if options["folder"] else "without --folder nothing stays"

@@ -47,14 +47,14 @@ def compare(
 ) -> None:
     """Put instruments side by side: reach, fibers, collisions and what they cost."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    options = _app.plan_options(pa, None, epoch, require, None, sky_separation, "priority", time_limit)
+    options = _app.allocation_options("lamost", require, sky_separation, time_limit)
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame), instruments,
             center=None if center is None else _app.parse_center(center), allocators=allocator or ("lamost", "optimal"),
             targets_per_positioner=targets, density=None if density is None else density / u.deg**2,
             n_realizations=realizations, rng=seed, executor=pool if workers > 1 else None, progress=sys.stderr.isatty(),
-            **options,
+            options=options, position_angle=pa * u.deg, epoch=epoch,
         )  # fmt: skip
     with _app.files(
         overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, lambda: draw_instruments(table)),

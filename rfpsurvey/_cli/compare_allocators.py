@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
+import astropy.units as u
 import typer
 
 import rfpsurvey as rs
@@ -38,7 +39,11 @@ def compare_allocators(
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
-    options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
-    options.update(allocators=allocator, rng=seed, parked_obstacles=parked)
-    table = rs.compare_allocators(targets, model, field, **options)
+    options = _app.allocation_options(
+        "lamost", require, sky_separation, time_limit, objective=objective, parked=parked
+    )  # fmt: skip
+    table = rs.compare_allocators(
+        targets, model, field, allocators=allocator, options=options, position_angle=pa * u.deg, equinox=equinox,
+        epoch=epoch, required=required or None, rng=seed,
+    )  # fmt: skip
     _app.finish_comparison(table, output, plot, report, overwrite=overwrite)

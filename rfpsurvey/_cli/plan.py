@@ -1,5 +1,7 @@
 """``rfpsurvey plan``."""
 
+import astropy.units as u
+
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey.instrument import as_instrument
@@ -33,6 +35,11 @@ def plan(
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
-    options = _app.plan_options(pa, equinox, epoch, require, required, sky_separation, objective, time_limit)
-    tile = rs.plan_tile(targets, model, field, allocator=allocator, rng=seed, parked_obstacles=parked, **options)
+    options = _app.allocation_options(
+        allocator, require, sky_separation, time_limit, objective=objective, parked=parked
+    )  # fmt: skip
+    tile = rs.plan_tile(
+        targets, model, field, position_angle=pa * u.deg, equinox=equinox, epoch=epoch, allocator=options,
+        required=required or None, rng=seed,
+    )  # fmt: skip
     _app.finish(tile, output, plot, report, overwrite=overwrite)

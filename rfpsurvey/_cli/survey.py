@@ -36,7 +36,10 @@ def survey(
     _app.check_outputs(None, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame)
-    options = _surveys.options(allocator, visits, passes, epoch, require, sky_separation, time_limit, order)
-    options.update(parked_obstacles=parked, lost_in_collision=lost, folder=folder, resume=resume, rng=seed)
+    options = {
+        "allocator": _app.allocation_options(allocator, require, sky_separation, time_limit, parked=parked),
+        "visits": visits, "passes": passes, "epoch": epoch, "lost_in_collision": lost, "order": order,
+        "folder": folder, "resume": resume, "rng": seed,
+    }  # fmt: skip
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
         _surveys.run(targets, tiles, model, executor, options, plot, report)

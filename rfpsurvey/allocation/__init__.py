@@ -1,13 +1,13 @@
-"""Who observes what: a table of methods behind `allocate`."""
+"""Allocation of targets to positioners: a table of allocators behind `allocate`."""
 
-from rfpsurvey.allocation._allocate import OBJECTIVES, allocate
+from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
-from rfpsurvey.allocation._methods import METHODS
-from rfpsurvey.allocation._plugin import AllocationProblem, find_method, packages
-from rfpsurvey.allocation._problem import Level
+from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
+from rfpsurvey.allocation._plugin import packages
+from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
 from rfpsurvey.allocation._requirements import Requirement, Shortfall, as_requirements, sentences
 
 __all__ = [
-    "METHODS", "OBJECTIVES", "Allocation", "AllocationProblem", "Level", "Requirement", "Shortfall", "allocate",
-    "as_requirements", "find_method", "packages", "sentences",
+    "ALLOCATORS", "Allocation", "AllocationAnswer", "AllocationOptions", "AllocationProblem", "Level", "Requirement",
+    "Shortfall", "TargetColumns", "allocate", "as_options", "as_requirements", "assign", "packages", "sentences",
 ]  # fmt: skip

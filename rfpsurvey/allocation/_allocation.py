@@ -19,8 +19,8 @@ class Allocation:
 
     Parameters
     ----------
-    method : str
-        The rule that made it.
+    allocator : str
+        Name of the allocator that made it.
     target_of_positioner : ndarray of int, shape (n_positioners,)
         Target of each positioner, -1 for none. Rows behind those that were given are sky positions found in gaps.
     positioner_of_target : ndarray of int, shape (n_targets,)
@@ -41,7 +41,7 @@ class Allocation:
         The targets on the focal plane, those given and then sky positions in use that were found in gaps.
     n_given : int
         Number of the former.
-    wanted : ndarray of str, shape (n_targets,), or None
+    target_fiber_type : ndarray of str, shape (n_targets,), or None
         Fiber type that each target needs, ``""`` for any.
     queues : tuple of ndarray or None
         For ``balanced``: indptr and targets of all queues, of which the configuration is one draw.
@@ -59,12 +59,12 @@ class Allocation:
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
-    >>> plan = rs.allocate([[12, 0], [14, 0], [2, 5]] * u.mm, plane, method="nearest")
+    >>> plan = rs.allocate(plane, [[12, 0], [14, 0], [2, 5]] * u.mm, allocator="nearest")
     >>> plan.target_of_positioner, plan.positioner_of_target, plan.n_assigned
     (array([2, 1]), array([-1,  1,  0]), 2)
     """
 
-    method: str
+    allocator: str
     target_of_positioner: np.ndarray
     positioner_of_target: np.ndarray
     handedness: np.ndarray
@@ -75,7 +75,7 @@ class Allocation:
     seconds: dict
     xy: u.Quantity
     n_given: int
-    wanted: np.ndarray | None
+    target_fiber_type: np.ndarray | None
     queues: tuple[np.ndarray, np.ndarray] | None
     levels: tuple[Level, ...]
     unmet: tuple[Shortfall, ...]
@@ -137,4 +137,4 @@ class Allocation:
 
     def __repr__(self):
         n, m = len(self.target_of_positioner), len(self.positioner_of_target)
-        return f"<Allocation by {self.method!r}: {self.n_assigned} of {n} positioners, {m} targets>"
+        return f"<Allocation by {self.allocator!r}: {self.n_assigned} of {n} positioners, {m} targets>"

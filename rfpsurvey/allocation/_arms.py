@@ -3,24 +3,24 @@
 import numpy as np
 
 from rfpsurvey._kernels import arms
-from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["place_segments"]
 
 
 def place_segments(
-    problem: Problem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
+    problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the segments that can collide of positioners (by row) at targets, shape (4, n).
 
     ``idle`` lists the rows that stand for the idle arm of each positioner, whose target is -1.
     """
-    plane, columns = problem.plane, problem.plane._columns
+    plane, columns = problem.focal_plane, problem.focal_plane._columns
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))
     real = np.ones(len(own), dtype=bool)
     if idle is not None:
         real[idle] = False
-    points[real] = problem.points[target[real]]
+    points[real] = problem.xy[target[real]]
     arms.place(points, columns.geometry_of(own), side, segments)
     angle = plane.positioner._arm_angle_rad(plane.fiber_types)[problem.fiber_of(own, target)]
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -8,7 +8,7 @@ from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
-from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import closer_exactly, touching
 from rfpsurvey.focal_plane import joints_allow
 
@@ -21,7 +21,7 @@ ROOM = 1 << 18
 class Candidates:
     """Candidates, the idle arm the last of each positioner, and their conflicts."""
 
-    problem: Problem
+    problem: AllocationProblem
     options: conflicts.Options
     side: np.ndarray
     """Elbow of each candidate, +1 right, -1 left."""
@@ -48,7 +48,7 @@ class Candidates:
 
         Candidates that stand for others that were left out collide with nothing.
         """
-        o, plane = self.options, self.problem.plane
+        o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
         free = replaceable(self.preselection, o.own, o.target, o.rank, plane._n_sharing, n_elbows)
         pairs = self.pairs[:, ~free[self.pairs].any(axis=0)]
@@ -56,14 +56,18 @@ class Candidates:
 
 
 def find_candidates(
-    problem: Problem, *, collide: bool = True, squared_cost: bool = False, keep_target: np.ndarray | None = None
+    problem: AllocationProblem,
+    *,
+    collide: bool = True,
+    squared_cost: bool = False,
+    keep_target: np.ndarray | None = None,
 ) -> Candidates:
     """Return the candidates of a problem: all, or as many as `preselect` keeps of them.
 
     Without ``collide`` arms may pass through each other and have one elbow. Targets of ``keep_target``, shape
     (n_positioners,), are kept in any case.
     """
-    plane = problem.plane
+    plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
     start, own, target, side, r2 = _list(problem, preselection.reach, both=collide)
     cost = r2 if squared_cost else np.zeros(len(own))
@@ -90,19 +94,19 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     key, as_good = _keys(problem, target, held)
     indptr, other = np.empty(len(own) + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
     conflicts.adjacency(pairs[0], pairs[1], indptr, other)
-    by_target = _by_target(target, len(problem.points))
+    by_target = _by_target(target, len(problem.xy))
     options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, indptr, other)
     return Candidates(problem, options, side, pairs, held, preselection)
 
 
 def _list(problem, reach, both):
     """Reachable targets of each positioner with their elbows, and its idle arm."""
-    plane = problem.plane
+    plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
-    side = plane._sides(problem.points[target], own)
+    side = plane._sides(problem.xy[target], own)
     if both and plane.positioner.handedness == "both":
-        allowed = {s: joints_allow(plane, own, problem.points[target], s) for s in (1.0, -1.0)}
+        allowed = {s: joints_allow(plane, own, problem.xy[target], s) for s in (1.0, -1.0)}
         columns = [(own[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
         own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     n = len(plane)
@@ -154,7 +158,7 @@ def _keys(problem, target, held):
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)
-    if problem.required is not None:
+    if problem.any_required:
         required = np.append(problem.required, False)[target][None]
     does = np.concatenate([held[np.flatnonzero(low)], required])
     spends = held[np.flatnonzero(high)]

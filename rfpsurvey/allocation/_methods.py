@@ -5,13 +5,14 @@ import numpy as np
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._moves import match, mend, pick, trim
-from rfpsurvey.allocation._problem import Choice, Level, Problem
+from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
 from rfpsurvey.allocation._search import decide
+from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["METHODS"]
 
 
-def balanced(problem: Problem) -> Choice:
+def balanced(problem: AllocationProblem) -> AllocationAnswer:
     """Queues of equal length, one entry drawn from each."""
     reach = problem.only(problem.science)
     count = np.empty(reach.n_positioners, dtype=np.int64)
@@ -22,19 +23,19 @@ def balanced(problem: Problem) -> Choice:
     kernels.fill_queues(owner_of, count, indptr, queue)
     target_of = np.empty(len(count), dtype=np.int64)
     kernels.draw_configuration(indptr, queue, problem.rng.random(len(count)), target_of)
-    return Choice(_with_watched(problem, target_of), queues=(indptr, queue))
+    return AllocationAnswer(_with_watched(problem, target_of), queues=(indptr, queue))
 
 
-def nearest(problem: Problem) -> Choice:
+def nearest(problem: AllocationProblem) -> AllocationAnswer:
     """Closest pairs first, class after class."""
     indptr, target, r2, _ = _best(problem, problem.only(problem.science))
     m = len(problem.rank)
     target_of = np.empty(len(indptr) - 1, dtype=np.int64)
     kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
-    return Choice(_with_watched(problem, target_of))
+    return AllocationAnswer(_with_watched(problem, target_of))
 
 
-def lamost(problem: Problem) -> Choice:
+def lamost(problem: AllocationProblem) -> AllocationAnswer:
     """Nomination of the nearest target, class after class; then what the requirements ask for."""
     reach = problem.only(problem.science)
     indptr, target, r2, in_reach = _best(problem, reach)
@@ -46,31 +47,33 @@ def lamost(problem: Problem) -> Choice:
     )
     target_of = _with_watched(problem, target_of)
     _fill_quotas(problem, target_of, owner_of)
-    return Choice(target_of)
+    return AllocationAnswer(target_of)
 
 
-def sdss(problem: Problem) -> Choice:
+def sdss(problem: AllocationProblem) -> AllocationAnswer:
     """Network flow, class after class, then the least sum of squared distances."""
     return decide(problem, collide=False, integral=False, squared_cost=True)
 
 
-def optimal(problem: Problem) -> Choice:
+def optimal(problem: AllocationProblem) -> AllocationAnswer:
     """As many as possible, class after class, without a collision."""
     return decide(problem, collide=True)
 
 
-def repair(problem: Problem) -> Choice:
+def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Another plan, its collisions ended by local moves."""
     start = problem.start()
-    candidates = find_candidates(problem, keep_target=start.target_of)
-    first = pick(candidates, trim(problem, start.target_of), start.side)
+    before, elbows = start.target_of_positioner, start.handedness
+    candidates = find_candidates(problem, keep_target=before)
+    side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
+    first = pick(candidates, trim(problem, before), side)
     chosen, moved, dropped = mend(candidates, first)
-    options, had = candidates.options, start.target_of >= 0
+    options, had = candidates.options, before >= 0
     dropped += int((had & (first < 0)).sum())  # at obstacles, or beyond a maximum
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
     levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
-    return Choice(target_of, candidates.side[chosen], None, levels, meta)
+    return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 
 METHODS = {
@@ -96,7 +99,7 @@ def _best(problem, reach):
     one of its first candidates, as many as there are such positioners and one more; the others are left out.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
-    indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.plane._n_sharing + 1))])
+    indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane._n_sharing + 1))])
     target, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
     count = np.empty(reach.n_positioners, dtype=np.int64)
     kernels.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, indptr, count, target, r2)
@@ -112,7 +115,7 @@ def _with_watched(problem, target_of):
 
 def _fill_quotas(problem, target_of, owner_of):
     """Idle positioners, then those with the least important targets, take what the requirements lack, in place."""
-    plane, reach = problem.plane, problem.reach
+    plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used
     locked = ~plane._usable

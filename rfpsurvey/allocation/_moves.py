@@ -5,7 +5,7 @@ import numpy as np
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["improve", "match", "mend", "pick", "trim"]
 
@@ -15,8 +15,8 @@ ROUNDS = 10
 def match(candidates: Candidates) -> np.ndarray:
     """Return the target of each positioner in the best plan of arms that may collide, without requirements."""
     options, problem = candidates.options, candidates.problem
-    n, m = len(options.start) - 1, len(problem.points)
-    classes = problem.rank if problem.required is None else problem.rank - problem.required * (len(problem.classes) + 2)
+    n, m = len(options.start) - 1, len(problem.xy)
+    classes = problem.rank if not problem.any_required else problem.rank - problem.required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     able = np.flatnonzero(np.diff(options.t_indptr))  # a few, where the field is crowded
     order = able[np.argsort(classes[able], kind="stable")]
@@ -36,7 +36,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
     return chosen
 
 
-def trim(problem: Problem, target_of: np.ndarray) -> np.ndarray:
+def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
     """Return a plan that exceeds no maximum: the least important targets are given up."""
     target_of = target_of.copy()
     if problem.watched is not None:
@@ -48,9 +48,9 @@ def trim(problem: Problem, target_of: np.ndarray) -> np.ndarray:
         own = np.flatnonzero(target_of >= 0)
         own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
         # what stuck fibers look at cannot be given up
-        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.plane._usable[own]))]
+        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane._usable[own]))]
         extra = own[most:]
-        target_of[extra[problem.plane._usable[extra]]] = -1
+        target_of[extra[problem.focal_plane._usable[extra]]] = -1
     return target_of
 
 
@@ -90,6 +90,6 @@ def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
 def _stand(candidates, chosen):
     """Return what is in use, how many of these block each candidate, and who holds each target."""
     now = np.full(len(chosen), -1)
-    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.points), -1)
+    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)
     return now, blocked, holder

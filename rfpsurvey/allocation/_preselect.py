@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._arms import place_segments
-from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import touching
 from rfpsurvey.focal_plane import Reach, joints_allow
 
@@ -29,7 +29,7 @@ class Preselection(NamedTuple):
     n_left_out: int
 
 
-def preselect(problem: Problem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
+def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
     """Return the pairs of a target and a positioner that are enough for a plan.
 
     Others can take at most one target each from a positioner. Among as many of its best targets of one code as there
@@ -39,19 +39,19 @@ def preselect(problem: Problem, *, collide: bool, keep_target: np.ndarray | None
 
     Parameters
     ----------
-    problem : Problem
+    problem : AllocationProblem
         The allocation.
     collide : bool
         Must arms not collide? Then some more targets are kept, and those that are taken by an obstacle do not count.
     keep_target : ndarray of int, shape (n_positioners,), optional
         Targets that are kept in any case, -1 for none.
     """
-    plane, reach = problem.plane, problem.reach
+    plane, reach = problem.focal_plane, problem.pairs
     n, n_rivals = reach.n_positioners, plane._n_sharing
     n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
     count = np.bincount(reach.owner, minlength=n)
     if not (count > np.maximum(n_rivals + 1, n_best + n_spread)).any():
-        return Preselection(reach, np.zeros(len(problem.points), dtype=np.int64), np.zeros((n, 1), dtype=bool), 0)
+        return Preselection(reach, np.zeros(len(problem.xy), dtype=np.int64), np.zeros((n, 1), dtype=bool), 0)
     code, n_codes = _codes(problem)
     most, n_spread = np.maximum(n_rivals + 1, n_best // n_codes), n_spread // n_codes
     if collide:
@@ -111,12 +111,13 @@ def _codes(problem):
         if group.requirement not in seen:
             seen.add(group.requirement)
             columns.append(group.targets)
-    if problem.required is not None:
+    if problem.any_required:
         columns.append(problem.required)
-    several = problem.plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
-    if problem.wanted is not None and several:  # the fiber type decides on the spectrograph
-        columns.append(np.unique(problem.wanted, return_inverse=True)[1].reshape(-1))
-    code, n = np.zeros(len(problem.points), dtype=np.int64), 1
+    plane = problem.focal_plane
+    several = plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
+    if problem.several_fiber_types and several:  # the fiber type decides on the spectrograph
+        columns.append(np.unique(problem.fiber_type, return_inverse=True)[1].reshape(-1))
+    code, n = np.zeros(len(problem.xy), dtype=np.int64), 1
     for column in columns:
         used, code = np.unique(code * (int(column.max(initial=0)) + 1) + column, return_inverse=True)
         code, n = code.reshape(-1).astype(np.int64), len(used)
@@ -125,7 +126,7 @@ def _codes(problem):
 
 def _without_obstacles(problem, reach, crowded):
     """Return the pairs of which at least one arm touches no obstacle; only ``crowded`` positioners are looked at."""
-    plane = problem.plane
+    plane = problem.focal_plane
     pairs = plane._obstacle_pairs
     pairs = pairs[crowded[pairs[:, 0]]]
     if len(pairs) == 0:
@@ -137,7 +138,7 @@ def _without_obstacles(problem, reach, crowded):
     rows = np.flatnonzero(near[reach.owner])
     target = reach.target[rows]
     for begin in range(0, len(rows), BATCH):
-        part, points = rows[begin : begin + BATCH], problem.points[target[begin : begin + BATCH]]
+        part, points = rows[begin : begin + BATCH], problem.xy[target[begin : begin + BATCH]]
         own, free = reach.owner[part], np.zeros(len(part), dtype=bool)
         size = first[own + 1] - first[own]
         index = np.repeat(np.arange(len(part)), size)

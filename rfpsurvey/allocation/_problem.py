@@ -1,21 +1,25 @@
-"""One allocation to make: targets, who reaches them, what they are worth, and what the plan must hold."""
+"""The allocation problem that every allocator is given, and the answer that it returns."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
+from rfpsurvey._units import locked
+from rfpsurvey.allocation._options import AllocationOptions
 from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
-__all__ = ["Choice", "Level", "Problem"]
+__all__ = ["AllocationAnswer", "AllocationProblem", "Level", "TargetColumns"]
 
 
 class Level(NamedTuple):
-    """One aim of a plan; earlier ones come first, whatever it costs later ones."""
+    """One objective of a plan; earlier ones come first, whatever they cost later ones."""
 
     name: str
     value: float
@@ -23,70 +27,182 @@ class Level(NamedTuple):
     """What no plan exceeds, given the values of the levels before; NaN where nothing is proven."""
 
 
-class Choice(NamedTuple):
-    """What a method comes back with."""
+class TargetColumns(NamedTuple):
+    """Columns of targets, shape (n_targets,) each; None where nothing is given."""
 
-    target_of: np.ndarray
-    side: np.ndarray | None = None
-    """Elbows, +1 right, -1 left; None: the usual ones."""
-    queues: tuple | None = None
+    priority: np.ndarray | None = None
+    kind: np.ndarray | None = None
+    category: np.ndarray | None = None
+    fiber_type: np.ndarray | None = None
+    required: np.ndarray | None = None
+
+
+class AllocationAnswer(NamedTuple):
+    """What an allocator returns; built-in allocators and those of other packages return the same.
+
+    Parameters
+    ----------
+    target_of_positioner : ndarray of int, shape (n_positioners,)
+        Row of the target of each positioner, -1 for none.
+    handedness : ndarray of str, shape (n_positioners,), optional
+        Elbow of each arm, "right" or "left". None: the usual one of each positioner.
+    queues : tuple of ndarray, optional
+        ``indptr`` and targets of the queues of all positioners, if the answer is one draw from them.
+    levels : list of Level, optional
+        Value and bound of each objective. None: the values are computed, and nothing is proven.
+    meta : dict, optional
+        How the answer was found.
+    """
+
+    target_of_positioner: np.ndarray
+    handedness: np.ndarray | None = None
+    queues: tuple[np.ndarray, np.ndarray] | None = None
     levels: list[Level] | None = None
     meta: dict | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Targets in mm and what is asked of them."""
+def _no_start() -> AllocationAnswer:
+    raise InputError("there is no plan to begin with")
 
-    plane: FocalPlane
-    points: np.ndarray
-    reach: Reach
+
+@dataclass(frozen=True, eq=False)
+class AllocationProblem:
+    """Targets on a focal plane, what they are worth, and what a plan must hold: numbers in mm, arrays that are locked.
+
+    Built-in allocators and those of other packages are functions from this to an `AllocationAnswer`; an array of the
+    target of each positioner, or a tuple of that and the elbows ("right" or "left"), is short for one.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    xy : ndarray of float, shape (n_targets, 2)
+        Targets on the focal plane, mm. Blank positions that were found for sky are the last rows.
+    pairs : Reach
+        Which positioner may observe which target, in columns: reach, joint limits, fiber types, disabled units and
+        forbidden pairs are all in it.
+    rank : ndarray of int, shape (n_targets,)
+        Class of each target, 0 the most important; what is not science has the largest number.
+    classes : tuple of float
+        Priority of each class, the largest first.
+    kind : ndarray of str, shape (n_targets,), optional
+        ``science`` (the default), ``standard`` or ``sky``.
+    category : ndarray of str, shape (n_targets,), optional
+        Names that requirements refer to; ``""`` for none.
+    fiber_type : ndarray of str, shape (n_targets,), optional
+        Fiber type that each target needs; ``""`` for any.
+    required : ndarray of bool, shape (n_targets,), optional
+        Targets that come before everything else.
+    options : AllocationOptions, optional
+        Requirements, objective, time limit and the other options of the plan.
+    rng : numpy.random.Generator, optional
+        The only source of random numbers to use, so that a plan can be made again.
+    start : callable, optional
+        ``problem.start()`` returns the answer that the option ``start`` stands for, that of ``lamost`` by default.
+    watched : ndarray of int, shape (n_positioners,), optional
+        Sky position that the fiber of a stuck positioner observes, -1 for none.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> def first(problem):  # positioner after positioner, the first target in the catalog that is free
+    ...     target_of = np.full(len(problem.focal_plane), -1)
+    ...     for own in range(len(target_of)):
+    ...         reach = problem.reachable[[own]].indices
+    ...         target_of[own] = next((t for t in reach if t not in target_of), -1)
+    ...     return target_of
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> rs.allocate(plane, [[14, 0], [20, 10], [12, 0]] * u.mm, allocator=first).target_of_positioner
+    array([0, 1])
+    """
+
+    focal_plane: FocalPlane
+    xy: np.ndarray
+    pairs: Reach
     rank: np.ndarray
-    """Priority class of each target, 0 the most important; ``len(classes)`` for what is not science."""
     classes: tuple
-    """Priorities, the largest first."""
     kind: np.ndarray | None = None
     category: np.ndarray | None = None
-    wanted: np.ndarray | None = None
-    """Fiber type that each target needs, "" for any."""
+    fiber_type: np.ndarray | None = None
     required: np.ndarray | None = None
-    requirements: tuple[Requirement, ...] = ()
-    watched: np.ndarray | None = None
-    """Sky position that the fiber of a stuck positioner looks at, -1 for none."""
-    objective: str = "priority"
-    time_limit: float = np.inf
-    parked_obstacles: bool = True
-    start: Callable[[], Choice] | None = None
-    """Makes the plan to begin with."""
+    options: AllocationOptions = field(default_factory=AllocationOptions)
     rng: np.random.Generator | None = None
+    start: Callable[[], AllocationAnswer] = _no_start
+    watched: np.ndarray | None = None
+
+    def __post_init__(self):
+        n = len(self.xy)
+        usual = {"kind": "science", "category": "", "fiber_type": "", "required": False}
+        for name in ("xy", "rank", *usual):
+            value = getattr(self, name)
+            # a column that is not given is one value, repeated without memory
+            value = np.broadcast_to(np.array(usual[name]), n) if value is None else locked(value)
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def reachable(self) -> csr_array:
+        """Which positioner may observe which target, bool, shape (n_positioners, n_targets)."""
+        return self.pairs.matrix
+
+    @cached_property
+    def priority(self) -> np.ndarray:
+        """Priority of each target, larger is more important; NaN for what is not science."""
+        return locked(np.append(self.classes, np.nan)[self.rank])
+
+    @property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """What the plan is to hold; what it lacks is reported."""
+        return self.options.requirements
+
+    @property
+    def objective(self) -> str:
+        """``priority``: class after class; ``count``: the number of science targets before the classes."""
+        return self.options.objective
+
+    @property
+    def time_limit(self) -> float:
+        """Seconds to spend at most."""
+        return self.options.seconds
+
+    @property
+    def parked_obstacles(self) -> bool:
+        """Whether idle equal-arm positioners are obstacles."""
+        return self.options.parked_obstacles
+
+    @cached_property
+    def any_required(self) -> bool:
+        """Whether any target is required."""
+        return bool(self.required.any())
+
+    @property
+    def several_fiber_types(self) -> bool:
+        """Whether targets say which fiber type they need."""
+        return self.fiber_type.strides != (0,)
 
     @cached_property
     def science(self) -> np.ndarray:
-        """Targets that are science."""
+        """Targets that are science, shape (n_targets,)."""
         return self.rank < len(self.classes)
 
     @cached_property
     def groups(self) -> list[Group]:
-        """Everything that the requirements count."""
+        """What each requirement counts, for each spectrograph where it holds for each."""
         found = []
         for one in self.requirements:
-            if self.category is not None and np.any(self.category == one.what):
+            if _holds(self.category, one.what):
                 targets = self.category == one.what
             elif one.what in KINDS:
-                kind = np.full(len(self.points), "science") if self.kind is None else self.kind
-                targets = kind == one.what
+                targets = self.kind == one.what
             else:
-                targets = np.zeros(len(self.points), dtype=bool)
+                targets = np.zeros(len(self.xy), dtype=bool)
             if one.fiber_type:
-                targets = targets & (self.fibers == one.fiber_type)
-            places = [None] if one.per == "tile" else np.unique(self.plane.spectrograph).tolist()
+                targets = targets & (self.fiber_type == one.fiber_type)
+            places = [None] if one.per == "tile" else np.unique(self.focal_plane.spectrograph).tolist()
             found += [Group(one, place, targets) for place in places]
         return found
-
-    @cached_property
-    def fibers(self) -> np.ndarray:
-        """Fiber type that each target needs."""
-        return np.full(len(self.points), "") if self.wanted is None else self.wanted
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
         """Class of targets; that of no target (-1) comes after all others."""
@@ -98,33 +214,33 @@ class Problem:
     @cached_property
     def _fiber_index(self) -> np.ndarray:
         """Index of the fiber type that each target needs; -1 for any, and in the last place for no target."""
-        index = {name: k for k, name in enumerate(self.plane.fiber_types)}
-        names, inverse = np.unique(self.wanted, return_inverse=True)
+        index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
+        names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
 
     def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Index of the fiber type with which positioners look at targets."""
-        first = self.plane._first_index[own]
-        if self.wanted is None:
+        first = self.focal_plane._first_index[own]
+        if not self.several_fiber_types:
             return first
         code = self._fiber_index[target]
         return np.where(code < 0, first, code)
 
     def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Spectrograph into which positioners send the light of targets."""
-        table = self.plane.spectrograph
+        table = self.focal_plane.spectrograph
         return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
 
     def only(self, targets: np.ndarray) -> Reach:
         """Return the reachable pairs of some targets."""
-        return self.reach if targets.all() else self.reach.where(targets[self.reach.target])
+        return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     def values(self, target_of: np.ndarray) -> dict[str, float]:
         """Return what a plan reaches at each level, in their order; more is better."""
         used = target_of[target_of >= 0]
         counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
         levels = {}
-        if self.required is not None:
+        if self.any_required:
             levels["required targets"] = float(self.required[used].sum())
         if self.groups:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
@@ -155,8 +271,8 @@ class Problem:
             elif one.maximum is not None and n > one.maximum:
                 found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
         used = target_of[target_of >= 0]
-        if self.required is not None and (n := int(self.required[used].sum())) < self.required.sum():
-            possible = int((self.required & (np.diff(self.reach.indptr) > 0)).sum())
+        if self.any_required and (n := int(self.required[used].sum())) < self.required.sum():
+            possible = int((self.required & (np.diff(self.pairs.indptr) > 0)).sum())
             found.append(Shortfall(None, None, int(self.required.sum()), n, possible))
         return found
 
@@ -164,20 +280,25 @@ class Problem:
         """Say what may be wrong: a name that no target has, or more than there are positioners."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
-            asked, there = sum(g.requirement.minimum for g in self.groups), int(self.plane._usable.sum())
+            asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane._usable.sum())
             return f"all requirements ask for {asked} fibers, and there are {there}" if asked > there and enough else ""
         if group.requirement.what in KINDS:
             return ""
-        names = {*KINDS, *(() if self.category is None else np.unique(self.category).tolist())} - {""}
+        names = {*KINDS, *np.unique(self.category).tolist()} - {""}
         close = get_close_matches(group.requirement.what.lower(), sorted(names), n=1)
         return f"did you mean {close[0]!r}?" if close else ""
 
     def _possible(self, group: Group) -> int:
         """How many targets of a group are in reach of a fiber that would count."""
-        own, target = self.reach.owner, self.reach.target
+        own, target = self.pairs.owner, self.pairs.target
         held = group.holds(target, self.spectrograph_of(own, target))
         n = len(np.unique(target[held]))
         if self.watched is not None:
             stuck = np.flatnonzero(self.watched >= 0)
             n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck])).sum())
         return n
+
+
+def _holds(column: np.ndarray, word: str) -> bool:
+    """Return whether a column holds a word; one that is a repeated value is looked at once."""
+    return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

@@ -189,7 +189,7 @@ class Program:
             worth.append(1.0)
             aims.append(Aim(0.0, float(most), is_class))
 
-        if problem.required is not None:
+        if problem.any_required:
             add(np.flatnonzero(np.append(problem.required, False)[self.target]))
         if problem.groups:
             columns.append(self.short)
@@ -199,7 +199,7 @@ class Program:
             add(np.flatnonzero(rank < n_classes))
         order = np.argsort(rank, kind="stable")
         for used in np.split(order, np.searchsorted(rank[order], np.arange(n_classes + 1)))[1:-1]:
-            add(used, is_class=problem.required is None)
+            add(used, is_class=not problem.any_required)
         if not problem.science.all():
             add(np.flatnonzero(self.target >= 0))
         sizes = [len(used) for used in columns]

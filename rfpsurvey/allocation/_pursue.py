@@ -51,7 +51,7 @@ class _Pursuit:
         # no plan has more targets of the first classes than the best matching has
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
-        if self.program.problem.required is not None:
+        if self.program.problem.any_required:
             # the matching is the best one if all that comes before is as good as in it
             known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
             most = np.where(known, most, np.inf)

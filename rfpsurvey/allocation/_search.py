@@ -9,9 +9,10 @@ from scipy.sparse import coo_array
 from rfpsurvey._kernels import reduce
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._moves import improve, match, mend, pick, trim
-from rfpsurvey.allocation._problem import Choice, Level, Problem
+from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
 from rfpsurvey.allocation._program import Program
 from rfpsurvey.allocation._pursue import pursue
+from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["decide"]
 
@@ -21,7 +22,9 @@ SMALLEST = 200
 FOR_BOUND = 0.3
 
 
-def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_cost: bool = False) -> Choice:
+def decide(
+    problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
+) -> AllocationAnswer:
     """Return the best plan with its proof; ``collide``: arms must not."""
     deadline = perf_counter() + problem.time_limit
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
@@ -41,7 +44,7 @@ def decide(problem: Problem, *, collide: bool, integral: bool = True, squared_co
     if (values < bounds).any():
         bounds = _bounds(problem, everything, names, values, bounds)
     levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
-    return Choice(target_of, used.side[found.chosen], None, levels, meta)
+    return AllocationAnswer(target_of, elbow_names(used.side[found.chosen]), None, levels, meta)
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
@@ -117,8 +120,8 @@ def _bounds(problem, everything, names, values, bounds):
     first = int(np.flatnonzero(values < bounds)[0]) if (values < bounds).any() else len(names)
     target_of = match(everything)
     counts = np.bincount(problem.rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)
-    if problem.required is not None:  # which came before the classes in the matching
-        counts = np.bincount(problem.rank[np.diff(problem.reach.indptr) > 0], minlength=len(counts))
+    if problem.any_required:  # which came before the classes in the matching
+        counts = np.bincount(problem.rank[np.diff(problem.pairs.indptr) > 0], minlength=len(counts))
     most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
     offset = len(names) - len(problem.classes) - (not problem.science.all())  # where the classes begin
     out = bounds.copy()

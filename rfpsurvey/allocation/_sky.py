@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import gaps
-from rfpsurvey.allocation._problem import Problem
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.focal_plane import Reach, joints_allow
 
 __all__ = ["with_sky"]
@@ -62,39 +62,39 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     return Sky(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
 
-def with_sky(problem: Problem, separation: float, others: np.ndarray) -> Problem:
+def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
     """Add sky positions in gaps between the targets and other points (mm), where a requirement asks for sky."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem
-    plane, n = problem.plane, len(problem.points)
-    own, points, wanted, stuck = find_sky(plane, np.vstack([problem.points, others]), separation, fibers)
+    plane, n = problem.focal_plane, len(problem.xy)
+    own, points, wanted, stuck = find_sky(plane, np.vstack([problem.xy, others]), separation, fibers)
     k = len(own)
-    reach = problem.reach
+    reach = problem.pairs
     usable = ~stuck
     r2 = ((points - plane._xy_mm[own]) ** 2).sum(axis=1)[usable]
     more = np.cumsum(usable)
     watched = np.full(len(plane), -1)
     watched[own[stuck]] = n + np.flatnonzero(stuck)
-    kind = np.full(n, "science") if problem.kind is None else problem.kind
     columns = {
-        "points": np.concatenate([problem.points, points]),
-        "reach": Reach(
+        "xy": np.concatenate([problem.xy, points]),
+        "pairs": Reach(
             np.concatenate([reach.indptr, reach.indptr[-1] + more]), np.concatenate([reach.owner, own[usable]]),
             np.concatenate([reach.r2, r2]), len(plane),
         ),
         "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
-        "kind": np.concatenate([kind.astype("U8"), np.full(k, "sky")]),
+        "kind": np.concatenate([problem.kind.astype("U8"), np.full(k, "sky")]),
         "watched": watched if stuck.any() else None,
+        "category": None, "required": None, "fiber_type": None,
     }  # fmt: skip
-    if problem.category is not None:
+    if problem.category.strides != (0,):
         # where sky is a category, it is that; else the kind says what it is
         name = "sky" if np.any(problem.category == "sky") else ""
         columns["category"] = np.concatenate([problem.category, np.full(k, name)])
-    if problem.required is not None:
+    if problem.any_required:
         columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
     if plane.fiber_types != ("",):
-        columns["wanted"] = np.concatenate([problem.fibers, wanted])
+        columns["fiber_type"] = np.concatenate([problem.fiber_type, wanted])
     return replace(problem, **columns)
 
 

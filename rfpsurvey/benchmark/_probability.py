@@ -169,7 +169,7 @@ def benchmark_densities(
         options = {"method": "quadrature", "density": density, "precision": precision}
         found[density] = collision_probability(plane, rng=rng, **options)
     source = make_source(plane, model, None, None, None, None, None)
-    queues = [allocate(source.draw(rng) * u.mm, plane, method="balanced", rng=rng) for _ in range(n_allocations)]
+    queues = [allocate(plane, source.draw(rng) * u.mm, allocator="balanced", rng=rng) for _ in range(n_allocations)]
     found["empirical"] = collision_probability(plane, method="quadrature", density=queues, precision=precision)
     true = found["allocated"].value
     rows = [

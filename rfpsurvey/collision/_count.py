@@ -216,7 +216,7 @@ SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
 def _of_draws(plane, allocation, n_configurations, method, rng):
     """Return a function that scores a chunk of configurations drawn from queues, and its arguments."""
     if allocation.queues is None:
-        raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.method!r}")
+        raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.allocator!r}")
     if len(allocation.target_of_positioner) != len(plane):
         raise InputError(
             f"the allocation is for {len(allocation.target_of_positioner)} positioners, not for {len(plane)}"
@@ -252,8 +252,8 @@ def lay_out(plane, allocation):
         raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
     arms.place(points, geometry, plane._sides(points, own), segments)
     types = plane._first_type[own]
-    if allocation.wanted is not None:
-        wanted = allocation.wanted[target]
+    if allocation.target_fiber_type is not None:
+        wanted = allocation.target_fiber_type[target]
         types = np.where(wanted == "", types, wanted)
     arms.shape(segments, plane._columns.model, plane._columns.length, *plane._columns.angles_of(types))
     return indptr, segments

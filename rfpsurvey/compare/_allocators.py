@@ -3,14 +3,14 @@
 import logging
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
-from rfpsurvey._plugins import name_of
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import ALLOCATORS, AllocationOptions
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
 from rfpsurvey.errors import RfpsurveyWarning
@@ -30,7 +30,8 @@ def compare_allocators(
     center: SkyCoord,
     *,
     allocators: list[str | Callable] | None = None,
-    **options: object,
+    options: AllocationOptions | None = None,
+    **others: object,
 ) -> QTable:
     """Plan the same field by several methods, and say what each costs.
 
@@ -43,9 +44,11 @@ def compare_allocators(
     center : SkyCoord
         Field center.
     allocators : list of str or callable, optional
-        Methods of `allocate`; by default all that are its own.
-    **options
-        Passed to `plan_tile`, such as ``requirements``.
+        Allocators, see `AllocationOptions`; by default all built-in ones.
+    options : AllocationOptions, optional
+        Options of every plan, such as requirements; its allocator is replaced by each of ``allocators``.
+    **others
+        Passed to `plan_tile`, such as ``position_angle``.
 
     Returns
     -------
@@ -74,25 +77,28 @@ def compare_allocators(
     >>> table["colliding"][1]
     np.int64(0)
     """
-    methods = allocators_of(METHODS if allocators is None else allocators, options)
+    methods = allocators_of(ALLOCATORS if allocators is None else allocators, options, others)
     instrument = as_instrument(instrument)
     tiles = {}
-    for method in dict.fromkeys([BLIND, *methods]):
+    for method in [replace(methods[0], allocator=BLIND), *methods]:
+        if method.name in tiles:
+            continue
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
-            plan_tile(catalog, instrument, center, allocator=method, **{**options, "time_limit": 1 * u.ms})  # compiles
+            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
             warnings.simplefilter("ignore", RfpsurveyWarning)
-            tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **options)
-        log.info("planned by %s: %s", name_of(method), tiles[method])
+            tiles[method.name] = plan_tile(catalog, instrument, center, allocator=method, **others)
+        log.info("planned by %s: %s", method.name, tiles[method.name])
     blind = on_kind(tiles[BLIND], "science")
-    rows = [_row(name_of(method), tiles[method], blind) for method in methods]
+    names = [method.name for method in methods]
+    rows = [_row(name, tiles[name], blind) for name in names]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
-    provenance = tiles[methods[0]].provenance
-    software = {name: value for method in methods for name, value in tiles[method].provenance["software"].items()}
+    provenance = tiles[names[0]].provenance
+    software = {name: value for own in names for name, value in tiles[own].provenance["software"].items()}
     table.meta.update(
         made_by="compare_allocators",
-        unmet={name_of(method): tiles[method].summary["unmet"] for method in methods}, blind_science=blind,
+        unmet={name: tiles[name].summary["unmet"] for name in names}, blind_science=blind,
         instrument=provenance["instrument"]["name"], software=software,
         parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},
     )  # fmt: skip

@@ -1,8 +1,8 @@
 """The fields of a comparison, and what each method makes of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from zlib import crc32
 
@@ -12,7 +12,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import METHODS, find_method
+from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
@@ -52,16 +52,16 @@ class Plan:
     seconds: float
 
 
-def allocators_of(allocators, options) -> list[str | Callable]:
-    """Return the methods to compare."""
+def allocators_of(allocators, options: AllocationOptions | None, others: dict) -> list[AllocationOptions]:
+    """Return the allocators to compare, each with the same options."""
     methods = [allocators] if isinstance(allocators, str) or callable(allocators) else list(allocators)
-    if "allocator" in options:
-        raise InputError("the methods to compare are given by allocators, not by allocator")
+    if "allocator" in others:
+        raise InputError("the allocators to compare are given by allocators, not by allocator")
     if not methods:
-        raise InputError("allocators must name at least one method, got none")
-    for method in methods:
-        find_method(method)
-    return [method for k, method in enumerate(methods) if method not in methods[:k]]
+        raise InputError("allocators must name at least one allocator, got none")
+    common = AllocationOptions() if options is None else as_options(options)
+    methods = [method for k, method in enumerate(methods) if method not in methods[:k]]
+    return [replace(common, allocator=method) for method in methods]
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
@@ -105,11 +105,12 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
 
 
 def plan_fields(
-    fields: list[Field], allocators: Sequence[str | Callable], options: dict, executor: Executor | None, progress: bool
+    fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
-    """Plan every field by the blind method, and by every other one, in this order."""
+    """Plan every field by the allocator whose arms pass through each other, and by every other one, in this order."""
     bar, plans = Progress(progress), []
-    work = partial(plan_field, allocators=(BLIND, *allocators), options=options)
+    blind = replace(allocators[0], allocator=BLIND)
+    work = partial(plan_field, allocators=(blind, *allocators), others=others)
     for plan in map_in_order(executor, work, fields):
         plans.append(plan)
         bar(len(plans) / len(fields))
@@ -117,15 +118,15 @@ def plan_fields(
     return plans
 
 
-def plan_field(field: Field, allocators: Sequence[str | Callable], options: dict) -> list[Plan]:
-    """Plan one field by each method."""
+def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:
+    """Plan one field by each allocator."""
     found = []
-    for name in allocators:
-        if isinstance(name, str) and name in METHODS:
-            _compile(name)
+    for options in allocators:
+        if options.name in ALLOCATORS:
+            _compile(options.name)
         try:
             tile = plan_tile(
-                field.catalog, field.instrument, field.center, allocator=name, **{"rng": field.seed, **options}
+                field.catalog, field.instrument, field.center, allocator=options, **{"rng": field.seed, **others}
             )
         except InputError as error:
             raise InputError(f"{field.instrument.name}: {error}") from None

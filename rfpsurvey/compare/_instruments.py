@@ -9,9 +9,8 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
-from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation import packages
+from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
 from rfpsurvey.errors import InputError, check_choice
@@ -69,11 +68,12 @@ def compare_instruments(
     allocators: Sequence[str | Callable] = ALLOCATORS,
     targets_per_positioner: float | None = None,
     density: u.Quantity | None = None,
+    options: AllocationOptions | None = None,
     n_realizations: int | None = None,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
     progress: bool = False,
-    **options: object,
+    **others: object,
 ) -> QTable:
     """Let several instruments look at the same sky, or at skies as crowded for each of them, and say what each gets.
 
@@ -86,12 +86,14 @@ def compare_instruments(
     center : SkyCoord, scalar or shape (n_fields,), optional
         Field centers for a catalog; its mean direction by default.
     allocators : list of str or callable, optional
-        Methods of `allocate`.
+        Allocators, see `AllocationOptions`.
     targets_per_positioner : float, optional
         Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), on average over it, the
         same for all instruments; one by default.
     density : Quantity, optional
         Synthetic targets per solid angle instead, the same for all instruments.
+    options : AllocationOptions, optional
+        Options of every plan, such as requirements; its allocator is replaced by each of ``allocators``.
     n_realizations : int, optional
         Synthetic skies of each instrument; 4 by default. A catalog is one for each center.
     rng : int, Generator or None, optional
@@ -100,8 +102,8 @@ def compare_instruments(
         Plans fields at the same time; the figures do not depend on it, but for the seconds.
     progress : bool, optional
         Show a bar on the standard error.
-    **options
-        Passed to `plan_tile`, such as ``requirements`` or ``time_limit``.
+    **others
+        Passed to `plan_tile`, such as ``position_angle``.
 
     Returns
     -------
@@ -149,7 +151,7 @@ def compare_instruments(
     moons      3    optimal
     """
     models = _models(instruments)
-    methods = allocators_of(allocators, options)
+    methods = allocators_of(allocators, options, others)
     facts = [_describe(model) for model in models]
     if density is not None and targets_per_positioner is not None:
         raise InputError("give targets_per_positioner or density, not both")
@@ -167,7 +169,7 @@ def compare_instruments(
             raise InputError(f"{what} are for synthetic skies: a catalog is seen once a center")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
-    plans = plan_fields(fields, methods, options, executor, progress)
+    plans = plan_fields(fields, methods, others, executor, progress)
     rows = []
     for model, known in zip(models, facts, strict=True):
         blind, *others = zip(
@@ -178,19 +180,24 @@ def compare_instruments(
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
     software = dict(versions())
     for method in methods:
-        software.update(packages(method, options.get("start")))
+        software.update(packages(method))
     table.meta.update(
         made_by="compare_instruments",
         way=way, comparable=f"{COMPARABLE[way]} {CAUTION}", n_fields=len(fields) // len(models), confidence=CONFIDENCE,
         sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=software,
         instruments={model.name: model._provenance() for model in models},
-        parameters={"rng": str(rng), **{name: str(value) for name, value in options.items()}},
+        parameters={"rng": str(rng), **_record(methods), **{name: str(value) for name, value in others.items()}},
     )  # fmt: skip
     if way == "same targets per positioner":
         table.meta["targets_per_positioner"] = float(each)
     elif way == "same density":
         table.meta["density_per_deg2"] = float(density.to_value(u.deg**-2))
     return table
+
+
+def _record(methods: list[AllocationOptions]) -> dict:
+    """Return the options that all plans share."""
+    return {name: value for name, value in methods[0].record.items() if name != "allocator"}
 
 
 def parts_of(table: QTable) -> dict[str, QTable]:
@@ -234,7 +241,7 @@ def _describe(model: Instrument) -> dict:
     }
 
 
-def _gains(model: Instrument, allocator: str | Callable, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
+def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
     """Return what a method makes of the fields of an instrument, on average."""
     n, most = len(own), sum(plan.n_science for plan in blind)
     targets, science, usable, pairs = (
@@ -242,13 +249,13 @@ def _gains(model: Instrument, allocator: str | Callable, own: Sequence[Plan], bl
     )
     risks = [plan.risk for plan in own]
     value, low, high = rate_interval(model.focal_plane, risks, CONFIDENCE)
-    if value == 0 and isinstance(allocator, str) and allocator in WITHOUT_COLLISIONS:
+    if value == 0 and allocator.name in WITHOUT_COLLISIONS:
         high = 0.0  # by construction
     counted = np.count_nonzero(~np.isnan(risks))
     number = int(model.focal_plane._usable.sum())
     half = model.field_radius.to_value(u.rad) / 2
     return {
-        "allocator": name_of(allocator),
+        "allocator": allocator.name,
         "targets": targets / n,
         "targets_per_positioner": targets / n / number,
         "assigned": science / n,

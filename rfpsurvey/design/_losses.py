@@ -5,7 +5,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.allocation import allocate
+from rfpsurvey.allocation import AllocationOptions, allocate
 from rfpsurvey.design._lattice import Lattice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability import collision_probability, surrogate_probability
@@ -64,7 +64,7 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
     """Average over all configurations that balanced queues allow."""
 
     def look(points, plane, core):
-        assigned = core & (allocate(points, plane, method="balanced").target_of_positioner >= 0)
+        assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
         if not assigned.any():
             return 0, 0, 0
         risk = collision_probability(plane, targets=points, method="conditional").per_positioner
@@ -112,7 +112,8 @@ def _compare(lattice, skies, method):
     limit = skies.time_limit * u.s
 
     def look(points, plane, core):
-        plans = {name: allocate(points, plane, method=name, time_limit=limit) for name in ("sdss", method)}
+        options = {name: AllocationOptions(name, time_limit=limit) for name in ("sdss", method)}
+        plans = {name: allocate(plane, points, allocator=one) for name, one in options.items()}
         blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
         return blind, blind - found, any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
 

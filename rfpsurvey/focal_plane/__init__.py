@@ -3,6 +3,6 @@
 from rfpsurvey.focal_plane._coverage import on_footprint
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
-from rfpsurvey.focal_plane._reach import Reach, accepted_types, joints_allow
+from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names, joints_allow
 
-__all__ = ["FocalPlane", "Reach", "accepted_types", "hexagonal_cells", "joints_allow", "on_footprint"]
+__all__ = ["FocalPlane", "Reach", "accepted_types", "elbow_names", "hexagonal_cells", "joints_allow", "on_footprint"]

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from rfpsurvey._kernels import arms, reach
 from rfpsurvey.errors import InputError
 
-__all__ = ["Reach", "accepted_types", "find_reach", "joints_allow", "make_grid", "sides"]
+__all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "joints_allow", "make_grid", "sides"]
 
 # Targets that are looked at together, so that little memory is used besides the pairs.
 BLOCK = 1 << 18
@@ -140,6 +140,11 @@ def sides(plane, points, own=None) -> np.ndarray:
         right, left = (joints_allow(plane, own[rows], points[rows], s) for s in (1.0, -1.0))
         side[rows[~right & left]] = -1.0
     return side
+
+
+def elbow_names(side: np.ndarray) -> np.ndarray:
+    """Return elbows as names: +1 is right, -1 left."""
+    return np.where(side < 0, "left", "right")
 
 
 def _in_annulus_exactly(plane, i, point):

@@ -130,6 +130,11 @@ class Instrument:
         return max(m.max_angle.to(u.deg) if np.isnan(a) else a for m, a in zip(maps, angles, strict=True))
 
     @property
+    def _field_radius_rad(self) -> float:
+        """Radius of the circle in which targets of a field are looked for, with room for rounding."""
+        return self.field_radius.to_value(u.rad) * (1 + 1e-9)
+
+    @property
     def target_density(self) -> u.Quantity:
         """``targets_per_fiber`` targets for every positioner's share of the field, per solid angle."""
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr

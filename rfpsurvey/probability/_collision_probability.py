@@ -11,8 +11,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
-from rfpsurvey.allocation import Allocation, packages
-from rfpsurvey.allocation import find_method as find_allocator
+from rfpsurvey.allocation import Allocation, AllocationOptions, packages
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
@@ -168,7 +167,7 @@ def collision_probability(
     start = perf_counter()
     plane = as_focal_plane(focal_plane)
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
-    find_allocator(allocator)
+    options = AllocationOptions(allocator)
     if estimand is not None:
         check_choice(estimand, ("allocated", "independent"), "estimand")
     name = cheapest(estimand or "allocated", allocator) if method == "auto" else name_of(method)
@@ -206,7 +205,7 @@ def collision_probability(
     found.pop("met", None)
     meta = {"confidence": confidence, "interval": interval, "n_positioners": len(plane), **found.pop("meta")}
     meta["choice"] = meta.get("certain") or reason_of(name, allocator, source, chosen=method == "auto")
-    if source is not None and (software := packages(allocator)):
+    if source is not None and (software := packages(options)):
         meta["software"] = {**software, **meta.get("software", {})}
     estimate = Estimate(**found, method=name, estimand=asked, seconds=perf_counter() - start, meta=meta)
     return with_dynamic(estimate, float(dynamic))

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import batch, simulate
-from rfpsurvey.allocation import Allocation, allocate
+from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
 from rfpsurvey.collision import lay_out, make_desk, make_stage
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._scratch import make_array, make_hall, make_room
@@ -144,15 +143,17 @@ class Simulation:
 
     def realize(self, rng: np.random.Generator) -> Allocation:
         """Draw targets and allocate them; without an allocator that makes queues there are queues of one."""
-        points = self.source.draw(rng) * u.mm
-        options = {"priority": self.source.priority, "fiber_type": self.source.types, "rng": rng}
-        options["parked_obstacles"] = self.parked_obstacles
-        allocation = allocate(points, self.plane, method=self.allocator, **options)
+        columns = TargetColumns(priority=self.source.priority, fiber_type=self.source.types)
+        allocation = assign(self.plane, self.source.draw(rng), columns, self._options, rng)
         if allocation.queues is not None:
             return allocation
         target = allocation.target_of_positioner
         one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
         return replace(allocation, queues=one_each)
+
+    @cached_property
+    def _options(self):
+        return AllocationOptions(self.allocator, parked_obstacles=self.parked_obstacles)
 
     @cached_property
     def _stage(self):

@@ -12,6 +12,7 @@ from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import project_field
 
 __all__ = ["KINDS", "Source", "make_source"]
 
@@ -151,8 +152,8 @@ def _from_catalog(instrument, targets, center):
         center = targets._middle
     science = np.arange(len(targets)) if targets.kind is None else np.flatnonzero(targets.kind == "science")
     types, priority = (None if c is None else c[science] for c in (targets.fiber_type, targets.priority))
-    types = instrument._needs(types, len(science))
-    return _given(instrument.projection(center)._project(targets._vectors[science], types), types, priority)
+    xy, types = project_field(instrument, instrument.projection(center), targets._vectors[science], types)
+    return _given(xy, types, priority)
 
 
 def _given(points, types=None, priority=None):

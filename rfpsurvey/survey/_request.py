@@ -8,11 +8,11 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_visits
-from rfpsurvey.allocation import packages
+from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import blank_ids
 from rfpsurvey.survey._ledger import Ledger
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -36,7 +36,7 @@ class Request:
     """Place of the pass of each tile among them."""
     passes: list[int]
     instrument: Instrument
-    options: dict
+    options: AllocationOptions
     visits: np.ndarray
     """How often each target is wanted, by slot."""
     order: str
@@ -46,8 +46,8 @@ class Request:
 
     @cached_property
     def radius_rad(self) -> float:
-        """Radius of a field, as `plan_tile` takes it."""
-        return self.instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
+        """Radius of a field."""
+        return self.instrument._field_radius_rad
 
     @cached_property
     def rounds(self) -> list[np.ndarray]:
@@ -57,12 +57,13 @@ class Request:
     @cached_property
     def model(self) -> Model:
         """What every job shares."""
-        return Model(self.instrument, self.options, lost_in_collision=self.lost_in_collision)
+        blank = None if self.options.sky_separation is None else blank_ids(self.source.ids())
+        return Model(self.instrument, self.options, blank, lost_in_collision=self.lost_in_collision)
 
     def open_ledger(self) -> Ledger:
         """Return a ledger without a visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind"))
-        others = bool(self.options["requirements"])
+        others = bool(self.options.requirements)
         in_turn = self.order == "color"
         return Ledger(self.visits, *columns, n_passes=len(self.passes), use_others=others, in_turn=in_turn)
 
@@ -70,7 +71,7 @@ class Request:
         """Return the work on a tile (by row) with what is left of the targets."""
         row = self.tiling.table[tile]
         # blank sky is where no target is, done or not
-        rest = "sky_separation" in self.options
+        rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling._vectors[tile], self.radius_rad, left, rest=rest)
         where = (float(row[name].to_value(u.deg)) for name in ("ra", "dec", "position_angle"))
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
@@ -79,14 +80,13 @@ class Request:
     @cached_property
     def software(self) -> dict:
         """Versions of all that makes the plan."""
-        return {**versions(), **packages(self.options["method"], self.options.get("start"))}
+        return {**versions(), **packages(self.options)}
 
     @cached_property
     def parameters(self) -> dict:
         """What a result records."""
-        options = {k: _plain(v) for k, v in self.options.items()}
         return {
-            **options, "passes": self.passes, "order": self.order, "epoch": self.epoch, "rng": self.seed,
+            **self.options.record, "passes": self.passes, "order": self.order, "epoch": self.epoch, "rng": self.seed,
             "lost_in_collision": self.lost_in_collision, "radius_deg": float(np.rad2deg(self.radius_rad)),
         }  # fmt: skip
 
@@ -129,7 +129,9 @@ class Request:
         return {**about, **self.parameters, "software": self.software}
 
 
-def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, *, visits, passes, **others) -> Request:
+def make_request(
+    source, tiling: Tiling, instrument: Instrument, options: AllocationOptions, *, visits, passes, **others
+) -> Request:
     """Return the request, if it can be met."""
     if len(source) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
@@ -158,11 +160,3 @@ def make_request(source, tiling: Tiling, instrument: Instrument, options: dict, 
     wanted = np.ones(len(source), dtype=np.uint8) if wanted is None else wanted
     return Request(source, tiling, place, passes, instrument, options, wanted, **others)
 
-
-def _plain(value):
-    """Return an option as text or a number."""
-    if isinstance(value, u.Quantity):
-        return value.to_string()
-    if callable(value):
-        return name_of(value)
-    return [str(one) for one in value] if isinstance(value, list | tuple) else value

@@ -7,27 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey.allocation import TargetColumns
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
+from rfpsurvey.pipeline import FieldTargets
 
 __all__ = ["Field", "InMemory", "Partitioned", "digest"]
 
 
 class Field(NamedTuple):
-    """The targets of a field, in the order of their rows; columns that a catalog does not carry are None."""
+    """The targets of a field, in the order of their rows."""
 
     slot: np.ndarray
     row: np.ndarray
-    vectors: np.ndarray
-    id: np.ndarray
-    priority: np.ndarray | None
-    kind: np.ndarray | None
-    category: np.ndarray | None
-    fiber_type: np.ndarray | None
-    rest: np.ndarray | None = None
-    """Unit vectors of the other targets in the field, where they are asked for."""
+    targets: FieldTargets
 
 
-COLUMNS = ("id", "priority", "kind", "category", "fiber_type")
+COLUMNS = ("priority", "kind", "category", "fiber_type")
 
 
 class InMemory:
@@ -52,9 +47,10 @@ class InMemory:
             others = self._index.vectors[slot[left[slot] == 0]]
             slot = slot[left[slot] > 0]
         row = self._index.order[slot]
-        columns = (getattr(self._catalog, name) for name in COLUMNS)
-        columns = [None if column is None else column[row] for column in columns]
-        return Field(slot, row, self._index.vectors[slot], *columns, others)
+        columns = {name: getattr(self._catalog, name) for name in COLUMNS}
+        columns = {name: None if values is None else values[row] for name, values in columns.items()}
+        targets = FieldTargets(self._index.vectors[slot], self._catalog.id[row], TargetColumns(**columns), others)
+        return Field(slot, row, targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of values (by slot) inside circles."""
@@ -91,7 +87,7 @@ class InMemory:
 
     def digest(self) -> str:
         """Return what tells one catalog from another."""
-        columns = (getattr(self._catalog, name) for name in COLUMNS)
+        columns = (getattr(self._catalog, name) for name in ("id", *COLUMNS))
         return digest(self._index.vectors, self._index.order, *columns)
 
 
@@ -136,7 +132,10 @@ class Partitioned:
                 found.append(field._replace(slot=field.row + first, row=field.row + first))
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
-        return Field(*(None if parts[0] is None else np.concatenate(parts) for parts in zip(*found, strict=True)))
+        slot, row, targets = zip(*found, strict=True)
+        vectors, ids, columns, others = zip(*targets, strict=True)
+        columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
+        return Field(_stack(slot), _stack(row), FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others)))
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of values (by slot) inside circles; each partition is read once at most."""
@@ -174,6 +173,11 @@ class Partitioned:
     def digest(self) -> str:
         """Return what tells one catalog from another; all files are read, but only the columns that a survey needs."""
         return self._catalog._digest()
+
+
+def _stack(parts: tuple) -> np.ndarray | None:
+    """Return columns of several partitions as one; None where the catalog does not carry it."""
+    return None if parts[0] is None else np.concatenate(parts)
 
 
 def digest(*columns: np.ndarray | None) -> str:

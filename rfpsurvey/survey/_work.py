@@ -9,10 +9,10 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._io import fits_bytes
-from rfpsurvey._units import to_lonlat
+from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import BlankIds, plan_field, project_field
 from rfpsurvey.survey._source import Field
-from rfpsurvey.tile import run_stages
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 
@@ -32,14 +32,17 @@ COUNTS = {
 
 
 class Model:
-    """An instrument and the options of the allocation, which a process unpacks once."""
+    """What all tiles share, and a process unpacks once: instrument, options, identifiers of blank sky."""
 
-    def __init__(self, instrument: Instrument, options: dict, *, lost_in_collision: bool):
-        self.content = instrument, options, lost_in_collision
+    def __init__(
+        self, instrument: Instrument, options: AllocationOptions, blank: BlankIds | None, *, lost_in_collision: bool
+    ):
+        self.instrument, self.options, self.blank = instrument, options, blank
+        self.lost_in_collision = lost_in_collision
 
     @cached_property
     def _packed(self) -> bytes:
-        return pickle.dumps(self.content, protocol=5)
+        return pickle.dumps((self.instrument, self.options, self.blank, self.lost_in_collision), protocol=5)
 
     def __reduce__(self):
         return _unpack, (self._packed,)
@@ -47,8 +50,8 @@ class Model:
 
 @lru_cache(maxsize=4)
 def _unpack(packed: bytes) -> Model:
-    instrument, options, lost = pickle.loads(packed)
-    return Model(instrument, options, lost_in_collision=lost)
+    instrument, options, blank, lost = pickle.loads(packed)
+    return Model(instrument, options, blank, lost_in_collision=lost)
 
 
 class Job(NamedTuple):
@@ -81,81 +84,55 @@ class Done(NamedTuple):
 
 def work(job: Job) -> Done:
     """Plan a tile."""
-    instrument, options, lost_in_collision = job.model.content
-    plane, field = instrument.focal_plane, job.field
-    projection, xy, needs = _project(job)
-    columns = {name: getattr(field, name) for name in ("priority", "kind", "category")}
-    if field.rest is not None:
-        columns["avoid"] = projection._project(field.rest) * u.mm
-    allocation, _, report, _ = run_stages(
-        plane, xy, **columns, fiber_type=needs, rng=np.random.default_rng(job.seed), **options
+    model, field = job.model, job.field
+    instrument = model.instrument
+    plan = plan_field(
+        instrument, _projection(job), field.targets, model.options, np.random.default_rng(job.seed), model.blank
     )
-    own = np.flatnonzero(allocation.target_of_positioner >= 0)
-    target = allocation.target_of_positioner[own]
-    given = target < allocation.n_given
-    colliding = report.in_collision[own]
-    ra, dec = _directions(field, target, given, allocation, projection)
+    colliding = plan.report.in_collision[plan.positioner]
     columns = {
-        "target_id": _pick(field.id, target, given),
-        "target_row": _pick(field.row, target, given),
-        "positioner": plane.id[own],
-        "ra": ra,
-        "dec": dec,
+        "target_id": plan.id,
+        "target_row": np.append(field.row, -1)[plan.target],
+        "positioner": instrument.focal_plane.id[plan.positioner],
+        "ra": np.rad2deg(plan.lon_rad),
+        "dec": np.rad2deg(plan.lat_rad),
         "in_collision": colliding,
-        "observed": ~colliding if lost_in_collision else np.ones(len(own), dtype=bool),
+        "observed": ~colliding if model.lost_in_collision else np.ones(len(colliding), dtype=bool),
     }
-    if plane.fiber_types != ("",):
-        columns["fiber_type"] = allocation.fiber_type[own]
-    kind = np.full(len(own), "science")
-    if field.kind is not None or "sky_separation" in options:
-        kind = kind if field.kind is None else _pick(field.kind, target, given)
-        columns["kind"] = kind = np.where(given, kind, "sky")
+    if model.blank is not None:  # the same type in every tile
+        columns["target_id"] = plan.id.astype(model.blank.dtype)
+    if instrument.focal_plane.fiber_types != ("",):
+        columns["fiber_type"] = plan.allocation.fiber_type[plan.positioner]
+    if field.targets.columns.kind is not None or model.blank is not None:
+        columns["kind"] = plan.kind
     visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
+    report = plan.report
     counts = {
         "n_in_field": len(field.row),
-        "n_reachable": allocation.n_reachable,
-        "n_assigned": len(own),
-        "n_science": int((kind == "science").sum()),
+        "n_reachable": plan.allocation.n_reachable,
+        "n_assigned": len(plan.positioner),
+        "n_science": int((plan.kind == "science").sum()),
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
-        "n_unmet": len(allocation.unmet),
+        "n_unmet": len(plan.allocation.unmet),
     }
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     cards.update((card, (counts[name], words)) for card, (name, words) in COUNTS.items())
     cards.update((f"TUNIT{list(columns).index(name) + 1}", "deg") for name in ("ra", "dec"))
     part, visits = (fits_bytes(visits, cards), None) if job.as_file else (None, visits)
-    return Done(part, visits, np.where(given, target, -1), columns["observed"], allocation.in_reach, counts)
+    return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)
 
 
 def in_reach(job: Job) -> np.ndarray:
     """Return which targets of the field any positioner reaches."""
-    _, xy, needs = _project(job)
-    return job.model.content[0].focal_plane._reach(xy, needs).covered
+    instrument, targets = job.model.instrument, job.field.targets
+    xy, fiber_type = project_field(instrument, _projection(job), targets.vectors, targets.columns.fiber_type)
+    return instrument.focal_plane._reach(xy, fiber_type).covered
 
 
-def _project(job: Job):
-    """Return the projection of a field, its targets on the focal plane, and the fibers that they need."""
-    instrument, field = job.model.content[0], job.field
-    needs = instrument._needs(field.fiber_type, len(field.row))
+def _projection(job: Job):
+    """Return the projection of a field."""
     center = SkyCoord(job.ra_deg * u.deg, job.dec_deg * u.deg)
-    projection = instrument.projection(center, job.position_angle_deg * u.deg)
-    return projection, projection._project(field.vectors, needs), needs
-
-
-def _directions(field, target, given, allocation, projection):
-    """Return right ascension and declination (deg) of the targets, and of sky positions that were found."""
-    lon, lat = np.empty(len(target)), np.empty(len(target))
-    lon[given], lat[given] = to_lonlat(field.vectors[target[given]])
-    if not given.all():
-        blank = target[~given]
-        where = projection.to_sky(allocation.xy[blank], None if allocation.wanted is None else allocation.wanted[blank])
-        lon[~given], lat[~given] = where.ra.rad, where.dec.rad
-    return np.rad2deg(lon) % 360, np.rad2deg(lat)
-
-
-def _pick(values: np.ndarray, target: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Return the values of targets; -1 or "" for sky positions that were found."""
-    blank = np.array([-1 if values.dtype.kind == "i" else ""], dtype=values.dtype)
-    return np.append(values, blank)[np.where(given, target, len(values))]
+    return job.model.instrument.projection(center, job.position_angle_deg * u.deg)

@@ -12,19 +12,20 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import Requirement, as_requirements, packages, sentences
+from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, packages, sentences
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.pipeline import FieldTargets, blank_ids, plan_field
+from rfpsurvey.tile._constraints import absent_required, add_keep_out, find_required
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
-from rfpsurvey.tile._stages import run_stages
 from rfpsurvey.tile._tile import Tile, build_tile
-from rfpsurvey.tile._wishes import describe, find_ids, is_required, keep_clear, to_length
 
 __all__ = ["plan_tile"]
 
-# Classes of targets that a summary lists.
+# Objectives that a summary lists.
 MOST_AIMS = 100
+STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
 
@@ -36,16 +37,10 @@ def plan_tile(
     position_angle: u.Quantity = 0 * u.deg,
     equinox: str | None = None,
     epoch: Time | str | float | None = None,
-    allocator: str | Callable = "lamost",
-    requirements: Requirement | str | list | None = None,
+    allocator: AllocationOptions | str | Callable = "lamost",
     required: np.ndarray | None = None,
-    sky_separation: u.Quantity | None = None,
     keep_out: SkyCoord | None = None,
     keep_out_radius: u.Quantity | None = None,
-    objective: str = "priority",
-    time_limit: u.Quantity = 60 * u.s,
-    start: str = "lamost",
-    parked_obstacles: bool = True,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
     """Assign the targets of one field to fibers and find the arms that collide there.
@@ -68,23 +63,15 @@ def plan_tile(
         Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
     epoch : Time, str or float, optional
         Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
-    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
-        Method of the allocation, see `allocate`.
-    requirements : list of Requirement or str, or "instrument", optional
-        Sky fibers, standards and others that the tile must hold, see `allocate`; ``"instrument"``: those of the
-        instrument.
+    allocator : AllocationOptions or str or callable, optional
+        The allocator and its options, such as sky fibers and standards that the tile must hold; or the allocator alone.
+        See `AllocationOptions`.
     required : array_like, optional
         Ids of targets that come before everything else.
-    sky_separation : Quantity, optional
-        Angle or length: positions at least so far from all targets serve as sky, too.
     keep_out : SkyCoord, optional
         Directions, such as guide stars, that no arm may cover; obstacles of this tile.
     keep_out_radius : Quantity, optional
         Angle or length about them; needed with ``keep_out``.
-    objective, time_limit, start : optional
-        See `allocate`.
-    parked_obstacles : bool, optional
-        Do idle equal-arm positioners stand in the way?
     rng : int, Generator or None, optional
         Seed or source of random numbers, for allocators that draw. The default gives the same tile every time.
 
@@ -111,18 +98,17 @@ def plan_tile(
     >>> tile.table.colnames[:4]
     ['id', 'spectrograph', 'x', 'y']
     """
-    seconds = {}
     begin = perf_counter()
     instrument = as_instrument(instrument)
-    wishes = as_requirements(instrument.requirements if requirements == "instrument" else requirements)
+    asked = as_options(allocator)
     catalog = as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = north_of_date(center, equinox)
     plane = instrument.projection(center, position_angle)
-    instrument = keep_clear(instrument, plane, keep_out, keep_out_radius)
-    n_targets, everything = len(catalog), catalog
-    radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
+    instrument = add_keep_out(instrument, plane, keep_out, keep_out_radius)
+    options = asked.for_instrument(instrument)
+    everything, radius = catalog, instrument._field_radius_rad
     if epoch is not None:
         if not catalog.has_proper_motion:
             warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
@@ -134,11 +120,9 @@ def plan_tile(
             f"no target lies within {instrument.field_radius:.4g} of the field center "
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
         )
-    seconds["select"] = perf_counter() - begin
-    begin = perf_counter()
-    given = rows
-    if catalog.kind is not None and not wishes:
-        given = rows[(catalog.kind[rows] == "science") | is_required(catalog.id[rows], required)]
+    is_required, given = find_required(everything.id, catalog.id, required), rows
+    if catalog.kind is not None and not options.requirements:
+        given = rows[(catalog.kind[rows] == "science") | is_required[rows]]
     if len(given) == 0:
         raise InputError(
             f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
@@ -147,33 +131,28 @@ def plan_tile(
     if n_twice:
         text = f"{n_twice} targets in the field share their id with another; each row is planned by itself"
         warnings.warn(text, RfpsurveyWarning, stacklevel=2)
-    needs = None if catalog.fiber_type is None else catalog.fiber_type[given]
-    needs = instrument._needs(needs, len(given))
-    xy = plane._project(catalog._vectors[given], needs)
-    seconds["projection"] = perf_counter() - begin
-    columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category")}
+    columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
-    wanted, absent = find_ids(everything.id, catalog.id[given], required)
+    columns["required"] = is_required[given] if is_required.any() else None
+    targets = FieldTargets(catalog._vectors[given], catalog.id[given], TargetColumns(**columns))
+    blank = None if options.sky_separation is None else blank_ids(everything.id)
     rng, seed = _generator(rng)
-    separation = to_length(sky_separation, instrument, "sky_separation")
-    allocation, posed, report, times = run_stages(
-        instrument.focal_plane, xy, method=allocator, **columns, fiber_type=needs, requirements=wishes,
-        required=wanted, sky_separation=separation, objective=objective, time_limit=time_limit, start=start,
-        parked_obstacles=parked_obstacles, rng=rng,
-    )  # fmt: skip
-    seconds.update(times)
+    seconds = {"select": perf_counter() - begin}
+    plan = plan_field(instrument, plane, targets, options, rng, blank)
+    allocation = plan.allocation
+    seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
-        what = "target" if wishes else "science target"
+        what = "target" if options.requirements else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
     summary = {
-        "n_targets": n_targets + catalog.n_dropped,
-        "n_dropped": catalog.n_dropped,
+        "n_targets": len(everything) + everything.n_dropped,
+        "n_dropped": everything.n_dropped,
         "n_in_field": len(rows),
         "n_set_aside": len(rows) - len(given),
         "n_reachable": allocation.n_reachable,
         "aims": [[level.name, level.value, _known(level.bound)] for level in allocation.levels[:MOST_AIMS]],
         "gap": _known(allocation.gap),
-        "unmet": sentences(allocation.unmet) + absent,
+        "unmet": sentences(allocation.unmet) + absent_required(targets.id, required),
         "search": allocation.meta,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
@@ -182,21 +161,17 @@ def plan_tile(
         **where(center, position_angle),
         "epoch": epoch_text(catalog.epoch),
         "epoch_asked": None if epoch is None else str(epoch),
-        "allocator": allocation.method,
-        "requirements": [str(one) for one in wishes],
+        **options.record,
         "required": [] if required is None else [str(name) for name in np.atleast_1d(required)],
-        "sky_separation_mm": None if separation is None else float(separation.to_value(u.mm)),
         "n_keep_out": 0 if keep_out is None else int(keep_out.size),
-        "objective": objective,
-        "start": start,
-        "time_limit_s": float(time_limit.to_value(u.s)),
-        "parked_obstacles": bool(parked_obstacles),
         "rng": seed,
     }
-    ids, sky_deg, kind, row_of = describe(allocation, plane, catalog, given)
+    row_of = np.full(len(instrument.focal_plane), -1)
+    row_of[plan.positioner] = np.arange(len(plan.positioner))
+    sky_deg = np.rad2deg([plan.lon_rad, plan.lat_rad])
     return build_tile(
-        instrument, ids, sky_deg, row_of, allocation.fiber_type, posed, report, summary, parameters, catalog.meta,
-        kind=kind, software=packages(allocator, start),
+        instrument, plan.id, sky_deg, row_of, allocation.fiber_type, plan.arms, plan.report, summary, parameters,
+        catalog.meta, kind=plan.kind, software=packages(options),
     )  # fmt: skip
 
 

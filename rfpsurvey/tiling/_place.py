@@ -2,6 +2,7 @@
 
 import logging
 import warnings
+from collections.abc import Callable
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
+from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
@@ -34,7 +36,7 @@ def place_tiles(
     completeness: float | None = None,
     fibers: int | None = None,
     min_separation: u.Quantity | None = None,
-    allocator: str | None = None,
+    allocator: AllocationOptions | str | Callable | None = None,
     radius: u.Quantity | None = None,
     position_angle: u.Quantity = 0 * u.deg,
     centers: SkyCoord | None = None,
@@ -70,9 +72,9 @@ def place_tiles(
         Targets that a tile observes at most; by default the positioners that are not disabled or stuck.
     min_separation : Quantity, optional
         No two targets of a tile are closer than this angle.
-    allocator : str, optional
-        Let the positioners of the instrument decide what a tile observes, by this method of `allocate`; what it
-        assigns counts, also where arms collide (``repair`` leaves no collisions).
+    allocator : AllocationOptions or str or callable, optional
+        Let the positioners of the instrument decide what a tile observes, see `AllocationOptions`; what is
+        assigned counts, also where arms collide (``repair`` leaves no collisions).
     radius : Quantity, optional
         Angular radius of a tile, instead of the instrument's.
     position_angle : Quantity, optional
@@ -172,7 +174,8 @@ def place_tiles(
         priority = None if catalog.priority is None else catalog.priority[index.order]
         serve = Fibers(fibers, priority, neighbors)
     else:
-        serve = FocalPlaneFibers(model, allocator, catalog, index, fibers, position_angle, rng)
+        options = as_options(allocator).for_instrument(model)
+        serve = FocalPlaneFibers(model, options, catalog, index, fibers, position_angle, rng)
     problem = Problem(radius_rad, index, wanted[index.order], fibers, serve, allowed, passes, n_tiles, completeness)
     ledger = METHODS[method](problem)
     summary.update(fibers=fibers, **_account(ledger, neighbors))

@@ -4,9 +4,10 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey.allocation import allocate
+from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import FieldTargets, assign_field
 from rfpsurvey.tiling._tiling import to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "neighbors_within"]
@@ -77,8 +78,8 @@ class FocalPlaneFibers:
     ----------
     instrument : Instrument
         What observes.
-    allocator : str
-        Method of `allocate`.
+    options : AllocationOptions
+        The allocator and its options.
     catalog : Catalog
         The targets, by row.
     index : SkyIndex
@@ -92,27 +93,22 @@ class FocalPlaneFibers:
     """
 
     def __init__(
-        self, instrument: Instrument, allocator: str, catalog: Catalog, index: SkyIndex, fibers: int,
+        self, instrument: Instrument, options: AllocationOptions, catalog: Catalog, index: SkyIndex, fibers: int,
         position_angle: u.Quantity, rng: np.random.Generator,
     ):  # fmt: skip
-        self.instrument, self.allocator, self.index, self.fibers = instrument, allocator, index, fibers
+        self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
         self.position_angle, self.rng = position_angle, rng
-        order = index.order
-        self.priority = None if catalog.priority is None else catalog.priority[order]
-        needs = instrument._needs(catalog.fiber_type, len(catalog))
-        self.needs = None if needs is None else needs[order]
+        columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
+        self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
 
     def __call__(self, center, near, ledger):
         """Return the positions that are served, of those in the field that still want a visit."""
         ra, dec = to_ra_dec(center[None])
         plane = self.instrument.projection(SkyCoord(ra[0] * u.deg, dec[0] * u.deg), self.position_angle)
-        needs = None if self.needs is None else self.needs[near]
-        priority = None if self.priority is None else self.priority[near]
-        xy = plane._project(self.index.vectors[near], needs)
-        allocation = allocate(
-            xy * u.mm, self.instrument.focal_plane, method=self.allocator, priority=priority, fiber_type=needs,
-            rng=self.rng,
-        )  # fmt: skip
+        columns = {name: None if values is None else values[near] for name, values in self.columns.items()}
+        ids, priority = columns.pop("id"), columns["priority"]
+        targets = FieldTargets(self.index.vectors[near], ids, TargetColumns(**columns))
+        allocation = assign_field(self.instrument, plane, targets, self.options, self.rng)
         served = np.flatnonzero(allocation.positioner_of_target[: len(near)] >= 0)
         if len(served) > self.fibers:
             order = served if priority is None else served[np.argsort(-priority[served], kind="stable")]

@@ -1,0 +1,9 @@
+"""The one pipeline of a field, on plain arrays: projection, reach, allocation, arms, collisions, identifiers.
+
+`plan_tile` calls it once and `plan_survey` for each tile; tiling and collision probabilities use its first half.
+"""
+
+from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
+from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, assign_field, plan_field, project_field
+
+__all__ = ["BlankIds", "FieldPlan", "FieldTargets", "assign_field", "blank_ids", "plan_field", "project_field"]

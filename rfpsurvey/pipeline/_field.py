@@ -1,0 +1,129 @@
+"""Plan one field: targets as unit vectors in, assigned fibers and their collisions out."""
+
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._units import to_lonlat
+from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
+from rfpsurvey.collision import Arms, CollisionReport, find_collisions
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline._blank_sky import BlankIds
+from rfpsurvey.projection import TangentPlane
+
+__all__ = ["FieldPlan", "FieldTargets", "assign_field", "plan_field", "project_field"]
+
+
+class FieldTargets(NamedTuple):
+    """The targets of a field, a row each."""
+
+    vectors: np.ndarray
+    """ICRS unit vectors, shape (n, 3)."""
+    id: np.ndarray
+    """Identifiers, shape (n,), integers or text."""
+    columns: TargetColumns
+    others: np.ndarray | None = None
+    """Unit vectors of what is not assigned, but blank sky keeps its distance from."""
+
+
+class FieldPlan(NamedTuple):
+    """The plan of a field. Columns named after positioners in use have a row for each of them, ascending."""
+
+    allocation: Allocation
+    arms: Arms
+    report: CollisionReport
+    positioner: np.ndarray
+    """Row of each positioner with a target."""
+    target: np.ndarray
+    """Row of its target in the field, -1 for blank sky."""
+    id: np.ndarray
+    lon_rad: np.ndarray
+    lat_rad: np.ndarray
+    """Directions, ICRS; longitudes from 0 to 2 pi."""
+    kind: np.ndarray
+    """``science``, ``standard`` or ``sky``."""
+    seconds: dict
+    """Time of each stage."""
+
+
+def project_field(
+    instrument: Instrument, projection: TangentPlane, vectors: np.ndarray, fiber_type: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return where targets fall on the focal plane, mm, and the fiber types that they need there."""
+    fiber_type = instrument._needs(fiber_type, len(vectors))
+    return projection._project(vectors, fiber_type), fiber_type
+
+
+def assign_field(
+    instrument: Instrument,
+    projection: TangentPlane,
+    targets: FieldTargets,
+    options: AllocationOptions,
+    rng: np.random.Generator,
+) -> Allocation:
+    """Project the targets of a field and assign them to positioners: the first half of `plan_field`."""
+    begin = perf_counter()
+    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
+    others = {} if targets.others is None else {"avoid": projection._project(targets.others)}
+    seconds = perf_counter() - begin
+    columns = targets.columns._replace(fiber_type=fiber_type)
+    allocation = assign(instrument.focal_plane, xy, columns, options, rng, **others)
+    allocation.seconds["projection"] = seconds
+    return allocation
+
+
+def plan_field(
+    instrument: Instrument,
+    projection: TangentPlane,
+    targets: FieldTargets,
+    options: AllocationOptions,
+    rng: np.random.Generator,
+    blank: BlankIds | None = None,
+) -> FieldPlan:
+    """Plan a field: assign its targets, place the arms, and find the arms that collide.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The instrument.
+    projection : TangentPlane
+        From the sky to its focal plane.
+    targets : FieldTargets
+        The targets.
+    options : AllocationOptions
+        Options, as `AllocationOptions.for_instrument` returns them.
+    rng : Generator
+        Source of random numbers.
+    blank : BlankIds, optional
+        Identifiers of blank sky; needed where the options have a ``sky_separation``.
+
+    Returns
+    -------
+    FieldPlan
+        The plan.
+    """
+    allocation = assign_field(instrument, projection, targets, options, rng)
+    begin = perf_counter()
+    arms = allocation.place_arms(instrument.focal_plane)
+    middle = perf_counter()
+    report = find_collisions(instrument.focal_plane, arms)
+    seconds = {**allocation.seconds, "arms": middle - begin, "collisions": perf_counter() - middle}
+    positioner = np.flatnonzero(allocation.target_of_positioner >= 0)
+    target = allocation.target_of_positioner[positioner]
+    given = target < allocation.n_given
+    rows = target[given]
+    kind = np.full(len(target), "sky", dtype="U8")
+    kind[given] = "science" if targets.columns.kind is None else targets.columns.kind[rows]
+    ids, vectors = targets.id[rows], targets.vectors[rows]
+    if not given.all():
+        found, known = target[~given], (ids, vectors)
+        types = None if allocation.target_fiber_type is None else allocation.target_fiber_type[found]
+        ids, vectors = np.empty(len(target), dtype=blank.dtype), np.empty((len(target), 3))
+        ids[given], vectors[given] = known
+        ids[~given] = blank.take(len(found))
+        vectors[~given] = projection._unproject(allocation.xy.value[found], types)
+    lon, lat = to_lonlat(vectors)
+    return FieldPlan(
+        allocation, arms, report, positioner, np.where(given, target, -1), ids, lon % (2 * np.pi), lat, kind, seconds
+    )
