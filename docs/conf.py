@@ -64,9 +64,21 @@ def write_help(app):
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     commands = (
-        "plan", "compare", "compare-allocators", "score", "tile", "survey", "probability", "design", "reproduce",
-        "instruments", "benchmark", "benchmark collisions", "benchmark batches", "benchmark probability",
-    )  # fmt: skip
+        "plan",
+        "compare",
+        "compare-allocators",
+        "score",
+        "tile",
+        "survey",
+        "probability",
+        "design",
+        "reproduce",
+        "instruments",
+        "benchmark",
+        "benchmark collisions",
+        "benchmark batches",
+        "benchmark probability",
+    )
     calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}
     for name, arguments in {**calls, "instruments": ["instruments"]}.items():
         call = [sys.executable, "-m", "rfpsurvey", *arguments]

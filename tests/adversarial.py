@@ -74,9 +74,13 @@ def barely_crossing(rng):
     x, beyond = rng.uniform(0, length), tiny(rng)
     foot = np.array([x, 0.0]) - beyond * unit(angle)
     return pair(
-        rng, (0, 0), (length, 0), foot, foot + rng.uniform(5, 18) * unit(angle),
+        rng,
+        (0, 0),
+        (length, 0),
+        foot,
+        foot + rng.uniform(5, 18) * unit(angle),
         limit=float(rng.choice([1e-15, 1e-14, 1e-12, 1e-6, 3.0])),
-    )  # fmt: skip
+    )
 
 
 def points(rng):
@@ -102,6 +106,4 @@ def far_away(rng):
     return *moved, limit
 
 
-ADVERSARIAL = {
-    f.__name__: f for f in (parallel, collinear, tee, corner, barely_crossing, points, grid, far_away)
-}  # fmt: skip
+ADVERSARIAL = {f.__name__: f for f in (parallel, collinear, tee, corner, barely_crossing, points, grid, far_away)}

@@ -147,9 +147,27 @@ def compress(rng, b):
 
 
 MUTATORS = (
-    flip, flip, truncate, cut_the_end, remove, duplicate, insert, insert, insert_noise, blank, swap_lines, drop_line,
-    double_line, change_number, change_number, change_card, change_card, change_word, encode, compress,
-)  # fmt: skip
+    flip,
+    flip,
+    truncate,
+    cut_the_end,
+    remove,
+    duplicate,
+    insert,
+    insert,
+    insert_noise,
+    blank,
+    swap_lines,
+    drop_line,
+    double_line,
+    change_number,
+    change_number,
+    change_card,
+    change_card,
+    change_word,
+    encode,
+    compress,
+)
 
 
 def damage(rng: np.random.Generator, sample: Sample, folder: Path) -> tuple[Path, str]:

@@ -192,9 +192,11 @@ def collisions_of(plane, arms):
     pairs = [[i, j] for i in there for j in there if i < j and shapely.distance(lines[i], lines[j]) < separation]
     circles = [] if plane.obstacles is None else plane.obstacles.to_value("mm").tolist()
     hits = [
-        [i, k] for i in there for k, (x, y, r) in enumerate(circles)
+        [i, k]
+        for i in there
+        for k, (x, y, r) in enumerate(circles)
         if shapely.distance(lines[i], shapely.points(x, y)) - r < clearance
-    ]  # fmt: skip
+    ]
     return pairs, hits
 
 
@@ -235,9 +237,10 @@ def closest_pairs_first(xy, centers, can, priority):
         while True:
             left = [
                 (squared_apart(xy[t], centers[i]), i, t)
-                for t in range(len(xy)) for i in range(len(centers))
+                for t in range(len(xy))
+                for i in range(len(centers))
                 if can[i, t] and priority[t] == value and target_of[i] < 0 and t not in target_of
-            ]  # fmt: skip
+            ]
             if not left:
                 break
             _, i, t = min(left)

@@ -33,10 +33,12 @@ def with_troubles(plane):
     stuck = np.full((n, 2), np.nan)
     stuck[[7, 18]] = [30, 40], [-100, 90]
     return replace(
-        plane, stuck=stuck * u.deg, disabled=np.arange(n) % 11 == 5,
+        plane,
+        stuck=stuck * u.deg,
+        disabled=np.arange(n) % 11 == 5,
         eccentric_arm=(plane._l2_mm - np.where(np.arange(n) % 2, 0.5, 0)) * MM,
         obstacles=[[11.2, 6.5, 2], [-40, 1, 3], [30, -20, 1]] * MM,
-    )  # fmt: skip
+    )
 
 
 def both_hands():

@@ -1,6 +1,7 @@
 from collections import Counter
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 import rfpsurvey as rs
 from oracles import balanced_owner, lamost_target
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import ALLOCATORS
 
 MM = u.mm
 PLANES = {
@@ -32,7 +33,7 @@ def reaches(plane, xy):
 @given(st.sampled_from(sorted(PLANES)), TARGETS)
 def test_balanced_is_the_rule_as_written(name, xy):
     plane = PLANES[name]
-    allocation = rs.allocate(xy * MM, plane, method="balanced")
+    allocation = rs.allocate(plane, xy * MM, allocator="balanced")
     owner = balanced_owner(xy, plane._xy_mm, reaches(plane, xy))
     indptr, queue = allocation.queues
     for i in range(len(plane)):
@@ -45,16 +46,16 @@ def test_balanced_is_the_rule_as_written(name, xy):
 def test_lamost_is_the_rule_as_written(name, xy, n_classes, random):
     plane = PLANES[name]
     priority = [random.randrange(n_classes) for _ in xy]
-    allocation = rs.allocate(xy * MM, plane, method="lamost", priority=priority)
+    allocation = rs.allocate(plane, xy * MM, allocator="lamost", priority=priority)
     expected = lamost_target(xy, plane._xy_mm, reaches(plane, xy), priority)
     assert allocation.target_of_positioner.tolist() == expected
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALLOCATORS)
 @given(st.sampled_from(sorted(PLANES)), TARGETS)
 def test_one_target_a_positioner_and_one_positioner_a_target(method, name, xy):
     plane = PLANES[name]
-    allocation = rs.allocate(xy * MM, plane, method=method)
+    allocation = rs.allocate(plane, xy * MM, allocator=method)
     target_of, positioner_of = allocation.target_of_positioner, allocation.positioner_of_target
     for i, t in enumerate(target_of):
         assert t < 0 or positioner_of[t] == i
@@ -74,37 +75,37 @@ def test_balanced_draws_uniformly_from_each_queue():
     plane = PLANES["equal"]
     xy = [[1, 0], [2, 0], [3, 0], [4, 0]] * MM  # all in the central queue
     draws = Counter(
-        int(rs.allocate(xy, plane, rng=np.random.default_rng(k)).target_of_positioner[3]) for k in range(4000)
+        int(rs.allocate(plane, xy, rng=np.random.default_rng(k)).target_of_positioner[3]) for k in range(4000)
     )
     assert set(draws) == {0, 1, 2, 3}
     # chi-squared with 3 degrees of freedom: 21.1 is exceeded once in 10^4
     assert sum((n - 1000) ** 2 / 1000 for n in draws.values()) < 21.1
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALLOCATORS)
 def test_the_same_input_gives_the_same_allocation(method, rng):
     xy = rng.uniform(-50, 50, (60, 2)) * MM
-    first, second = (rs.allocate(xy, PLANES["unequal"], method=method) for _ in range(2))
+    first, second = (rs.allocate(PLANES["unequal"], xy, allocator=method) for _ in range(2))
     np.testing.assert_array_equal(first.target_of_positioner, second.target_of_positioner)
-    other = rs.allocate(xy, PLANES["unequal"], method=method, rng=5).target_of_positioner
+    other = rs.allocate(PLANES["unequal"], xy, allocator=method, rng=5).target_of_positioner
     assert np.array_equal(other, first.target_of_positioner) == (method != "balanced")
 
 
 def test_higher_priority_goes_first(rng):
     xy = rng.uniform(-40, 40, (300, 2))
     priority = rng.integers(0, 3, 300)
-    target_of = rs.allocate(xy * MM, PLANES["equal"], method="lamost", priority=priority).target_of_positioner
+    target_of = rs.allocate(PLANES["equal"], xy * MM, allocator="lamost", priority=priority).target_of_positioner
     best = np.array([priority[row].max() for row in reaches(PLANES["equal"], xy)])
     assert (priority[target_of] <= best).all()
     assert (priority[target_of] == 2).sum() >= 6
-    shifted = rs.allocate(xy * MM, PLANES["equal"], method="lamost", priority=10 * priority - 7.5)
+    shifted = rs.allocate(PLANES["equal"], xy * MM, allocator="lamost", priority=10 * priority - 7.5)
     np.testing.assert_array_equal(shifted.target_of_positioner, target_of)
 
 
 def test_fiber_types_are_respected_and_recorded():
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, fiber_type=["B+A", "B"])
-    allocation = rs.allocate([[12, 0], [8, 0]] * MM, plane, method="lamost", fiber_type=["A", ""])
+    allocation = rs.allocate(plane, [[12, 0], [8, 0]] * MM, allocator="lamost", fiber_type=["A", ""])
     assert allocation.target_of_positioner.tolist() == [0, 1]
     assert allocation.fiber_type.tolist() == ["A", "B"]
 
@@ -112,7 +113,7 @@ def test_fiber_types_are_respected_and_recorded():
 def test_both_hands_are_used_where_the_joints_ask_for_it():
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM, handedness="both", theta_range=[-10, 100] * u.deg)
     plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, unit)
-    allocation = rs.allocate([[0, 15], [115, 0]] * MM, plane, method="lamost")
+    allocation = rs.allocate(plane, [[0, 15], [115, 0]] * MM, allocator="lamost")
     assert allocation.target_of_positioner.tolist() == [0, 1]
     assert allocation.handedness.tolist() == ["right", "left"]
     arms = allocation.place_arms(plane)
@@ -120,9 +121,9 @@ def test_both_hands_are_used_where_the_joints_ask_for_it():
 
 
 def test_nothing_in_reach_is_not_an_error():
-    allocation = rs.allocate([[500, 0], [np.nan, 0]] * MM, PLANES["equal"])
+    allocation = rs.allocate(PLANES["equal"], [[500, 0], [np.nan, 0]] * MM)
     assert allocation.n_assigned == 0
-    assert rs.allocate(np.empty((0, 2)) * MM, PLANES["equal"], method="lamost").n_assigned == 0
+    assert rs.allocate(PLANES["equal"], np.empty((0, 2)) * MM, allocator="lamost").n_assigned == 0
 
 
 @pytest.mark.parametrize(
@@ -160,7 +161,7 @@ def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch,
     ("arguments", "message"),
     [
         ({"method": "best"}, "unknown allocator 'best'; choose one of: balanced, lamost"),
-        ({"priority": [1, 2]}, r"priority must have one value a target, shape \(1,\), got \(2,\)"),
+        ({"priority": [1, 2]}, r"priority must have one value per target, shape \(1,\), got \(2,\)"),
         ({"priority": [np.nan]}, "priority must be numbers, but 1 of 1 are NaN"),
         ({"xy": [[0, 0]]}, "xy must be a Quantity"),
     ],
@@ -168,4 +169,4 @@ def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch,
 def test_bad_input_is_named(arguments, message):
     xy = arguments.pop("xy", [[0, 0]] * MM)
     with pytest.raises(rs.InputError, match=message):
-        rs.allocate(xy, PLANES["equal"], **arguments)
+        flat.allocate(PLANES["equal"], xy, **arguments)

@@ -22,10 +22,14 @@ def table(**more):
 @pytest.mark.parametrize(
     ("ra", "dec"),
     [
-        ("ra", "dec"), ("RAJ2000", "DEJ2000"), ("TARGET_RA", "TARGET_DEC"), ("RA_ICRS", "DE_ICRS"), ("RA", "DEC"),
+        ("ra", "dec"),
+        ("RAJ2000", "DEJ2000"),
+        ("TARGET_RA", "TARGET_DEC"),
+        ("RA_ICRS", "DE_ICRS"),
+        ("RA", "DEC"),
         ("Ra_Deg", "dec_deg"),
     ],
-)  # fmt: skip
+)
 def test_usual_names_are_found(ra, dec):
     catalog = rs.Catalog.from_table(QTable({ra: [1.0] * DEG, dec: [2.0] * DEG}))
     assert (catalog.coord.ra[0].deg, catalog.coord.dec[0].deg) == (1, 2)
@@ -216,7 +220,7 @@ def test_stars_faster_than_any_known_leave_their_partition(tmp_path):
     star = SkyCoord([10.0, 50.0] * DEG, [20.0, 20.0] * DEG, pm_ra_cosdec=[0, 0] * PM, pm_dec=[3e5, 0] * PM)
     parts = rs.partition_catalog(rs.Catalog(star, id=[7, 8], epoch=2000.0), tmp_path / "fast", order=6)
     field = SkyCoord([10.0] * DEG, [20.05 + np.rad2deg(np.arctan(np.deg2rad(50 * 300 / 3600)))] * DEG)
-    survey = rs.plan_survey(parts, field, model, epoch=2050.0)
+    survey = rs.plan_survey(parts, model, field, epoch=2050.0)
     assert survey.tiles["n_in_field"].tolist() == [1]
 
 
@@ -284,7 +288,7 @@ def test_bad_overrides_are_named():
         rs.Catalog.from_table(table(), columns={"id": "nope"})
     with pytest.raises(rs.InputError, match="unknown column role 'identity'"):
         rs.Catalog.from_table(table(), columns={"identity": "ra"})
-    with pytest.raises(rs.InputError, match="id must have one value a target"):
+    with pytest.raises(rs.InputError, match="id must have one value per target"):
         rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1])
     with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
         rs.Catalog([1, 2])

@@ -24,9 +24,21 @@ def sentence(code, err):
 def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
     fits, png = tmp_path / "tile.fits", tmp_path / "tile.png"
     code, out, err = run(
-        "plan", tycho, "--instrument", instrument, "--center", "06h20m00s +23d00m00s", "--pa", 15, "--epoch", 2026.5,
-        "--output", fits, "--plot", png,
-    )  # fmt: skip
+        "plan",
+        tycho,
+        "--instrument",
+        instrument,
+        "--center",
+        "06h20m00s +23d00m00s",
+        "--pa",
+        15,
+        "--epoch",
+        2026.5,
+        "--output",
+        fits,
+        "--plot",
+        png,
+    )
     assert (code, err) == (0, "")
     assert "targets in the catalog                 21662" in out
     table = QTable.read(fits)
@@ -67,8 +79,20 @@ def test_instruments(run):
 
 def test_benchmark(run, tmp_path):
     chart = tmp_path / "chart.png"
-    call = ("benchmark", "collisions", "--instrument", "sdss_apo", "--method", "exact", "--method", "endpoints",
-            "--repeats", "1", "--plot", str(chart))  # fmt: skip
+    call = (
+        "benchmark",
+        "collisions",
+        "--instrument",
+        "sdss_apo",
+        "--method",
+        "exact",
+        "--method",
+        "endpoints",
+        "--repeats",
+        "1",
+        "--plot",
+        str(chart),
+    )
     code, out, _ = run(*call)
     assert code == 0
     assert "endpoints" in out
@@ -219,9 +243,13 @@ def test_a_reader_that_has_gone_is_told_as_any_shell_does(command, unbuffered):
     os.close(receive)
     environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
     done = subprocess.run(
-        [sys.executable, "-m", "rfpsurvey", *command.split()], stdout=send, stderr=subprocess.PIPE, text=True,
-        check=False, env=environment,
-    )  # fmt: skip
+        [sys.executable, "-m", "rfpsurvey", *command.split()],
+        stdout=send,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        env=environment,
+    )
     os.close(send)
     assert (done.returncode, done.stderr) == (141, "")
 
@@ -230,9 +258,12 @@ def test_a_reader_that_has_gone_is_told_as_any_shell_does(command, unbuffered):
 def test_a_full_device_is_a_sentence():
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "rfpsurvey", "instruments"], stdout=full, stderr=subprocess.PIPE, text=True,
+            [sys.executable, "-m", "rfpsurvey", "instruments"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
             check=False,
-        )  # fmt: skip
+        )
     assert "No space left on device" in sentence(done.returncode, done.stderr)
 
 
@@ -309,8 +340,13 @@ def test_benchmark_of_probabilities(run, tmp_path):
     assert "empirical" in out
     table = QTable.read(tmp_path / "chart.ecsv")
     assert set(table["method"]) == {
-        "overlap_ratio", "close_pair", "closed_form", "quadrature", "monte_carlo", "conditional",
-    }  # fmt: skip
+        "overlap_ratio",
+        "close_pair",
+        "closed_form",
+        "quadrature",
+        "monte_carlo",
+        "conditional",
+    }
     assert chart.exists()
 
 

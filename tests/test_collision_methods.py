@@ -281,9 +281,10 @@ def test_obstacles_that_just_touch_are_settled(clearance, radius, ulps, along):
     report = rs.find_collisions(plane, [[22.4, 0]] * MM)
     arm = place_arms(plane, [[22.4, 0]] * MM).segments[0]
     expected = [
-        k for k, (x, y, r) in enumerate(circles)
+        k
+        for k, (x, y, r) in enumerate(circles)
         if squared_distance(arm, (x, y, x, y)) < (Fraction(r) + Fraction(clearance)) ** 2
-    ]  # fmt: skip
+    ]
     assert report.obstacle_pairs[:, 1].tolist() == expected
     assert report.n_borderline > 0
 
@@ -356,8 +357,10 @@ def test_pairs_do_not_depend_on_the_order_of_positioners(rng):
         tips = random_tips(plane, rng, 0.9)
         order = rng.permutation(len(plane))
         report = rs.find_collisions(plane, tips)
-        shuffled = rs.find_collisions(replace(plane, xy=plane.xy[order], **dict.fromkeys(
-            ("id", "spectrograph", "fiber_type", "disabled"))), tips[order])  # fmt: skip
+        shuffled = rs.find_collisions(
+            replace(plane, xy=plane.xy[order], **dict.fromkeys(("id", "spectrograph", "fiber_type", "disabled"))),
+            tips[order],
+        )
         expected = {tuple(sorted(p)) for p in np.argsort(order)[report.pairs].tolist()}
         assert pairs_of(shuffled) == expected
         assert shuffled.pairs.tolist() == sorted(shuffled.pairs.tolist())

@@ -2,13 +2,14 @@ import subprocess
 import sys
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import ALLOCATORS
 
 MM = u.mm
 CENTER = SkyCoord(150.1, 2.2, unit="deg")
@@ -25,7 +26,7 @@ def table(crowded):
 
 
 def test_every_method_has_a_row_and_none_beats_the_optimum(table):
-    assert list(table["allocator"]) == list(METHODS)
+    assert table["allocator"].tolist() == list(ALLOCATORS)
     row = dict(zip(table["allocator"], table, strict=True))
     assert row["optimal"]["gap"] == 0
     assert row["optimal"]["usable"] == table["usable"].max()
@@ -52,7 +53,11 @@ def test_classes_and_requirements_have_columns(crowded):
     catalog = rs.Catalog(crowded.coord, priority=np.arange(n) % 2 + 1.0, kind=kind)
     requirements = ["sky=30/spectrograph", "standard=4"]
     found = rs.compare_allocators(
-        catalog, "moons", CENTER, allocators=["lamost", "optimal"], requirements=requirements, time_limit=20 * u.s
+        catalog,
+        "moons",
+        CENTER,
+        options=rs.AllocationOptions(requirements=requirements, time_limit=20 * u.s),
+        allocators=["lamost", "optimal"],
     )
     assert (found["sky"] >= 60).all()
     assert found["missing"].tolist() == [4, 4]
@@ -61,7 +66,7 @@ def test_classes_and_requirements_have_columns(crowded):
 
 
 @pytest.mark.parametrize(
-    ("allocators", "message"), [([], "at least one method"), (["best"], "unknown allocator 'best'")]
+    ("allocators", "message"), [([], "at least one allocator"), (["best"], "unknown allocator 'best'")]
 )
 def test_bad_names_are_named(crowded, allocators, message):
     with pytest.raises(rs.InputError, match=message):
@@ -71,7 +76,7 @@ def test_bad_names_are_named(crowded, allocators, message):
 def test_no_arm_covers_a_guide_star(crowded):
     stars = SkyCoord([150.05, 150.12], [2.15, 2.25], unit="deg")
     options = {"keep_out": stars, "keep_out_radius": 20 * u.arcsec}
-    tile = rs.plan_tile(crowded, "moons", CENTER, allocator="optimal", **options)
+    tile = flat.plan_tile(crowded, "moons", CENTER, allocator="optimal", **options)
     assert tile.summary["n_obstacle_collisions"] == 0
     xy = rs.Instrument.preset("moons").projection(CENTER).to_focal_plane(stars).value
     radius = 20 * 0.571
@@ -82,11 +87,11 @@ def test_no_arm_covers_a_guide_star(crowded):
     points = elbow + along * (tip - elbow)
     for star in xy:
         assert np.nanmin(np.hypot(*(points - star).T)) > radius + 2 - 0.1
-    blind = rs.plan_tile(crowded, "moons", CENTER, allocator="lamost", **options)
+    blind = flat.plan_tile(crowded, "moons", CENTER, allocator="lamost", **options)
     assert blind.summary["n_obstacle_collisions"] > 0
     length = rs.plan_tile(crowded, "moons", CENTER, allocator="optimal", keep_out=stars, keep_out_radius=radius * MM)
     assert length.summary["n_assigned"] == tile.summary["n_assigned"]
-    with pytest.raises(rs.InputError, match="keep_out and keep_out_radius belong together"):
+    with pytest.raises(rs.InputError, match="keep_out and keep_out_radius must be given together"):
         rs.plan_tile(crowded, "moons", CENTER, keep_out=stars)
 
 
@@ -108,13 +113,13 @@ def test_required_targets_are_found_by_their_ids(crowded):
 def test_the_clock_stops_the_search_but_not_the_plan(crowded):
     plane = rs.Instrument.preset("moons").focal_plane
     xy = rs.Instrument.preset("moons").projection(CENTER).to_focal_plane(crowded)
-    full = rs.allocate(xy, plane, method="optimal")
-    short = rs.allocate(xy, plane, method="optimal", time_limit=1e-3 * u.s)
+    full = rs.allocate(plane, xy, allocator="optimal")
+    short = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=1e-3 * u.s))
     assert len(rs.find_collisions(plane, short).pairs) == 0
     assert short.bound >= full.objective >= short.objective
     assert short.gap > 0
     most = [rs.Requirement("science", maximum=400)]
-    short = rs.allocate(xy, plane, method="optimal", requirements=most, time_limit=1e-3 * u.s)
+    short = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", requirements=most, time_limit=1e-3 * u.s))
     assert 300 < short.n_assigned <= 400
     assert len(rs.find_collisions(plane, short).pairs) == 0
 
@@ -127,8 +132,22 @@ def run(*arguments):
 def test_commands(tmp_path, crowded):
     path, out = tmp_path / "sky.ecsv", tmp_path / "table.ecsv"
     crowded.write(path)
-    done = run("compare-allocators", path, "--instrument", "moons", "--allocator", "optimal", "--allocator", "repair",
-               "--require", "sky=20/spectrograph", "--sky-separation", 2, "--output", out)  # fmt: skip
+    done = run(
+        "compare-allocators",
+        path,
+        "--instrument",
+        "moons",
+        "--allocator",
+        "optimal",
+        "--allocator",
+        "repair",
+        "--require",
+        "sky=20/spectrograph",
+        "--sky-separation",
+        2,
+        "--output",
+        out,
+    )
     assert (done.returncode, done.stderr) == (0, "")
     table = QTable.read(out)
     assert table["allocator"].tolist() == ["optimal", "repair"]
@@ -147,15 +166,17 @@ def test_commands(tmp_path, crowded):
 
 def test_fields_without_science_and_misspelled_names(crowded):
     sky = rs.Catalog(crowded.coord, kind=np.full(len(crowded), "sky"), category=np.full(len(crowded), "sky_faint"))
-    table = rs.compare_allocators(sky, "moons", CENTER, requirements="sky=20")
+    table = rs.compare_allocators(sky, "moons", CENTER, options=rs.AllocationOptions(requirements="sky=20"))
     assert table["sky"].tolist() == [0, 0, 20, table["sky"][3], table["sky"][4], table["sky"][5]]
     with pytest.raises(
         rs.InputError, match="none of the 1[12].. targets in the field is science; requirements such as"
     ):
         rs.plan_tile(sky, "moons", CENTER)
-    tile = rs.plan_tile(sky, "moons", CENTER, requirements=["sky_fiant=20"], allocator="optimal")
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions("optimal", requirements=["sky_fiant=20"]))
     assert tile.summary["unmet"] == [
         "sky_fiant targets: 0 of 20, 20 missing; none is in reach; did you mean 'sky_faint'?"
     ]
     with pytest.raises(rs.InputError, match="sky_separation must be one finite value above 0 arcsec"):
-        rs.plan_tile(sky, "moons", CENTER, requirements="sky=20", sky_separation=0 * u.arcsec)
+        rs.plan_tile(
+            sky, "moons", CENTER, allocator=rs.AllocationOptions(requirements="sky=20", sky_separation=0 * u.arcsec)
+        )

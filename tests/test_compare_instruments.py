@@ -32,8 +32,9 @@ def design(name="mine", l1=8.0, l2=17.0, rings=4, pitch=25.0):
 
 @pytest.fixture(scope="module")
 def sky():
-    return rs.synthetic_catalog("clustered", CENTER, 2.5 * u.deg, density=15 / u.deg**2, cluster_size=5,
-                                cluster_scale=0.1 * u.deg, rng=2)  # fmt: skip
+    return rs.synthetic_catalog(
+        "clustered", CENTER, 2.5 * u.deg, density=15 / u.deg**2, cluster_size=5, cluster_scale=0.1 * u.deg, rng=2
+    )
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +240,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"instruments": [5]}, "the name of a preset or the path of a TOML file, got 5"),
         ({"instruments": ["none.toml"]}, "none.toml"),
         ({"catalog": "clustered"}, "unknown kind of synthetic sky 'clustered'"),
-        ({"allocators": []}, "allocators must name at least one method, got none"),
+        ({"allocators": []}, "allocators must name at least one allocator, got none"),
         ({"allocators": ["best"]}, "unknown allocator 'best'"),
         ({"allocator": "lamost"}, "given by allocators, not by allocator"),
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
@@ -294,8 +295,20 @@ def test_command(run, tmp_path):
     (tmp_path / "short.toml").write_text(text.replace("value = 8.25", "value = 7.5"))
     shutil.copy(presets / "sdss_apo.toml", tmp_path / "robots.toml")
     output, plot = tmp_path / "table.ecsv", tmp_path / "chart.png"
-    code, out, err = run("compare", tmp_path / "short.toml", tmp_path / "robots.toml", "pfs", "--realizations", 1,
-                         "--targets", 0.5, "--output", output, "--plot", plot)  # fmt: skip
+    code, out, err = run(
+        "compare",
+        tmp_path / "short.toml",
+        tmp_path / "robots.toml",
+        "pfs",
+        "--realizations",
+        1,
+        "--targets",
+        0.5,
+        "--output",
+        output,
+        "--plot",
+        plot,
+    )
     assert (code, err) == (0, "")
     table = QTable.read(output)
     assert list(dict.fromkeys(table["instrument"])) == ["short", "sdss_apo", "pfs"]

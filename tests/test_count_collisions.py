@@ -47,7 +47,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
     edge = np.abs(plane._xy_mm).max()
     xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
     types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
-    allocation = rs.allocate(xy * MM, plane, fiber_type=types)
+    allocation = rs.allocate(plane, xy * MM, fiber_type=types)
     counts = rs.count_collisions(plane, allocation, n_configurations=70, rng=5)
     if plane.positioner.handedness == "both":
         assert (allocation.handedness == "left").any()
@@ -61,10 +61,12 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
         used = target >= 0
         tips = np.where(used[:, None], xy[target], np.nan)
         drawn = replace(
-            allocation, target_of_positioner=target, tips=tips * MM,
+            allocation,
+            target_of_positioner=target,
+            tips=tips * MM,
             handedness=np.where(plane._sides(tips) < 0, "left", "right"),
             fiber_type=np.where(used & (types is not None), types[target] if types is not None else "", ""),
-        )  # fmt: skip
+        )
         reports.append(rs.find_collisions(plane, drawn))
     assert sum(len(r.pairs) for r in reports) > 5
     assert_same(counts, reports)
@@ -74,7 +76,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
 def test_an_executor_changes_nothing(pool, rng):
     plane = lamost_like()
     tips = many_tips(plane, rng, 130)
-    allocation = rs.allocate(rng.uniform(-70, 70, (150, 2)) * MM, plane)
+    allocation = rs.allocate(plane, rng.uniform(-70, 70, (150, 2)) * MM)
     with pool(2) as executor:
         for given, options in ((tips, {}), (allocation, {"n_configurations": 200, "rng": 3})):
             here = rs.count_collisions(plane, given, **options)
@@ -87,7 +89,11 @@ def test_an_executor_changes_nothing(pool, rng):
 def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
     plane = lamost_like()
     for parked in (True, False):
-        allocation = rs.allocate(rng.uniform(-70, 70, (12, 2)) * MM, plane, parked_obstacles=parked)
+        allocation = rs.allocate(
+            plane,
+            rng.uniform(-70, 70, (12, 2)) * MM,
+            allocator=rs.AllocationOptions("balanced", parked_obstacles=parked),
+        )
         counts = rs.count_collisions(plane, allocation, n_configurations=3)
         assert (counts.n_counted == (len(plane) if parked else allocation.n_assigned)).all()
         assert rs.find_collisions(plane, allocation).counted.sum() == counts.n_counted[0]
@@ -114,8 +120,10 @@ def test_joint_limits_hold_for_the_elbow_in_use():
     plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, unit)
     tips = plane.xy + 5 * MM
     assert len(rs.find_collisions(plane, tips).pairs) == 0
-    for call in (lambda: rs.find_collisions(plane, tips, handedness="left"),
-                 lambda: rs.count_collisions(plane, tips[None], handedness="left")):  # fmt: skip
+    for call in (
+        lambda: rs.find_collisions(plane, tips, handedness="left"),
+        lambda: rs.count_collisions(plane, tips[None], handedness="left"),
+    ):
         with pytest.raises(rs.InputError, match="2 tips are beyond the joint limits"):
             call()
 
@@ -153,22 +161,22 @@ def test_bad_draws_are_named():
     plane = lamost_like(1)
     xy = plane.xy + 1 * MM
     with pytest.raises(rs.InputError, match="n_configurations must say how many to draw"):
-        rs.count_collisions(plane, rs.allocate(xy, plane))
+        rs.count_collisions(plane, rs.allocate(plane, xy))
     with pytest.raises(rs.InputError, match="drawn from the queues of 'balanced', not of 'lamost'"):
-        rs.count_collisions(plane, rs.allocate(xy, plane, method="lamost"), n_configurations=3)
+        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
     with pytest.raises(rs.InputError, match="the method 'exact', not by 'cuda'"):
-        rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, method="cuda")
+        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, method="cuda")
     with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
-        rs.count_collisions(lamost_like(2), rs.allocate(xy, plane), n_configurations=3)
+        rs.count_collisions(lamost_like(2), rs.allocate(plane, xy), n_configurations=3)
     elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
     with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
-        rs.count_collisions(elsewhere, rs.allocate(xy, plane), n_configurations=3)
+        rs.count_collisions(elsewhere, rs.allocate(plane, xy), n_configurations=3)
     with pytest.raises(rs.InputError, match="rng must be a seed of at least 0, a numpy Generator or None"):
-        rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, rng=np.random.RandomState(1))
+        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, rng=np.random.RandomState(1))
     for wrong in ("lamost", rs.Instrument.preset("lamost")):
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.count_collisions(wrong, xy)
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.find_collisions(wrong, xy)
     with pytest.raises(rs.InputError, match="an Allocation brings its own poses"):
-        rs.count_collisions(plane, rs.allocate(xy, plane), n_configurations=3, handedness="left")
+        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, handedness="left")

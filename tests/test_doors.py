@@ -19,7 +19,7 @@ ROBOT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
 PLANE = rs.FocalPlane([[0, 0], [25.6, 0], [0, 25.6]] * MM, ROBOT)
 TYPED = replace(PLANE, fiber_type=["A", "B", "A+B"])
 XY = [[1, 2], [25, 1]] * MM
-PLAN = rs.allocate(XY, PLANE)
+PLAN = rs.allocate(PLANE, XY)
 TABLE = PLANE.to_table()
 
 
@@ -31,7 +31,7 @@ def table_with(**positioner):
 
 def survey():
     sky = rs.Catalog(TWO)
-    return rs.plan_survey(sky, CENTER, rs.Instrument("small", PLANE, plate_scale=200 * MM / DEG))
+    return rs.plan_survey(sky, rs.Instrument("small", PLANE, plate_scale=200 * MM / DEG), CENTER)
 
 
 def sky_table(**columns):
@@ -93,10 +93,10 @@ CALLS = {
         PLANE, PLANE.xy, fiber_type=["", "A", ""]
     ),
     "an Allocation or Arms bring their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
-    "priority must be numbers: ": lambda: rs.allocate(XY, PLANE, priority=["high", "low"]),
-    "required must hold truth values, got": lambda: rs.allocate(XY, PLANE, required=[object(), {}]),
+    "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
+    "required must hold truth values, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
     "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
-        XY, PLANE, forbidden=[[0], [1, 2]]
+        PLANE, XY, forbidden=[[0], [1, 2]]
     ),
     "fiber_type of 'sky' must be a name, got 3": lambda: rs.Requirement("sky", 1, fiber_type=3),
     "the methods to compare are given by allocators, not by allocator": lambda: rs.compare_allocators(
@@ -154,4 +154,4 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
     """The sentence asked for other target ids."""
     instrument = rs.Instrument("small", replace(PLANE, fiber_type=["Ä"] * 3), plate_scale=200 * MM / DEG)
     with pytest.raises(rs.InputError, match="hold ASCII text only, but the column 'fiber_type' has other"):
-        rs.plan_survey(rs.Catalog(TWO), CENTER, instrument, folder=tmp_path / "survey")
+        rs.plan_survey(rs.Catalog(TWO), instrument, CENTER, folder=tmp_path / "survey")

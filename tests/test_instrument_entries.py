@@ -94,7 +94,7 @@ def test_the_base_is_good(tmp_path):
         (".inherits", "3", "inherits must be the name of another description, got 3"),
         (".sources", "3", "sources must be a table of texts, got 3"),
     ],
-)  # fmt: skip
+)
 def test_an_entry_that_is_not_what_it_must_be(tmp_path, entry, text, message):
     """The sentence was "lacks or misuses 'int' object is not iterable", or the value was taken."""
     section, _, name = entry.rpartition(".")

@@ -33,9 +33,13 @@ def copy(tmp_path):
 def probe(copy, **environment):
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
     done = subprocess.run(
-        [sys.executable, "-c", PROBE], cwd=copy.parent, capture_output=True, text=True, check=True,
+        [sys.executable, "-c", PROBE],
+        cwd=copy.parent,
+        capture_output=True,
+        text=True,
+        check=True,
         env={**clean, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment},
-    )  # fmt: skip
+    )
     value, hits = done.stdout.split()
     return float(value), int(hits)
 

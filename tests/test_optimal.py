@@ -1,6 +1,7 @@
 """Proven plans against every plan there is."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 
@@ -102,10 +103,13 @@ def test_no_plan_is_better(method, chunk, quotas):
         r2 = ((xy[None] - plane._xy_mm[:, None]) ** 2).sum(axis=2)
         weight = 0.0 if collide else 1.0
         best = best_plan(
-            choices, pairs, barred, value,
+            choices,
+            pairs,
+            barred,
+            value,
             lambda plan, r2=r2, w=weight: w * sum(r2[i, o[0]] for i, o in enumerate(plan) if o is not None),
-        )  # fmt: skip
-        found = rs.allocate(xy * MM, plane, method=method, **options)
+        )
+        found = flat.allocate(plane, xy * MM, allocator=method, **options)
         plan = [None if t < 0 else (t, h) for t, h in zip(found.target_of_positioner, found.handedness, strict=True)]
         assert value(plan) == best[0], seed
         assert found.gap == 0, seed

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 
@@ -16,16 +17,22 @@ def test_an_allocator_is_told_everything():
     plane = rs.FocalPlane([[0, 0], [25.6, 0], [51.2, 0]] * u.mm, ROBOT, fiber_type=names)
     xy = [[-10, 0], [13, 0], [30, 0], [39, 0], [99, 0]] * u.mm
     columns = {
-        "priority": [5, 1, 7, 5, 9], "kind": ["science", "science", "sky", "science", "standard"],
-        "category": ["", "x", "", "", "x"], "fiber_type": ["", "A", "", "B", ""], "required": [0, 0, 0, 1, 0],
-        "requirements": ["sky=1", "x=1"], "forbidden": [[1, 2]], "objective": "count", "time_limit": 0.1 * u.min,
-    }  # fmt: skip
+        "priority": [5, 1, 7, 5, 9],
+        "kind": ["science", "science", "sky", "science", "standard"],
+        "category": ["", "x", "", "", "x"],
+        "fiber_type": ["", "A", "", "B", ""],
+        "required": [0, 0, 0, 1, 0],
+        "requirements": ["sky=1", "x=1"],
+        "forbidden": [[1, 2]],
+        "objective": "count",
+        "time_limit": 0.1 * u.min,
+    }
 
     def look(problem):
         seen.append(problem)
         return np.full(3, -1)
 
-    nothing = rs.allocate(xy, plane, method=look, parked_obstacles=False, rng=8, **columns)
+    nothing = flat.allocate(plane, xy, allocator=look, parked_obstacles=False, rng=8, **columns)
     assert nothing.n_assigned == 0
     assert str(nothing.unmet[0]) == "sky targets: 0 of 1, 1 missing; none is in reach"
     (problem,) = seen
@@ -49,7 +56,7 @@ def test_an_allocator_is_told_everything():
 
 def test_what_is_not_said_has_a_value():
     seen = []
-    rs.allocate(FOUR, PAIR, method=lambda problem: seen.append(problem) or np.array([0, 2]))
+    rs.allocate(PAIR, FOUR, allocator=lambda problem: seen.append(problem) or np.array([0, 2]))
     (problem,) = seen
     assert problem.kind.tolist() == ["science"] * 4
     assert problem.category.tolist() == problem.fiber_type.tolist() == [""] * 4
@@ -60,20 +67,20 @@ def test_what_is_not_said_has_a_value():
 def test_the_plan_to_begin_with(small, hers, rng):
     xy = rng.uniform(-70, 70, (200, 2)) * u.mm
     plane = small.focal_plane
-    for start in ("lamost", "nearest", rs.allocate(xy, plane, method="optimal")):
-        usual = start if isinstance(start, rs.Allocation) else rs.allocate(xy, plane, method=start)
-        same(rs.allocate(xy, plane, method="begin", start=start), usual)
+    for start in ("lamost", "nearest", rs.allocate(plane, xy, allocator="optimal")):
+        usual = start if isinstance(start, rs.Allocation) else rs.allocate(plane, xy, allocator=start)
+        same(rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start=start)), usual)
     with pytest.raises(rs.InputError, match="there is no plan to begin with"):
-        rs.allocate(xy, plane, method="begin", start="begin")
-    with pytest.raises(rs.InputError, match="'begin' of hers 1.0 .*: unknown allocator to start with 'repair'"):
-        rs.allocate(xy, plane, method="begin", start="repair")
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="begin"))
+    with pytest.raises(rs.InputError, match="unknown allocator to start with 'repair'"):
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="repair"))
 
 
 def test_a_plan_of_others_can_be_repaired(hers):
     """Both arms stretch toward the same side, the tips are 2 mm apart."""
     xy = [[99, 99], [13, 0], [15, 0]] * u.mm
-    assert len(rs.find_collisions(PAIR, rs.allocate(xy, PAIR, method="swapped")).pairs) == 1
-    repaired = rs.allocate(xy, PAIR, method="repair", start="swapped")
+    assert len(rs.find_collisions(PAIR, rs.allocate(PAIR, xy, allocator="swapped")).pairs) == 1
+    repaired = rs.allocate(PAIR, xy, allocator=rs.AllocationOptions("repair", start="swapped"))
     assert len(rs.find_collisions(PAIR, repaired).pairs) == 0
     assert repaired.meta["n_before"] == 2
 
@@ -82,10 +89,10 @@ def test_stuck_fibers_look_at_sky_without_being_asked():
     stuck = [[np.nan, np.nan], [0, 90]] * u.deg
     plane = replace(PAIR, stuck=stuck)
     options = {"requirements": "sky=1", "sky_separation": 1 * u.mm}
-    usual = rs.allocate(FOUR, plane, method="lamost", **options)
+    usual = flat.allocate(plane, FOUR, allocator="lamost", **options)
     assert usual.target_of_positioner[1] == usual.n_given  # that of the stuck one
     for method in (always([0, -1]), lambda problem: problem.start()):
-        mine = rs.allocate(FOUR, plane, method=method, **options)
+        mine = flat.allocate(plane, FOUR, allocator=method, **options)
         assert mine.target_of_positioner[1] == usual.target_of_positioner[1]
         assert not mine.unmet
 
@@ -95,11 +102,11 @@ def test_stuck_fibers_look_at_sky_without_being_asked():
 
 def test_elbows_are_those_that_were_asked_for():
     plane = replace(PAIR, positioner=replace(ROBOT, handedness="both"))
-    mine = rs.allocate(FOUR, plane, method=always(([0, 2], np.array(["left", "right"]))))
+    mine = rs.allocate(plane, FOUR, allocator=always(([0, 2], np.array(["left", "right"]))))
     assert mine.handedness.tolist() == ["left", "right"]
     (x, y), (tip_x, tip_y) = ((part - plane.xy.value).T for part in (mine.place_arms(plane).elbow, mine.tips.value))
     assert np.sign(tip_x * y - tip_y * x).tolist() == [1, -1]  # on the left of the way from center to tip, and right
-    assert rs.allocate(FOUR, PAIR, method=always(([0, -1], ["right", ""]))).n_assigned == 1
+    assert rs.allocate(PAIR, FOUR, allocator=always(([0, -1], ["right", ""]))).n_assigned == 1
 
 
 LIMITED = replace(PAIR, positioner=replace(ROBOT, handedness="both", phi_range=[0, 180] * u.deg))
@@ -134,27 +141,27 @@ LIMITED = replace(PAIR, positioner=replace(ROBOT, handedness="both", phi_range=[
 )
 def test_what_no_plan_can_be_is_refused(plane, answer, words):
     with pytest.raises(rs.InputError, match=words) as caught:
-        rs.allocate(FOUR, plane, method=always(answer))
+        rs.allocate(plane, FOUR, allocator=always(answer))
     assert str(caught.value).startswith("the allocator 'packages.always.<locals>.<lambda>': ")
 
 
 def test_forbidden_pairs_stay_forbidden():
-    assert rs.allocate(FOUR, PAIR, method=always([0, 1])).n_assigned == 2
+    assert rs.allocate(PAIR, FOUR, allocator=always([0, 1])).n_assigned == 2
     with pytest.raises(rs.InputError, match="positioner 1 .* cannot observe target 1: it is out of reach, forbidden"):
-        rs.allocate(FOUR, PAIR, method=always([0, 1]), forbidden=[[1, 1]])
+        rs.allocate(PAIR, FOUR, allocator=always([0, 1]), forbidden=[[1, 1]])
 
 
 def test_errors_say_whose_they_are(hers):
     with pytest.raises(
         rs.InputError, match=r"^the allocator 'wrong' of hers 1.0 \(hers:wrong\): target 3 must have one"
     ):
-        rs.allocate(FOUR, PAIR, method="wrong")
+        rs.allocate(PAIR, FOUR, allocator="wrong")
 
     def fails(problem):
         return problem.xy / 0
 
     with np.errstate(all="raise"), pytest.raises(rs.InputError, match="fails' failed: FloatingPointError: ") as caught:
-        rs.allocate(FOUR, PAIR, method=fails)
+        rs.allocate(PAIR, FOUR, allocator=fails)
     assert isinstance(caught.value.__cause__, FloatingPointError)
 
 
@@ -169,7 +176,7 @@ def test_a_tile_says_where_its_allocator_comes_from(small, hers):
     assert tile.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}
     assert tile.provenance["parameters"]["allocator"] == "begin"
     assert tile.summary["search"] == {"software": {"hers": "1.0"}}
-    repaired = rs.plan_tile(sky, small, CENTER, allocator="repair", start="idle")
+    repaired = rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions("repair", start="idle"))
     assert repaired.provenance["software"]["hers"] == "1.0"
 
 

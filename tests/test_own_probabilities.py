@@ -58,7 +58,7 @@ def test_allocated_targets_are_those_asked_for(small, rng):
 
     count.estimand = "allocated"
     for parked in (True, False):
-        plan = rs.allocate(xy, small.focal_plane, method="nearest", parked_obstacles=parked)
+        plan = rs.allocate(small.focal_plane, xy, allocator=rs.AllocationOptions("nearest", parked_obstacles=parked))
         found = rs.collision_probability(small, method=count, targets=xy, allocator="nearest", parked_obstacles=parked)
         assert found.value == rs.find_collisions(small.focal_plane, plan).rate
     assert (found.estimand, found.meta["targets"], found.meta["allocator"]) == ("allocated", "given", "nearest")

@@ -13,6 +13,7 @@ import rfpsurvey as rs
 from rfpsurvey.survey import _source
 
 pytest.importorskip("pyarrow")
+import flat
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -27,9 +28,12 @@ def sky():
     n = len(catalog)
     rng = np.random.default_rng(4)
     return rs.Catalog(
-        catalog.coord, id=[f"star {k}" for k in range(n)], priority=rng.integers(0, 3, n), visits=rng.integers(1, 3, n),
+        catalog.coord,
+        id=[f"star {k}" for k in range(n)],
+        priority=rng.integers(0, 3, n),
+        visits=rng.integers(1, 3, n),
         kind=rng.choice(["science", "standard"], n),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +67,7 @@ def test_nothing_is_lost_on_the_way(sky, folder):
 def test_the_same_survey_as_from_one_piece(folder, small, kept):
     parts = rs.PartitionedCatalog(folder, kept_rows=kept)
     options = {"requirements": "standard=2", "allocator": "lamost"}
-    same(rs.plan_survey(parts, TILES, small, **options), rs.plan_survey(parts.read(), TILES, small, **options))
+    same(flat.plan_survey(parts, small, TILES, **options), flat.plan_survey(parts.read(), small, TILES, **options))
 
 
 def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
@@ -117,9 +121,12 @@ def changes(sky):
     visits[17] = 3 - visits[17]
     names = [f"star {k}" if k != 17 else "star x7" for k in range(n)]
     return {
-        "position": replace(sky, coord=SkyCoord(sky.coord.ra, moved)), "priority": replace(sky, priority=priority),
-        "kind": replace(sky, kind=kind), "id": replace(sky, id=names), "visits": replace(sky, visits=visits),
-    }  # fmt: skip
+        "position": replace(sky, coord=SkyCoord(sky.coord.ra, moved)),
+        "priority": replace(sky, priority=priority),
+        "kind": replace(sky, kind=kind),
+        "id": replace(sky, id=names),
+        "visits": replace(sky, visits=visits),
+    }
 
 
 @pytest.mark.parametrize("what", ["position", "priority", "kind", "id", "visits"])
@@ -140,40 +147,40 @@ def test_a_survey_is_not_resumed_with_other_contents(folder, sky, small, tmp_pat
     sizes = [[path.stat().st_size for *_, path in parts._files] for parts in (one, other)]
     assert sizes[0] == sizes[1] or what in ("kind", "id")  # words of other lengths
     with pytest.raises(KeyboardInterrupt):
-        rs.plan_survey(one, TILES, small, folder=stopped, progress=stop)
+        rs.plan_survey(one, small, TILES, folder=stopped, progress=stop)
     with pytest.raises(rs.InputError, match="holds another survey: catalog"):
-        rs.plan_survey(other, TILES, small, folder=stopped, resume=True)
-    rs.plan_survey(one, TILES, small, folder=stopped, resume=True)
+        rs.plan_survey(other, small, TILES, folder=stopped, resume=True)
+    rs.plan_survey(one, small, TILES, folder=stopped, resume=True)
 
 
 def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
     """The digest reads as much as a survey does."""
     parts = rs.partition_catalog(sky, tmp_path / "sky", order=4)
-    rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey")
+    rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     for *_, path in parts._files:
         table = pq.read_table(path, partitioning=None)
         pq.write_table(table.append_column("flux", pa.array(np.arange(float(len(table))))), path)
     wider = rs.PartitionedCatalog(tmp_path / "sky")
-    rs.plan_survey(wider, TILES, small, folder=tmp_path / "survey", resume=True)
+    rs.plan_survey(wider, small, TILES, folder=tmp_path / "survey", resume=True)
 
 
 def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     parts = rs.PartitionedCatalog(folder)
-    rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey")
-    rs.plan_survey(rs.PartitionedCatalog(folder), TILES, small, folder=tmp_path / "survey", resume=True)
+    rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
+    rs.plan_survey(rs.PartitionedCatalog(folder), small, TILES, folder=tmp_path / "survey", resume=True)
     other = rs.partition_catalog(sky[:-1], tmp_path / "other", order=4)
     upside_down = rs.PartitionedCatalog(folder, columns={"priority": "-priority"})
     for catalog in (other, upside_down):
         with pytest.raises(rs.InputError, match="another survey: catalog"):
-            rs.plan_survey(catalog, TILES, small, folder=tmp_path / "survey", resume=True)
+            rs.plan_survey(catalog, small, TILES, folder=tmp_path / "survey", resume=True)
     with pytest.raises(rs.InputError, match=r"epoch differ \(epoch was None, and is 2026.5\)"):
-        rs.plan_survey(parts, TILES, small, folder=tmp_path / "survey", resume=True, epoch=2026.5)
+        rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey", resume=True, epoch=2026.5)
 
 
 def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
     parts = rs.partition_catalog(sky, tmp_path / "one", order=0)
     assert parts.meta["n_partitions"] == 4  # the pole is the corner of four
-    same(rs.plan_survey(parts, TILES, small), rs.plan_survey(parts.read(), TILES, small))
+    same(rs.plan_survey(parts, small, TILES), rs.plan_survey(parts.read(), small, TILES))
 
 
 @pytest.mark.filterwarnings("ignore:no target was observed")
@@ -186,7 +193,7 @@ def test_proper_motions_and_epochs(small, tmp_path):
     for epoch in (1720.0, 2000.0, 2290.0):
         there = TILES[0].spherical_offsets_by(0 * u.deg, (epoch - 2000) * 10_300 * u.mas).reshape(1)
         for where in (TILES[:1], there):
-            a, b = (rs.plan_survey(c, where, small, epoch=epoch).summary["n_assigned"] for c in (parts, catalog))
+            a, b = (rs.plan_survey(c, small, where, epoch=epoch).summary["n_assigned"] for c in (parts, catalog))
             assert a == b
             seen.append(a)
     assert seen == [0, 1, 1, 1, 0, 1]
@@ -197,18 +204,28 @@ def test_epochs_of_partitions_may_differ(small, tmp_path):
     for number, (ra, dec, epoch, speed) in enumerate([(45.0, 2.0, 2016.0, 0.0), (100.0, -60.0, 1800.0, 10_000.0)]):
         name = {0: "Norder=4/Npix=0.parquet", 1: "Norder=4/Npix=2218.parquet"}[number]
         write(
-            tmp_path / "sky" / name, ra=[ra], dec=[dec], pmra=[0.0], pmdec=[speed], ref_epoch=[epoch], id=[number],
-        )  # fmt: skip
+            tmp_path / "sky" / name,
+            ra=[ra],
+            dec=[dec],
+            pmra=[0.0],
+            pmdec=[speed],
+            ref_epoch=[epoch],
+            id=[number],
+        )
     with pytest.raises(rs.InputError, match="outside the pixel"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "sky"), TILES, small)
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "sky"), small, TILES)
     place = SkyCoord([45.0, 100.0] * u.deg, [2.0, -60.0] * u.deg)
-    parts = rs.partition_catalog(rs.Catalog(
-        SkyCoord(place.ra, place.dec, pm_ra_cosdec=[0, 0] * u.mas / u.yr, pm_dec=[0, 10_000] * u.mas / u.yr),
-        epoch=Time([2016.0, 1800.0], format="jyear"),
-    ), tmp_path / "parts", order=9)  # fmt: skip
+    parts = rs.partition_catalog(
+        rs.Catalog(
+            SkyCoord(place.ra, place.dec, pm_ra_cosdec=[0, 0] * u.mas / u.yr, pm_dec=[0, 10_000] * u.mas / u.yr),
+            epoch=Time([2016.0, 1800.0], format="jyear"),
+        ),
+        tmp_path / "parts",
+        order=9,
+    )
     tile = SkyCoord([100] * u.deg, [-60 + 226.5 * 10 / 3600] * u.deg)
     for catalog in (parts, parts.read()):
-        assert rs.plan_survey(catalog, tile, small, epoch=2026.5).summary["n_assigned"] == 1
+        assert rs.plan_survey(catalog, small, tile, epoch=2026.5).summary["n_assigned"] == 1
 
 
 def test_partitions_that_do_not_fit_together(small, tmp_path):
@@ -219,13 +236,13 @@ def test_partitions_that_do_not_fit_together(small, tmp_path):
     write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
     write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
     with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), SkyCoord([0] * u.deg, [0] * u.deg), small)
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), small, SkyCoord([0] * u.deg, [0] * u.deg))
     none = pa.array([], type=pa.string())
     write(tmp_path / "empty" / "Norder=0" / "Npix=0.parquet", ra=np.array([]), dec=np.array([]), id=none)
     with pytest.raises(rs.InputError, match="at least one target"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), TILES, small)
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), small, TILES)
     write(tmp_path / "empty" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
-    survey = rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), SkyCoord([0] * u.deg, [0] * u.deg), small)
+    survey = rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), small, SkyCoord([0] * u.deg, [0] * u.deg))
     assert survey.targets["target_id"].tolist() == ["a"]
 
 
@@ -274,7 +291,7 @@ def test_bad_folders(tmp_path, sky, folder, small):
         rs.PartitionedCatalog(tmp_path / "names")
     write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
     with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="1 of 2 rows have no finite"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), SkyCoord([1] * u.deg, [1] * u.deg), small)
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), small, SkyCoord([1] * u.deg, [1] * u.deg))
     (tmp_path / "broken" / "Norder=0").mkdir(parents=True)
     (tmp_path / "broken" / "Norder=0" / "Npix=0.parquet").write_bytes(b"PAR1")
     with pytest.raises(rs.InputError, match=r"Npix=0.parquet cannot be read"):

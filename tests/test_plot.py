@@ -132,9 +132,10 @@ def test_only_fiber_tips_are_shaded_where_only_they_collide(small):
     unit = replace(small.focal_plane.positioner, arm_model="fiber_tip")
     plane = replace(small.focal_plane, positioner=unit)
     tile = rs.plan_tile(
-        rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=200, rng=1), replace(small, focal_plane=plane),
+        rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=200, rng=1),
+        replace(small, focal_plane=plane),
         CENTER,
-    )  # fmt: skip
+    )
     t = tile.table[(tile.table["status"] == "assigned") & ~tile.table["in_collision"]]
     bodies = np.array([p.vertices[:-1] for p in artists(rs.plot_focal_plane(tile), PolyCollection, ARM)[0].get_paths()])
     tips = np.column_stack([t["tip_x"], t["tip_y"]]).value

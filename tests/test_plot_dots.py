@@ -43,8 +43,10 @@ def test_large_planes_have_dots_in_place_of_arms(tile):
     np.testing.assert_allclose(found[ARM.lower()].get_offsets(), places(t, "tip_")[target & ~colliding])
     np.testing.assert_allclose(found[FADED.lower()].get_offsets(), places(t, "")[~target & ~colliding])
     # idle ones recede; collisions are larger, on top, and of another shape
-    size, order = ([found[c.lower()].__getattribute__(name)() for c in (FADED, ARM, COLLISION)]
-                   for name in ("get_sizes", "get_zorder"))  # fmt: skip
+    size, order = (
+        [found[c.lower()].__getattribute__(name)() for c in (FADED, ARM, COLLISION)]
+        for name in ("get_sizes", "get_zorder")
+    )
     assert size[0] < size[1] < size[2]
     assert order[0] < order[1] < order[2]
     shapes = [found[c.lower()].get_paths()[0].vertices for c in (ARM, COLLISION)]

@@ -18,33 +18,67 @@ def results(presets, small):
     """What the functions draw."""
     sky = rs.synthetic_catalog("poisson", CENTER, 1.2 * u.deg, density=150 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
-    instruments = QTable({
-        "instrument": ["a_long_name_of_one", "a_long_name_of_one", "short"], "allocator": ["lamost", "optimal", "sdss"],
-        "positioners": [500] * 3, "assigned": [400, 400, 480], "usable": [300, 400, 470], "loss": [0.3, 0, 0.123],
-        "probability": [0.34, 0, 0.01], "low": [0.3, 0, 0.005], "high": [0.41, 0, 0.02], "reach_0": [0, 0, 0.1],
-        "reach_1": [0.2, 0.2, 0.3], "reach_2": [0.2, 0.2, 0.3], "reach_3": [0.6, 0.6, 0.3],
-    })  # fmt: skip
-    allocators = QTable({
-        "allocator": ["balanced", "optimal"], "science": [820, 860], "usable": [640, 860], "missing": [12, 0],
-        "seconds": [0.0012, 14] * u.s,
-    }, meta={"blind_science": 905, "instrument": "mine"})  # fmt: skip
+    instruments = QTable(
+        {
+            "instrument": ["a_long_name_of_one", "a_long_name_of_one", "short"],
+            "allocator": ["lamost", "optimal", "sdss"],
+            "positioners": [500] * 3,
+            "assigned": [400, 400, 480],
+            "usable": [300, 400, 470],
+            "loss": [0.3, 0, 0.123],
+            "probability": [0.34, 0, 0.01],
+            "low": [0.3, 0, 0.005],
+            "high": [0.41, 0, 0.02],
+            "reach_0": [0, 0, 0.1],
+            "reach_1": [0.2, 0.2, 0.3],
+            "reach_2": [0.2, 0.2, 0.3],
+            "reach_3": [0.6, 0.6, 0.3],
+        }
+    )
+    allocators = QTable(
+        {
+            "allocator": ["balanced", "optimal"],
+            "science": [820, 860],
+            "usable": [640, 860],
+            "missing": [12, 0],
+            "seconds": [0.0012, 14] * u.s,
+        },
+        meta={"blind_science": 905, "instrument": "mine"},
+    )
     scan = QTable({"ratio": [1.0, 2, 3], "pitch": [25, 26, 27] * u.mm, "value": [0.1, 0.4, 0.2]})
     scan["closed_form"] = [0.05, 0.2, 0.3]
-    speed = QTable({
-        "method": ["exact", "sampled"], "n_points": [0, 5], "time": [0.04, 0.03] * u.ms, "misclassified": [0, 0.02],
-        "n_colliding_true": [577, 577],
-        "max_error": np.array([1e-15, 1.2]) * u.mm,
-    }, meta={"instrument": "lamost"})  # fmt: skip
-    accuracy = QTable({
-        "method": ["closed_form", "quadrature", "quadrature"], "estimand": ["independent"] * 3, "effort": [0, 64, 128],
-        "time": [1, 2, 4] * u.ms, "error": [0.1, 0.01, 0.005], "error_error": [0, 0.001, 0.0006],
-        "truth_error": [2e-4] * 3,
-    }, meta={"instrument": "mine"})  # fmt: skip
+    speed = QTable(
+        {
+            "method": ["exact", "sampled"],
+            "n_points": [0, 5],
+            "time": [0.04, 0.03] * u.ms,
+            "misclassified": [0, 0.02],
+            "n_colliding_true": [577, 577],
+            "max_error": np.array([1e-15, 1.2]) * u.mm,
+        },
+        meta={"instrument": "lamost"},
+    )
+    accuracy = QTable(
+        {
+            "method": ["closed_form", "quadrature", "quadrature"],
+            "estimand": ["independent"] * 3,
+            "effort": [0, 64, 128],
+            "time": [1, 2, 4] * u.ms,
+            "error": [0.1, 0.01, 0.005],
+            "error_error": [0, 0.001, 0.0006],
+            "truth_error": [2e-4] * 3,
+        },
+        meta={"instrument": "mine"},
+    )
     return {
         "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg),
-        "survey": rs.plan_survey(sky, rs.place_tiles(sky, small, passes=2), small),
+        "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2)),
         "estimate": rs.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
-        "instruments": instruments, "allocators": allocators, "scan": scan, "speed": speed, "accuracy": accuracy,
+        "instruments": instruments,
+        "allocators": allocators,
+        "scan": scan,
+        "speed": speed,
+        "accuracy": accuracy,
         "designs": rs.explore_designs(l1=8 * u.mm, ratio=[1, 1.5], pitch=[24, 26] * u.mm, clearance=2.25 * u.mm),
         "more designs": rs.explore_designs(
             l1=8.25 * u.mm, ratio=[1.0, 2.0], pitch=[22.0, 32.0] * u.mm, clearance=2.25 * u.mm, n_designs=64, rng=1
@@ -53,7 +87,7 @@ def results(presets, small):
         "tower": rs.place_tiles(rs.Region.box(ra=[100, 106] * u.deg, dec=[10, 60] * u.deg), "lamost"),
         "pole": rs.place_tiles(rs.Region.cap(SkyCoord("0h +85d"), 6 * u.deg), "lamost"),
         "sky": rs.place_tiles(rs.Region.parse("sky"), method="spiral", radius=12 * u.deg),
-    }  # fmt: skip
+    }
 
 
 PLOTS = {

@@ -18,7 +18,7 @@ def survey(small):
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
     tiles = SkyCoord([359.0, 0.2, 359.5] * u.deg, [20, 20, 20.5] * u.deg)
     table = QTable({"ra": tiles.ra, "dec": tiles.dec, "pass": [1, 1, 2]})
-    return rs.plan_survey(sky, table, small)
+    return rs.plan_survey(sky, small, table)
 
 
 def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
@@ -133,7 +133,7 @@ def test_completeness_rises_to_what_the_summary_says(survey):
 def test_the_curve_follows_the_order_of_observing(small):
     sky = rs.synthetic_catalog("poisson", CENTER, 2 * u.deg, density=200 / u.deg**2, rng=3)
     table = QTable({"ra": [359.0, 359.5] * u.deg, "dec": [20, 21] * u.deg, "pass": [2, 1]})
-    survey = rs.plan_survey(sky, table, small)
+    survey = rs.plan_survey(sky, small, table)
     curve = rs.plot_completeness(survey).get_lines()[0].get_ydata()
     observed = survey.tiles["n_observed"]
     assert observed[0] != observed[1]

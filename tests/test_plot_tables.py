@@ -7,11 +7,17 @@ from matplotlib.figure import Figure
 import rfpsurvey as rs
 from rfpsurvey.plot import draw_reproduction
 
-SCAN = QTable({
-    "pitch": [35, 26, 30] * u.mm, "value": [0.1, 0.4, 0.2], "low": [0.05, 0.37, 0.18], "high": [0.12, 0.42, 0.25],
-    "formula": MaskedColumn([0.0, 0.1, 0.3], mask=[False, False, True]), "formula_error": [0.01, 0.02, 0.03],
-    "arms": ["long", "short", "long"],
-})  # fmt: skip
+SCAN = QTable(
+    {
+        "pitch": [35, 26, 30] * u.mm,
+        "value": [0.1, 0.4, 0.2],
+        "low": [0.05, 0.37, 0.18],
+        "high": [0.12, 0.42, 0.25],
+        "formula": MaskedColumn([0.0, 0.1, 0.3], mask=[False, False, True]),
+        "formula_error": [0.01, 0.02, 0.03],
+        "arms": ["long", "short", "long"],
+    }
+)
 
 
 def band(collection):
@@ -63,10 +69,14 @@ def test_other_tables_are_refused(call, message):
 
 
 def test_residuals_point_where_they_go():
-    table = QTable({
-        "ratio": [1.0, 1.2, 1.4, 1.6], "pitch": [26, 28, 30, 32] * u.mm, "here": [0.3, 0.1, 0.2, 0.5],
-        "there": [0.1, 0.4, 0.2, np.nan],
-    })  # fmt: skip
+    table = QTable(
+        {
+            "ratio": [1.0, 1.2, 1.4, 1.6],
+            "pitch": [26, 28, 30, 32] * u.mm,
+            "here": [0.3, 0.1, 0.2, 0.5],
+            "there": [0.1, 0.4, 0.2, np.nan],
+        }
+    )
     ax = rs.plot_residuals(table, "here", "there", s=7)
     up, down, zero = ax.collections[:3]
     assert up.get_offsets().tolist() == [[1, 26]]
@@ -81,10 +91,16 @@ def test_residuals_point_where_they_go():
 
 
 def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
-    table = QTable({
-        "allocator": ["blind", "careful"], "science": [90, 70], "usable": [60, 70], "missing": [0, 5],
-        "seconds": [0.0123, 4.56] * u.s,
-    }, meta={"blind_science": 95, "instrument": "mine"})  # fmt: skip
+    table = QTable(
+        {
+            "allocator": ["blind", "careful"],
+            "science": [90, 70],
+            "usable": [60, 70],
+            "missing": [0, 5],
+            "seconds": [0.0123, 4.56] * u.s,
+        },
+        meta={"blind_science": 95, "instrument": "mine"},
+    )
     ax = rs.plot_allocators(table, height=0.5)
     bars = {c.get_label(): [(p.get_x(), p.get_width()) for p in c.patches] for c in ax.containers}
     assert bars == {

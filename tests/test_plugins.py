@@ -23,26 +23,29 @@ EXAMPLE = Path(__file__).parent.parent / "docs" / "examples" / "plugin"
 def test_nothing_is_looked_up_before_it_is_needed(install, monkeypatch):
     calls, look = [], _plugins.entry_points
     monkeypatch.setattr(_plugins, "entry_points", lambda **given: calls.append(given) or look(**given))
-    rs.allocate(FOUR, PAIR, method="lamost")
-    rs.allocate(FOUR, PAIR, method=always([0, 2]))
+    rs.allocate(PAIR, FOUR, allocator="lamost")
+    rs.allocate(PAIR, FOUR, allocator=always([0, 2]))
     rs.Instrument.preset("moons")
     rs.collision_probability(PAIR, method="overlap_ratio")
     assert not calls
     with pytest.raises(rs.InputError, match="unknown allocator 'swapped'; choose one of: balanced, lamost"):
-        rs.allocate(FOUR, PAIR, method="swapped")
+        rs.allocate(PAIR, FOUR, allocator="swapped")
     install("hers", HERS, allocators={"swapped": "swapped"})  # meanwhile
     calls.clear()
     for _ in range(3):
-        assert rs.allocate(FOUR, PAIR, method="swapped").target_of_positioner.tolist() == [1, 2]
+        assert rs.allocate(PAIR, FOUR, allocator="swapped").target_of_positioner.tolist() == [1, 2]
     assert len(calls) == 1
 
 
 def test_names_that_are_ours_stay_ours(install, presets):
     install(
-        "thief", "def steal(*_):\n    raise SystemExit", allocators={"lamost": "steal"},
-        instruments={"lamost": "steal"}, probability_methods={"close_pair": "steal"},
-    )  # fmt: skip
-    assert rs.allocate(FOUR, PAIR, method="lamost").n_assigned == 2
+        "thief",
+        "def steal(*_):\n    raise SystemExit",
+        allocators={"lamost": "steal"},
+        instruments={"lamost": "steal"},
+        probability_methods={"close_pair": "steal"},
+    )
+    assert rs.allocate(PAIR, FOUR, allocator="lamost").n_assigned == 2
     assert len(rs.Instrument.preset("lamost").focal_plane) == 4000
     assert rs.collision_probability(PAIR, method="close_pair").value > 0
     assert rs.available_instruments().count("lamost") == 1
@@ -53,14 +56,14 @@ def test_a_broken_package_breaks_nothing_else(hers, install, run):
     install("odd", "one, two = 1, lambda: 2\n", instruments={"odd": "one", "odder": "two"})
     words = r"the allocator 'bad' of bad 1.0 \(bad:f\) failed: ModuleNotFoundError: No module named 'not_there'"
     with pytest.raises(rs.InputError, match=words) as caught:
-        rs.allocate(FOUR, PAIR, method="bad")
+        rs.allocate(PAIR, FOUR, allocator="bad")
     assert isinstance(caught.value.__cause__, ModuleNotFoundError)
     with pytest.raises(rs.InputError, match=r"'absent' of hers 1.0 \(hers:nowhere\) failed: AttributeError"):
-        rs.allocate(FOUR, PAIR, method="absent")
+        rs.allocate(PAIR, FOUR, allocator="absent")
     with pytest.raises(rs.InputError, match=r"'number' of hers 1.0 \(hers:np\) must be a function, got module"):
-        rs.allocate(FOUR, PAIR, method="number")
+        rs.allocate(PAIR, FOUR, allocator="number")
     with pytest.raises(rs.InputError, match="choose one of: absent, bad, balanced, begin, .*, swapped, wrong"):
-        rs.allocate(FOUR, PAIR, method="unheard of")
+        rs.allocate(PAIR, FOUR, allocator="unheard of")
     for name in ("odd", "odder"):
         with pytest.raises(
             rs.InputError, match=f"the instrument '{name}' of odd 1.0 .*: a path must be text or a path"
@@ -71,8 +74,13 @@ def test_a_broken_package_breaks_nothing_else(hers, install, run):
     assert (code, err.count("warning: the instrument")) == (0, 4)
     assert "warning: the instrument 'bad' of bad 1.0 (bad:f) failed: ModuleNotFoundError" in err
     assert [line.split()[0] for line in out.splitlines()[1:]] == [
-        "desi", "lamost", "moons", "pfs", "sdss_apo", "sdss_lco",
-    ]  # fmt: skip
+        "desi",
+        "lamost",
+        "moons",
+        "pfs",
+        "sdss_apo",
+        "sdss_lco",
+    ]
 
 
 @pytest.mark.parametrize("code", ["raise SystemExit(0)", "import sys\nsys.exit()", "raise SystemExit('enough')"])
@@ -82,9 +90,9 @@ def test_a_plugin_that_exits_ends_nothing(install, run, code):
     install("gone", f"{code}\n", allocators={"import": "f"}, instruments={"import": "f"})
     install("going", f"def f(problem):\n    {body}\n", allocators={"call": "f"}, probability_methods={"call": "f"})
     with pytest.raises(rs.InputError, match=r"'import' of gone 1.0 \(gone:f\) failed: SystemExit"):
-        rs.allocate(FOUR, PAIR, method="import")
+        rs.allocate(PAIR, FOUR, allocator="import")
     with pytest.raises(rs.InputError, match=r"'call' of going 1.0 \(going:f\) failed: SystemExit"):
-        rs.allocate(FOUR, PAIR, method="call")
+        rs.allocate(PAIR, FOUR, allocator="call")
     with pytest.raises(rs.InputError, match="failed: SystemExit"):
         rs.collision_probability(PAIR, method="call")
     code, _, err = run("plan", "--instrument", "import")
@@ -97,19 +105,19 @@ def test_an_interrupt_is_that_of_the_user():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rs.allocate(FOUR, PAIR, method=interrupted)
+        rs.allocate(PAIR, FOUR, allocator=interrupted)
 
 
 def test_one_name_of_two_packages_is_nobodys(hers, install):
     install("his", HERS, "2.1", allocators={"swapped": "swapped"})
     with pytest.raises(rs.InputError, match="several packages add the allocator 'swapped': hers 1.0, his 2.1; all but"):
-        rs.allocate(FOUR, PAIR, method="swapped")
+        rs.allocate(PAIR, FOUR, allocator="swapped")
 
 
 @pytest.mark.parametrize("name", [3, None, ["lamost"]])
 def test_what_is_no_name_is_refused(name):
     with pytest.raises(rs.InputError, match="unknown allocator"):
-        rs.allocate(FOUR, PAIR, method=name)
+        rs.allocate(PAIR, FOUR, allocator=name)
 
 
 # in surveys and comparisons
@@ -118,31 +126,31 @@ def test_what_is_no_name_is_refused(name):
 def test_surveys_know_them_by_name(small, install, tmp_path):
     sky, tiles = sky_of(small), SkyCoord([95, 95.05, 95.2] * u.deg, [23, 23, 23.1] * u.deg)
     install("hers", HERS, allocators={"begin": "begin"})
-    usual = rs.plan_survey(sky, tiles, small)
-    mine = rs.plan_survey(sky, tiles, small, allocator="begin", folder=tmp_path / "survey")
+    usual = rs.plan_survey(sky, small, tiles)
+    mine = rs.plan_survey(sky, small, tiles, allocator="begin", folder=tmp_path / "survey")
     assert mine.summary == usual.summary
     assert mine.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}
     assert mine.provenance["parameters"]["method"] == "begin"
     install("hers", HERS, "1.1", allocators={"begin": "begin"})
     with pytest.warns(rs.RfpsurveyWarning, match="was begun with other versions of the software"):
-        rs.plan_survey(sky, tiles, small, allocator="begin", folder=tmp_path / "survey", resume=True)
+        rs.plan_survey(sky, small, tiles, allocator="begin", folder=tmp_path / "survey", resume=True)
     with pytest.raises(rs.InputError, match="unknown allocator 'bgin'.* Did you mean 'begin'"):
-        rs.plan_survey(sky, tiles, small, allocator="bgin")
+        rs.plan_survey(sky, small, tiles, allocator="bgin")
 
 
 def test_surveys_take_functions_on_threads(small):
     sky, tiles = sky_of(small), SkyCoord([95, 95.05] * u.deg, [23, 23] * u.deg)
-    usual = rs.plan_survey(sky, tiles, small, allocator="optimal", start="nearest")
+    usual = rs.plan_survey(sky, small, tiles, allocator=rs.AllocationOptions("optimal", start="nearest"))
     with ThreadPoolExecutor(2) as executor:
-        mine = rs.plan_survey(sky, tiles, small, allocator=begin_optimal, executor=executor)
+        mine = rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
     assert mine.summary == usual.summary
     assert mine.provenance["parameters"]["method"] == f"{__name__}.begin_optimal"
     with ProcessPoolExecutor(1) as executor, pytest.raises(rs.InputError, match="must be a name where processes do"):
-        rs.plan_survey(sky, tiles, small, allocator=begin_optimal, executor=executor)
+        rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
 
 
 def begin_optimal(problem):
-    return rs.allocate(problem.xy * u.mm, problem.focal_plane, method="optimal").target_of_positioner
+    return rs.allocate(problem.focal_plane, problem.xy * u.mm, allocator="optimal").target_of_positioner
 
 
 def test_comparisons_take_both(small, hers):
@@ -177,10 +185,10 @@ def test_the_example_serves_the_rarest_first():
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
     xy = [[12, 0], [13, 1], [-10, 0], [99, 0]] * u.mm  # both reach 0 and 1, the first alone 2
-    assert rs.allocate(xy, PAIR, method=example.rarest).target_of_positioner.tolist() == [2, 0]
-    ranked = rs.allocate(xy, PAIR, method=example.rarest, priority=[1, 2, 0, 0])
+    assert rs.allocate(PAIR, xy, allocator=example.rarest).target_of_positioner.tolist() == [2, 0]
+    ranked = rs.allocate(PAIR, xy, allocator=example.rarest, priority=[1, 2, 0, 0])
     assert ranked.target_of_positioner.tolist() == [0, 1]
-    skies = rs.allocate(xy, PAIR, method=example.rarest, kind=["science", "sky", "sky", "sky"])
+    skies = rs.allocate(PAIR, xy, allocator=example.rarest, kind=["science", "sky", "sky", "sky"])
     assert skies.target_of_positioner.tolist() == [0, -1]
     assert rs.Instrument.read(example.TOY).name == "toy"
 

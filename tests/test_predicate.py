@@ -109,8 +109,16 @@ def test_almost_collinear_segments_do_not_cross():
 
 def test_the_largest_error_that_was_found():
     """Segments that barely cross: the true distance is 0, and the turn of one end is not certain."""
-    ends = (0.18889802440087516, 0.8021520411840636, 0.6890731994393491, 0.29378029915802245,
-            0.6876219460278843, 0.29525533482897737, 0.15479771473589315, 0.39529346736581467)  # fmt: skip
+    ends = (
+        0.18889802440087516,
+        0.8021520411840636,
+        0.6890731994393491,
+        0.29378029915802245,
+        0.6876219460278843,
+        0.29525533482897737,
+        0.15479771473589315,
+        0.39529346736581467,
+    )
     assert squared_distance(ends[:4], ends[4:]) == 0
     got = np.sqrt(collisions.segments_squared(*ends))
     assert 6 < got / (collisions.UNIT * longest_difference(ends[:4], ends[4:])) < 20

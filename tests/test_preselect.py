@@ -1,6 +1,7 @@
 """Candidates that are left out in crowded fields: nothing is lost, or a bound says how much at most."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 
@@ -45,7 +46,7 @@ def both_ways(monkeypatch, case, method, kept=(1, 1)):
     for n_best, n_spread in (kept, (10**6, 10**6)):
         monkeypatch.setattr(_preselect, "N_BEST", n_best)
         monkeypatch.setattr(_preselect, "N_SPREAD", n_spread)
-        found.append(rs.allocate(xy * MM, plane, method=method, **options))
+        found.append(flat.allocate(plane, xy * MM, allocator=method, **options))
     return found
 
 
@@ -82,7 +83,7 @@ def test_flow_of_few_candidates_is_that_of_all(monkeypatch, chunk):
 def test_repair_of_few_candidates_keeps_its_bound_and_leaves_no_collision(monkeypatch, seed):
     plane, xy, options = case = crowded_case(seed)
     few = both_ways(monkeypatch, case, "repair")[0]
-    best = rs.allocate(xy * MM, plane, method="optimal", **options)
+    best = flat.allocate(plane, xy * MM, allocator="optimal", **options)
     assert tuple(level.value for level in few.levels) <= tuple(level.value for level in best.levels)
     for a, b in zip(few.levels, best.levels, strict=True):
         assert not b.value > a.bound
@@ -104,9 +105,9 @@ def test_rules_in_a_crowd_are_the_rules_as_written(seed):
     priority = rng.integers(0, 3, len(xy)).tolist()
     can = plane.reachable(xy * MM).toarray()
     assert (can.sum(axis=1) > plane._n_sharing + 1).all()
-    plan = rs.allocate(xy * MM, plane, method="nearest", priority=priority)
+    plan = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
     assert plan.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
-    plan = rs.allocate(xy * MM, plane, method="lamost", priority=priority)
+    plan = rs.allocate(plane, xy * MM, allocator="lamost", priority=priority)
     assert plan.target_of_positioner.tolist() == lamost_target(xy, plane._xy_mm, can, priority)
 
 
@@ -118,7 +119,7 @@ def test_two_hundred_thousand_targets_in_a_field_of_unequal_arms_are_planned_wit
     r, angle = 330 * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
     types = rng.choice(["BOSS", "APOGEE"], n)
-    plan = rs.allocate(xy, model.focal_plane, method="optimal", fiber_type=types, priority=rng.integers(0, 3, n))
+    plan = rs.allocate(model.focal_plane, xy, allocator="optimal", fiber_type=types, priority=rng.integers(0, 3, n))
     assert plan.gap == 0
     assert plan.n_assigned == 500
     assert plan.meta["n_left_out"] > 200_000
@@ -131,7 +132,7 @@ def test_candidates_grow_no_more_with_the_number_of_targets():
     rng = np.random.default_rng(2)
     counts = []
     for n in (20_000, 80_000):
-        plan = rs.allocate(rng.uniform(-40, 40, (n, 2)) * MM, plane, method="optimal")
+        plan = rs.allocate(plane, rng.uniform(-40, 40, (n, 2)) * MM, allocator="optimal")
         counts.append(plan.meta["n_candidates"])
         assert plan.gap == 0
     assert counts[0] == counts[1] == 7 * 129

@@ -33,13 +33,16 @@ TINY = {
         RHOMB, LAMOST, central_arm=[8.25, 7, 8.25, 9] * MM, eccentric_arm=[8.25, 11, 9, 9] * MM
     ),
     "troubles": rs.FocalPlane(
-        RHOMB, LAMOST, disabled=[False, True, False, False], stuck=[NOT, NOT, [-70, 30], NOT] * u.deg,
+        RHOMB,
+        LAMOST,
+        disabled=[False, True, False, False],
+        stuck=[NOT, NOT, [-70, 30], NOT] * u.deg,
         obstacles=[[12, 4, 1.5], [33, 12, 1]] * MM,
     ),
     "both hands": rs.FocalPlane(
         RHOMB * 0.8, rs.Positioner(8 * MM, 8 * MM, 2 * MM, handedness="both", theta_range=[-120, 150] * u.deg)
     ),
-}  # fmt: skip
+}
 
 # what to simulate, conditional realizations and plain iterations of one batch
 SETTINGS = {
@@ -166,7 +169,7 @@ def test_iterations_are_the_public_way_through_allocation_and_collisions(name, m
         return skies[-1]
 
     got = rs.collision_probability(plane, method=method, targets=sampler, allocator="lamost", max_iterations=70)
-    reports = [rs.find_collisions(plane, rs.allocate(xy, plane, method="lamost")) for xy in skies]
+    reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost")) for xy in skies]
     assert len(reports) == got.n == 70
     reports = [r for r in reports if r.counted.any()]
     rates = np.array([r.rate for r in reports])
@@ -187,7 +190,7 @@ def test_a_configuration_without_a_choice_is_scored_exactly(rng):
     plane, rates = sdss_like(2), []
     for _ in range(30):
         xy = rng.uniform(-50, 50, (7, 2))
-        allocation = rs.allocate(xy * MM, plane)
+        allocation = rs.allocate(plane, xy * MM)
         report = rs.find_collisions(plane, allocation)
         if (np.diff(allocation.queues[0]) > 1).any():
             continue

@@ -121,9 +121,7 @@ def test_the_printed_formula_works_for_unequal_arms():
 def test_overlap_ratio_is_that_of_polygons(name):
     plane = PLANES[name]
     areas = patrol_areas(plane)
-    expected = [
-        a.intersection(shapely.union_all([b for b in areas if b is not a])).area / a.area for a in areas
-    ]  # fmt: skip
+    expected = [a.intersection(shapely.union_all([b for b in areas if b is not a])).area / a.area for a in areas]
     got = rs.collision_probability(plane, method="overlap_ratio")
     # exact arcs on 400 rings: each of some ten rings that just touch another annulus is wrong by about 400^-1.5
     np.testing.assert_allclose(got.per_positioner, expected, atol=1e-3)

@@ -33,7 +33,7 @@ class Recorder:
 
     def rates(self, plane):
         """One configuration of each sky, through the public path."""
-        reports = [rs.find_collisions(plane, rs.allocate(xy, plane, method="lamost")) for xy in self.skies]
+        reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost")) for xy in self.skies]
         return np.array([r.rate for r in reports])
 
 
@@ -322,7 +322,7 @@ def test_a_sampler_that_always_says_the_same_has_an_error(method, n):
     plane, xy = sdss_like(3), np.random.default_rng(5).uniform(-70, 70, (30, 2)) * MM
     options = {"targets": lambda rng: xy, "allocator": "lamost", "max_iterations": n}
     got = rs.collision_probability(plane, method=method, **options)
-    report = rs.find_collisions(plane, rs.allocate(xy, plane, method="lamost"))
+    report = rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost"))
     assert 0 < report.rate < 1
     assert got.value == pytest.approx(report.rate)
     assert got.standard_error > 0.01

@@ -191,9 +191,11 @@ def alike(one, other, turns):
     for k in turns:
         turned = [(z * np.exp(1j * np.pi / 3 * k), what) for z, what in one]
         still = any(what.startswith("disabled") for _, what in one)
-        if len(one) == len(other) and not (still and k) and all(
-            any(abs(z - w) < 1e-7 and what == that for w, that in other) for z, what in turned
-        ):  # fmt: skip
+        if (
+            len(one) == len(other)
+            and not (still and k)
+            and all(any(abs(z - w) < 1e-7 and what == that for w, that in other) for z, what in turned)
+        ):
             return True
     return False
 
@@ -219,7 +221,7 @@ def queues_of(plane, xy):
 def test_queues_of_an_allocation_are_conditional_of_its_targets(plane, parked, rng):
     xy = rng.uniform(-70, 70, (60, 2)) * MM
     given = rs.collision_probability(plane, targets=xy, parked_obstacles=parked)
-    density = rs.allocate(xy, plane)
+    density = rs.allocate(plane, xy)
     for some in (density, [density], (density, density)):
         got = rs.collision_probability(plane, method="quadrature", density=some, parked_obstacles=parked)
         for field in (*NUMBERS, "low", "high", "standard_error", "n_effective"):
@@ -236,7 +238,7 @@ def test_queues_of_several_allocations_are_put_together(rng):
     plane = rs.FocalPlane([[0, 0], [22.4, 0], [11.2, 19.4], [33.6, 19.4]] * MM, unit)
     skies = [rng.uniform(-10, 40, (n, 2)) for n in (4, 6, 1)]
     queues = [list(itertools.chain(*q)) for q in zip(*(queues_of(plane, xy) for xy in skies), strict=True)]
-    allocations = [rs.allocate(xy * MM, plane) for xy in skies]
+    allocations = [rs.allocate(plane, xy * MM) for xy in skies]
     got = rs.collision_probability(plane, method="quadrature", density=allocations)
     *numbers, per_positioner = expectation(plane, queues)
     np.testing.assert_allclose([getattr(got, k) for k in NUMBERS], numbers, atol=1e-12)
@@ -291,9 +293,9 @@ def test_allocations_have_to_fit(rng):
     xy = rng.uniform(-30, 30, (20, 2)) * MM
     plane = lamost_like(1)
     with pytest.raises(rs.InputError, match="density must be Allocations by 'balanced'"):
-        rs.collision_probability(plane, method="quadrature", density=rs.allocate(xy, plane, method="lamost"))
+        rs.collision_probability(plane, method="quadrature", density=rs.allocate(plane, xy, allocator="lamost"))
     with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
-        rs.collision_probability(lamost_like(2), method="quadrature", density=rs.allocate(xy, plane))
+        rs.collision_probability(lamost_like(2), method="quadrature", density=rs.allocate(plane, xy))
     moved = replace(plane, xy=plane.xy + 900 * MM)
     with pytest.raises(rs.InputError, match="the allocation is for another focal plane"):
-        rs.collision_probability(moved, method="quadrature", density=rs.allocate(xy, plane))
+        rs.collision_probability(moved, method="quadrature", density=rs.allocate(plane, xy))

@@ -75,9 +75,15 @@ def test_chance_of_a_positioner_to_be_without_a_target(kind, method, at):
     assert np.hypot(*(plane.xy.value - middle).T).max() + 16.5 < radius
     separation = 0.5 if kind == "poisson_disc" else None  # so small that it does not matter
     got = rs.collision_probability(
-        plane, method=method, targets=kind, n_targets=n, target_radius=radius * MM,
-        min_separation=None if separation is None else separation * MM, parked_obstacles=False, max_iterations=10_000,
-    )  # fmt: skip
+        plane,
+        method=method,
+        targets=kind,
+        n_targets=n,
+        target_radius=radius * MM,
+        min_separation=None if separation is None else separation * MM,
+        parked_obstacles=False,
+        max_iterations=10_000,
+    )
     part = (16.5 / radius) ** 2
     empty = np.exp(-n * part) if kind == "poisson" else (1 - part) ** n
     # three of them compete for the same targets: at most as scattered as if they were one
@@ -99,8 +105,11 @@ def test_targets_cover_the_plane_by_default(presets):
     assert got.meta["target_radius_mm"] == pytest.approx(3 * 22.4 + 22.4)
     got = rs.collision_probability(plane, n_targets=99, target_radius=5 * u.cm, max_iterations=2, **DISCS)
     assert [got.meta[k] for k in ("targets", "n_targets", "target_radius_mm", "min_separation_mm")] == [
-        "poisson_disc", 99, 50, 5,
-    ]  # fmt: skip
+        "poisson_disc",
+        99,
+        50,
+        5,
+    ]
     sdss = presets["sdss_apo"]
     got = rs.collision_probability(sdss, max_iterations=2)
     assert got.meta["n_targets"] == sdss.targets_per_fiber * len(sdss.focal_plane)

@@ -1,11 +1,12 @@
 """What a plan must hold: what counts, what is lacking, and the limits that nobody exceeds."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import METHODS, sentences
+from rfpsurvey.allocation import ALLOCATORS, sentences
 from scenes import two_fibers
 
 MM = u.mm
@@ -18,7 +19,7 @@ FILLING = ["lamost", "sdss", "optimal", "repair"]
 
 
 def allocate(method, wishes, **options):
-    return rs.allocate(XY * MM, ROW, method=method, **{"kind": KIND, "requirements": wishes, **options})
+    return flat.allocate(ROW, XY * MM, allocator=method, **{"kind": KIND, "requirements": wishes, **options})
 
 
 def said(method, wishes, **options):
@@ -49,10 +50,10 @@ def test_one_requirement_or_any_list_of_them_will_do(wishes):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kind": ["science"] * 5}, r"kind must have one value a target, shape \(6,\), got \(5,\)"),
+        ({"kind": ["science"] * 5}, r"kind must have one value per target, shape \(6,\), got \(5,\)"),
         ({"kind": ["science"] * 5 + ["star"]}, "unknown kind of target 'star'; choose one of: science, sky, standard"),
-        ({"category": ["a"]}, r"category must have one value a target, shape \(6,\), got \(1,\)"),
-        ({"required": [True]}, r"required must have one value a target, shape \(6,\), got \(1,\)"),
+        ({"category": ["a"]}, r"category must have one value per target, shape \(6,\), got \(1,\)"),
+        ({"required": [True]}, r"required must have one value per target, shape \(6,\), got \(1,\)"),
         ({"forbidden": [0, 1]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[3, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
@@ -84,13 +85,16 @@ def test_bad_options_are_named(options, message):
             ["sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there"],
         ),
         (["sky=2", "sky=-1"], ["sky targets: 1 of 2, 1 missing"]),
-        (["sky=-1", "sky=2/spectrograph", "sky_boss=1"], [
-            "sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there",
-            "sky_boss targets: 0 of 1, 1 missing; none is in reach",
-        ]),
+        (
+            ["sky=-1", "sky=2/spectrograph", "sky_boss=1"],
+            [
+                "sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there",
+                "sky_boss targets: 0 of 1, 1 missing; none is in reach",
+            ],
+        ),
         (["sky=0", "sky=-0", "science=0-3/spectrograph"], []),
     ],
-)  # fmt: skip
+)
 def test_what_is_lacking_is_said_in_numbers(method, wishes, expected):
     found = allocate(method, wishes)
     assert sentences(found.unmet) == expected
@@ -102,7 +106,12 @@ def test_what_is_lacking_is_said_in_numbers(method, wishes, expected):
 @pytest.mark.parametrize("method", FILLING)
 def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
     xy = np.concatenate([c + [[1, 0], [0, 2], [-3, 0], [0, 4]] for c in ROW.xy.value])
-    found = rs.allocate(xy * MM, ROW, method=method, kind=["sky"] * 12, requirements=["sky=5", "sky=3/spectrograph"])
+    found = rs.allocate(
+        ROW,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky=5", "sky=3/spectrograph"]),
+        kind=["sky"] * 12,
+    )
     assert found.n_assigned == 3
     why = "all requirements ask for 11 fibers, and there are 3"
     assert sentences(found.unmet) == [
@@ -110,8 +119,10 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
         f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",
     ]
     assert [(s.spectrograph, s.wanted, s.found, s.possible) for s in found.unmet] == [
-        (None, 5, 3, 12), (7, 3, 2, 8), (9, 3, 1, 4),
-    ]  # fmt: skip
+        (None, 5, 3, 12),
+        (7, 3, 2, 8),
+        (9, 3, 1, 4),
+    ]
 
 
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
@@ -134,7 +145,7 @@ def test_rules_without_requirements_only_report(method):
 
 
 @pytest.mark.filterwarnings("ignore:sky_separation changes nothing")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALLOCATORS)
 @pytest.mark.parametrize(
     "options",
     [
@@ -146,7 +157,7 @@ def test_rules_without_requirements_only_report(method):
 def test_a_plan_without_targets_lacks_everything(method, options):
     options = dict(options)
     xy = options.pop("xy")
-    found = rs.allocate(xy, ROW, method=method, requirements=["science=2", "sky=0", "standard=1-2"], **options)
+    found = flat.allocate(ROW, xy, allocator=method, requirements=["science=2", "sky=0", "standard=1-2"], **options)
     assert found.n_assigned == 0
     assert sentences(found.unmet) == [
         "science targets: 0 of 2, 2 missing; none is in reach",
@@ -182,7 +193,12 @@ def test_without_kinds_all_is_science(method):
 def test_spectrographs_count_on_their_own(method):
     xy = np.concatenate([XY, [[40, 9], [80, 9.5]]])
     kind = [*KIND, "sky", "standard"]
-    found = rs.allocate(xy * MM, ROW, method=method, kind=kind, requirements=["sky=1/spectrograph", "standard=1"])
+    found = rs.allocate(
+        ROW,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky=1/spectrograph", "standard=1"]),
+        kind=kind,
+    )
     assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]
     target_of = found.target_of_positioner
     assert "sky" in [kind[t] for t in target_of[:2]]
@@ -195,9 +211,13 @@ def test_each_fiber_type_can_have_a_spectrograph_of_its_own(method):
     xy = np.array([[5, 0], [45, 0], [85, 0], [0, 5], [0, 6], [80, 6], [40, 6]])
     kind, fiber = ["science"] * 3 + ["sky"] * 4, ["B", "", "", "A", "B", "", "B"]
     found = rs.allocate(
-        xy * MM, plane, method=method, kind=kind, fiber_type=fiber, requirements=["sky=1/spectrograph"],
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky=1/spectrograph"]),
+        kind=kind,
+        fiber_type=fiber,
         forbidden=[(0, 4)],
-    )  # fmt: skip
+    )
     # B of the second positioner serves 1; A of the first, or the third without a choice, serve 2; nobody serves 9
     assert found.target_of_positioner[1] == 6
     assert found.target_of_positioner[0] == 3 or found.target_of_positioner[2] == 5
@@ -208,10 +228,18 @@ def test_each_fiber_type_can_have_a_spectrograph_of_its_own(method):
 def test_a_fiber_type_narrows_what_counts(method):
     plane = rs.FocalPlane(ROW.xy, UNIT, fiber_type=["B+A", "A", "B"])
     fiber = ["B", "A", "B", "A", "", "B"]
-    found = rs.allocate(XY * MM, plane, method=method, kind=KIND, fiber_type=fiber, requirements=["sky@A=1"])
+    found = rs.allocate(
+        plane, XY * MM, allocator=rs.AllocationOptions(method, requirements=["sky@A=1"]), kind=KIND, fiber_type=fiber
+    )
     assert found.target_of_positioner.tolist() == [3, 1, 2]
     assert found.fiber_type.tolist() == ["A", "A", "B"]
-    found = rs.allocate(XY * MM, plane, method=method, kind=KIND, fiber_type=fiber, requirements=["science@B=3"])
+    found = rs.allocate(
+        plane,
+        XY * MM,
+        allocator=rs.AllocationOptions(method, requirements=["science@B=3"]),
+        kind=KIND,
+        fiber_type=fiber,
+    )
     assert [str(s) for s in found.unmet] == ["science targets for B: 2 of 3, 1 missing; only 2 are in reach"]
 
 
@@ -242,12 +270,14 @@ def random_case(seed):
         "priority": rng.integers(0, 3, n),
         "required": rng.random(n) < 0.04,
         "requirements": [
-            rs.Requirement("standard", 3, 3, "spectrograph"), rs.Requirement("sky", 4, 6, "tile", "A"),
-            rs.Requirement("faint", 0, int(rng.integers(4, 9))), rs.Requirement("science", 1, 5, "spectrograph"),
+            rs.Requirement("standard", 3, 3, "spectrograph"),
+            rs.Requirement("sky", 4, 6, "tile", "A"),
+            rs.Requirement("faint", 0, int(rng.integers(4, 9))),
+            rs.Requirement("science", 1, 5, "spectrograph"),
             rs.Requirement("bright", int(rng.integers(3, 30))),
         ],
         "forbidden": np.column_stack([rng.integers(0, 37, 200), rng.integers(0, n, 200)]),
-    }  # fmt: skip
+    }
     return plane, rng.uniform(-75, 75, (n, 2)), options
 
 
@@ -264,7 +294,7 @@ def counts_of(plane, found, options):
 @pytest.mark.parametrize("method", FILLING)
 def test_unmet_is_what_a_count_by_hand_finds(method, seed):
     plane, xy, options = random_case(seed)
-    found = rs.allocate(xy * MM, plane, method=method, **options)
+    found = flat.allocate(plane, xy * MM, allocator=method, **options)
     lacking = {}
     for one, place, n in counts_of(plane, found, options):
         if n < one.minimum or (one.maximum is not None and n > one.maximum):
@@ -288,7 +318,7 @@ def test_unmet_is_what_a_count_by_hand_finds(method, seed):
 
 def exceeds(plane, xy, options, **more):
     """Return whether a plan exceeds a maximum, and how many maxima it reaches."""
-    found = rs.allocate(xy * MM, plane, **options, **more)
+    found = flat.allocate(plane, xy * MM, **options, **more)
     over = [n - one.maximum for one, _, n in counts_of(plane, found, options) if one.maximum is not None]
     return max(over) > 0, over.count(0)
 
@@ -313,8 +343,8 @@ def test_no_maximum_is_exceeded_where_there_is_no_time(method):
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_a_plan_out_of_time_is_a_plan_all_the_same(method):
     plane, xy, options = random_case(1)
-    found = rs.allocate(xy * MM, plane, method=method, time_limit=1e-9 * u.s, **options)
-    best = rs.allocate(xy * MM, plane, method=method, **options)
+    found = flat.allocate(plane, xy * MM, allocator=method, time_limit=1e-9 * u.s, **options)
+    best = flat.allocate(plane, xy * MM, allocator=method, **options)
     assert 10 < found.n_assigned <= 37
     assert found.gap > 0 == best.gap
     lacks = [
@@ -334,7 +364,12 @@ def test_required_targets_come_before_everything_else(method):
     kind = ["science", "sky", "science", "standard", "sky", "science"]
     required = [False, True, False, True, False, True]
     found = rs.allocate(
-        xy, ROW, method=method, kind=kind, required=required, priority=[9, 0, 9, 0, 0, 1], requirements=["science=3"]
+        ROW,
+        xy,
+        allocator=rs.AllocationOptions(method, requirements=["science=3"]),
+        kind=kind,
+        required=required,
+        priority=[9, 0, 9, 0, 0, 1],
     )
     assert found.target_of_positioner.tolist() == [1, 3, 5]
     assert found.levels[0] == ("required targets", 3, 3)
@@ -345,14 +380,14 @@ def test_required_targets_come_before_everything_else(method):
 
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_required_targets_that_do_not_fit_are_reported(method):
-    found = rs.allocate([[5, 0], [0, 6], [0, 900]] * MM, ROW, method=method, required=[True] * 3)
+    found = rs.allocate(ROW, [[5, 0], [0, 6], [0, 900]] * MM, allocator=method, required=[True] * 3)
     assert [str(s) for s in found.unmet] == ["required targets: 1 of 3, 2 missing; only 2 are in reach"]
-    found = rs.allocate([[0, 900]] * MM, ROW, method=method, required=[True])
+    found = rs.allocate(ROW, [[0, 900]] * MM, allocator=method, required=[True])
     assert [str(s) for s in found.unmet] == ["required targets: 0 of 1, 1 missing; none is in reach"]
-    assert rs.allocate([[5, 0]] * MM, ROW, method=method, required=[False]).unmet == ()
+    assert rs.allocate(ROW, [[5, 0]] * MM, allocator=method, required=[False]).unmet == ()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALLOCATORS)
 def test_forbidden_pairs_are_never_used(method):
     free = allocate(method, None)
     assert allocate(method, None, forbidden=np.empty((0, 2), int)).target_of_positioner.tolist() == [0, 1, 2]
@@ -373,4 +408,4 @@ def test_an_unknown_fiber_type_is_named():
     with pytest.raises(rs.InputError, match="the positioners have no fiber types, got the requirement 'sky@BOSS=2'"):
         said("lamost", ["sky@BOSS=2"])
     with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
-        rs.allocate(XY * MM, two_fibers(), requirements="sky@C=2")
+        rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))

@@ -43,8 +43,10 @@ def fits(*cards):
     return b"".join(header.ljust(-(-len(header) // 2880) * 2880) for header in headers)
 
 
-VOTABLE = '<?xml version="1.0"?><VOTABLE version="1.4"><RESOURCE><TABLE{}><FIELD name="ra" datatype="{}"{}/><DATA>' \
-          "<TABLEDATA><TR><TD>1</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"  # fmt: skip
+VOTABLE = (
+    '<?xml version="1.0"?><VOTABLE version="1.4"><RESOURCE><TABLE{}><FIELD name="ra" datatype="{}"{}/><DATA>'
+    "<TABLEDATA><TR><TD>1</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"
+)
 ECSV = "# %ECSV 1.0\n# ---\n# datatype:\n"
 BOMBS = {
     "newlines.csv.gz": lambda: gzip.compress(b"id,ra,dec\n1,2,3\n" + b"\n" * 70_000_000, 1),
@@ -65,20 +67,23 @@ BOMBS = {
     "large.toml": lambda: b"# comment\n" * 200_000,
     "header.ecsv": lambda: (ECSV + "# - {name: a, datatype: int64}\n" * 100_000 + "a\n").encode(),
     "laughs.ecsv": lambda: (
-        ECSV + "# - {name: a, datatype: int64}\n# meta:\n#   a0: &a0 [x]\n"
-        + "".join(f"#   a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12)) + "a\n1\n"
+        ECSV
+        + "# - {name: a, datatype: int64}\n# meta:\n#   a0: &a0 [x]\n"
+        + "".join(f"#   a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12))
+        + "a\n1\n"
     ).encode(),
     "shape.ecsv": lambda: (
         ECSV + "# - {name: a, datatype: string, subtype: 'float64[1000,1000,1000]'}\n"
-        "# - {name: b, datatype: int64}\na b\n\"\" 1\n"
+        '# - {name: b, datatype: int64}\na b\n"" 1\n'
     ).encode(),
     "laughs.vot": lambda: (
         '<?xml version="1.0"?><!DOCTYPE V [<!ENTITY a0 "x">'
-        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12)) + "]><VOTABLE>&a11;</VOTABLE>"
+        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
+        + "]><VOTABLE>&a11;</VOTABLE>"
     ).encode(),
     "arraysize.vot": lambda: VOTABLE.format("", "char", ' arraysize="100000000"').encode(),
     "nrows.vot": lambda: VOTABLE.format(' nrows="3000000000"', "double", "").encode(),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

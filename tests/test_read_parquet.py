@@ -78,7 +78,8 @@ def test_frames_of_pandas(tmp_path):
     frame = pd.DataFrame(
         {
             "name": pd.array(["a", None, "c", "d", "e", "f"], dtype="string"),
-            "ra": np.full(N, 45.0), "dec": np.full(N, 3.0),
+            "ra": np.full(N, 45.0),
+            "dec": np.full(N, 3.0),
             "visits": pd.array([1, 2, 1, 1, 1, 1], dtype="Int64"),
             "good": pd.array([True, None, False, True, True, True], dtype="boolean"),
             "category": pd.Categorical(["x", "y", "x", None, "x", "y"]),
@@ -87,7 +88,7 @@ def test_frames_of_pandas(tmp_path):
             "several": [[1, 2]] * N,
         },
         index=np.arange(10, 10 + N),
-    )  # fmt: skip
+    )
     path = tmp_path / "a.parquet"
     frame.to_parquet(path)
     assert "__index_level_0__" in pq.read_schema(path).names

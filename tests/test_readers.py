@@ -61,9 +61,14 @@ def test_a_quoted_value_over_several_lines_is_refused(tmp_path):
 
 def test_good_quotation_marks_are_kept(tmp_path):
     texts = {
-        '"a, b"': "a, b", '"a ""b"" c"': 'a "b" c', '""': "", ' "c, d"': "c, d", '5" disc': '5" disc',
-        "d'Arrest, Ä"[:8]: "d'Arrest", '"Größe, Ä"': "Größe, Ä",
-    }  # fmt: skip
+        '"a, b"': "a, b",
+        '"a ""b"" c"': 'a "b" c',
+        '""': "",
+        ' "c, d"': "c, d",
+        '5" disc': '5" disc',
+        "d'Arrest, Ä"[:8]: "d'Arrest",
+        '"Größe, Ä"': "Größe, Ä",
+    }
     for text, expected in texts.items():
         path = csv(tmp_path / "a.csv", [f"{text},10,20", '"other" ,11,21', "third,12,22"])
         catalog = rs.Catalog.read(path)
@@ -262,7 +267,7 @@ def test_a_damaged_part_of_a_survey_is_named(tmp_path, small):
 
     sky = rs.synthetic_catalog("uniform", SkyCoord(95 * DEG, 23 * DEG), 0.5 * DEG, n_targets=50, rng=1)
     folder = tmp_path / "survey"
-    rs.plan_survey(sky, SkyCoord([95] * DEG, [23] * DEG), small, folder=folder)
+    rs.plan_survey(sky, small, SkyCoord([95] * DEG, [23] * DEG), folder=folder)
     part = folder / "tiles" / "000" / "000000.fits"
     good = part.read_bytes()
     for content in (b"", b"nothing", good[:4000], good.replace(b"target_id", b"target_ix"), gzip.compress(good)):

@@ -1,6 +1,7 @@
 """What the package says of real catalogs and of plans that surveys really observed."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -53,10 +54,16 @@ def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
 @pytest.mark.parametrize(
     ("design", "name"),
     [
-        (21636, "sdss_apo"), (21637, "sdss_apo"), (50323, "sdss_apo"), (502706, "sdss_lco"), (503246, "sdss_lco"),
-        (503247, "sdss_lco"), (505253, "sdss_lco"), (505254, "sdss_lco"),
+        (21636, "sdss_apo"),
+        (21637, "sdss_apo"),
+        (50323, "sdss_apo"),
+        (502706, "sdss_lco"),
+        (503246, "sdss_lco"),
+        (503247, "sdss_lco"),
+        (505253, "sdss_lco"),
+        (505254, "sdss_lco"),
     ],
-)  # fmt: skip
+)
 def test_designs_of_both_sites_score_from_the_sky(presets, real_data, design, name):
     """From ra and dec alone, without refraction: nearly all in reach, and few pairs near the limit."""
     t = QTable.read(real_data("sdssv_eight_designs.ecsv"))
@@ -110,7 +117,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
     if where == "sky":
         center = SkyCoord(269.59, 66.55, unit="deg")
         options = {"position_angle": 40 * u.deg, "allocator": "optimal", "requirements": requirements}
-        tile = rs.plan_tile(catalog, presets["sdss_apo"], center, **options)
+        tile = flat.plan_tile(catalog, presets["sdss_apo"], center, **options)
         assert (tile.summary["n_assigned"], tile.summary["gap"], tile.summary["unmet"]) == (500, 0, [])
         category = dict(zip(catalog.id.tolist(), catalog.category, strict=True))
         used = [category[i] for i in tile.table["target_id"].tolist()]
@@ -121,7 +128,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
         kind = np.array(["science" if "_" not in c else c.split("_")[0] for c in category])
         xy = np.column_stack([t["x_wok"], t["y_wok"]])
         columns = {"fiber_type": np.asarray(t["fiber_type"]).astype(str), "kind": kind, "category": category}
-        plan = rs.allocate(xy, plane, method="optimal", requirements=requirements, **columns)
+        plan = flat.allocate(plane, xy, allocator="optimal", requirements=requirements, **columns)
         assert (plan.n_assigned, plan.gap, plan.unmet) == (500, 0, ())
         used = category[plan.target_of_positioner].tolist()
         found = rs.find_collisions(plane, plan)

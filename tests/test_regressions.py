@@ -75,7 +75,7 @@ def test_both_hands_with_arm_lengths_of_their_own():
     """The elbow was chosen with the common arm lengths, against the joint limits."""
     unit = rs.Positioner(5 * MM, 5 * MM, 1 * MM, handedness="both", phi_range=[0, 180] * u.deg)
     plane = rs.FocalPlane([[0, 0]] * MM, unit, central_arm=[8] * MM, eccentric_arm=[8] * MM)
-    allocation = rs.allocate([[12, 0]] * MM, plane)
+    allocation = rs.allocate(plane, [[12, 0]] * MM)
     assert allocation.handedness.tolist() == ["right"]
     assert np.rad2deg(allocation.place_arms(plane).phi[0]) == pytest.approx(82.8, abs=0.1)
 

@@ -37,7 +37,7 @@ def tile(presets):
 @pytest.fixture(scope="module")
 def survey(small):
     sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=60 / u.deg**2, rng=3)
-    return rs.plan_survey(sky, rs.place_tiles(sky, small, passes=2), small)
+    return rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2))
 
 
 def nasty_table():

@@ -18,10 +18,18 @@ from pages import Reader
 
 CENTER = SkyCoord(95, 23, unit="deg")
 OPTIONS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-extensions", "--virtual-time-budget=2000",
-    "--host-resolver-rules=MAP * ~NOTFOUND", "--enable-logging=stderr",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-extensions",
+    "--virtual-time-budget=2000",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--enable-logging=stderr",
+)
 WATCH = """<script>
 window.seen = [];
 addEventListener("error", (event) => seen.push(`error: ${event.message}`), true);
@@ -114,7 +122,7 @@ def page_of(kind, folder, small):
     if kind == "tile":
         result = rs.plan_tile(sky, "sdss_apo", CENTER)
     elif kind == "survey":
-        result = rs.plan_survey(sky, rs.place_tiles(sky, small, passes=2), small)
+        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2))
     elif kind == "tiling":
         result = rs.place_tiles(sky, small, passes=2)
     elif kind == "allocators":

@@ -42,10 +42,16 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
 
 
 WORK = {
-    "plan": "plan_tile", "tile --region sky": "place_tiles", "survey": "plan_survey",
-    "compare-allocators": "compare_allocators", "compare": "compare_instruments", "design": "explore_designs",
-    "probability": "collision_probability", "reproduce": "reproduce", "benchmark collisions": "benchmark_collisions",
-}  # fmt: skip
+    "plan": "plan_tile",
+    "tile --region sky": "place_tiles",
+    "survey": "plan_survey",
+    "compare-allocators": "compare_allocators",
+    "compare": "compare_instruments",
+    "design": "explore_designs",
+    "probability": "collision_probability",
+    "reproduce": "reproduce",
+    "benchmark collisions": "benchmark_collisions",
+}
 
 
 @pytest.mark.parametrize("command", WORK)

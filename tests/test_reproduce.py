@@ -54,10 +54,15 @@ def test_designs_are_those_of_the_paper():
 
 def disc_designs():
     """Uniform targets collide 10 % more in a design of equal arms, 1 % in one of unequal arms; LAMOST's comes last."""
-    return QTable({
-        "ratio": [1.1, 1.9, 1.0], "uniform": [0.11, 0.505, 0.053], "uniform error": [1e-4, 1e-4, 1e-4],
-        "disc": [0.1, 0.5, 0.05], "disc error": [0.0, 0.0, 0.0],
-    })  # fmt: skip
+    return QTable(
+        {
+            "ratio": [1.1, 1.9, 1.0],
+            "uniform": [0.11, 0.505, 0.053],
+            "uniform error": [1e-4, 1e-4, 1e-4],
+            "disc": [0.1, 0.5, 0.05],
+            "disc error": [0.0, 0.0, 0.0],
+        }
+    )
 
 
 def test_drops_are_averaged_over_means_and_over_designs():

@@ -45,10 +45,27 @@ def test_text_says_what_the_fields_say(text, fields):
 @pytest.mark.parametrize(
     "text",
     [
-        "", "sky", "sky=", "=3", " =3", "@BOSS=3", "sky=-", "sky=x", "sky=3.5", "sky=--3", "sky=3-4-5",
-        "sky@=3", "sky@a@b=3", "sky=3/", "a/b=3", "a=b=3", "sky=1e3", "sky=+3", "sky=3/spectrograph/x/",
+        "",
+        "sky",
+        "sky=",
+        "=3",
+        " =3",
+        "@BOSS=3",
+        "sky=-",
+        "sky=x",
+        "sky=3.5",
+        "sky=--3",
+        "sky=3-4-5",
+        "sky@=3",
+        "sky@a@b=3",
+        "sky=3/",
+        "a/b=3",
+        "a=b=3",
+        "sky=1e3",
+        "sky=+3",
+        "sky=3/spectrograph/x/",
     ],
-)  # fmt: skip
+)
 def test_text_of_another_form_is_an_error(text):
     with pytest.raises(rs.InputError) as error:
         rs.Requirement.parse(text)
@@ -143,5 +160,10 @@ def test_blanks_do_not_matter():
 def test_a_name_that_no_target_has_is_guessed_at(what, hint):
     unit = rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm)
     plane = rs.FocalPlane([[0, 0]] * u.mm, unit)
-    found = rs.allocate([[1, 2]] * u.mm, plane, category=["bright"], requirements=f"{what}=3")
+    found = rs.allocate(
+        plane,
+        [[1, 2]] * u.mm,
+        allocator=rs.AllocationOptions("balanced", requirements=f"{what}=3"),
+        category=["bright"],
+    )
     assert [str(one) for one in found.unmet] == [f"{what} targets: 0 of 3, 3 missing; none is in reach{hint}"]

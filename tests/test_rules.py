@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from hypothesis import given
@@ -42,10 +43,10 @@ def scenes(draw, kinds=KINDS):
 def test_nearest_is_the_closest_pair_first(name, scene):
     plane, (xy, priority, kind) = PLANES[name], scene
     can = plane.reachable(xy * MM).toarray()
-    found = rs.allocate(xy * MM, plane, method="nearest", priority=priority)
+    found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
     assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
     can &= np.array(kind) == "science"
-    found = rs.allocate(xy * MM, plane, method="nearest", priority=priority, kind=kind)
+    found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority, kind=kind)
     assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
 
 
@@ -54,7 +55,7 @@ def test_nearest_is_the_closest_pair_first_in_a_crowd(rng):
     xy, priority = rng.uniform(-80, 80, (250, 2)), rng.integers(0, 3, 250).tolist()
     fiber = rng.choice(["A", "B", ""], 250)
     can = plane.reachable(xy * MM, fiber).toarray()
-    found = rs.allocate(xy * MM, plane, method="nearest", priority=priority, fiber_type=fiber)
+    found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority, fiber_type=fiber)
     assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
     assert found.n_assigned == 37
 
@@ -72,18 +73,17 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
             continue
         wanted = [c == one.what for c in category] if one.what in category else [k == one.what for k in kind]
         for place in [None] if one.per == "tile" else np.unique(plane.spectrograph).tolist():
-            counts = [
-                i for i, t in enumerate(target_of) if t >= 0 and wanted[t] and place in (None, column(i, t))
-            ]  # fmt: skip
+            counts = [i for i, t in enumerate(target_of) if t >= 0 and wanted[t] and place in (None, column(i, t))]
             locked.update(counts)
             lacking = one.minimum - len(counts)
             # the idle first, then those whose target is the least important
             importance = [(t >= 0, priority[t] if t >= 0 else 0, i) for i, t in enumerate(target_of)]
             for _, _, i in sorted(importance):
                 free = [
-                    (squared_apart(xy[t], plane._xy_mm[i]), t) for t in range(len(xy))
+                    (squared_apart(xy[t], plane._xy_mm[i]), t)
+                    for t in range(len(xy))
                     if can[i, t] and wanted[t] and t not in target_of and place in (None, column(i, t))
-                ]  # fmt: skip
+                ]
                 if lacking <= 0 or i in locked or not free:
                     continue
                 target_of[i] = min(free)[1]
@@ -94,11 +94,14 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
 
 wishes = st.lists(
     st.builds(
-        rs.Requirement, st.sampled_from([*KINDS, "faint", "missing"]), st.integers(0, 3),
+        rs.Requirement,
+        st.sampled_from([*KINDS, "faint", "missing"]),
+        st.integers(0, 3),
         per=st.sampled_from(["tile", "spectrograph"]),
     ),
-    min_size=1, max_size=3,
-)  # fmt: skip
+    min_size=1,
+    max_size=3,
+)
 
 
 @given(st.sampled_from(sorted(PLANES)), scenes(), wishes, st.randoms(use_true_random=False))
@@ -107,7 +110,12 @@ def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requiremen
     category = [random.choice(["faint", ""]) for _ in xy]
     can = plane.reachable(xy * MM).toarray()
     found = rs.allocate(
-        xy * MM, plane, method="lamost", priority=priority, kind=kind, category=category, requirements=requirements
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions("lamost", requirements=requirements),
+        priority=priority,
+        kind=kind,
+        category=category,
     )
     expected = lamost_with_requirements(
         xy, plane, can, priority, kind, category, requirements, lambda i, t: plane.spectrograph[i]
@@ -119,9 +127,7 @@ def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requiremen
 def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
     """A spectrograph for each fiber type, some units unable, and more wanted than there is."""
     rng = np.random.default_rng(seed)
-    plane = replace(
-        two_fibers(), spectrograph=rng.integers(0, 3, (37, 2)), disabled=rng.random(37) < 0.1
-    )  # fmt: skip
+    plane = replace(two_fibers(), spectrograph=rng.integers(0, 3, (37, 2)), disabled=rng.random(37) < 0.1)
     n = 200
     xy, priority = rng.uniform(-80, 80, (n, 2)), rng.integers(0, 3, n)
     kind, fiber = rng.choice(["science", "science", *KINDS], n), rng.choice(["A", "B", ""], n)
@@ -132,11 +138,16 @@ def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
         return plane.spectrograph[i, plane.fiber_types.index(fiber[t] or plane.fiber_type[i].split("+")[0])]
 
     found = rs.allocate(
-        xy * MM, plane, method="lamost", priority=priority, kind=kind, fiber_type=fiber, requirements=requirements
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions("lamost", requirements=requirements),
+        priority=priority,
+        kind=kind,
+        fiber_type=fiber,
     )
     expected = lamost_with_requirements(
         xy, plane, can, priority.tolist(), kind.tolist(), [""] * n, requirements, column
-    )  # fmt: skip
+    )
     assert found.target_of_positioner.tolist() == expected
     assert (kind[expected] == "sky").sum() == 9
 
@@ -148,13 +159,17 @@ def test_the_least_important_targets_give_way_first_and_are_free_again():
     xy = [[1, 0], [41, 0], [81, 0], [0, 9], [40, 9], [80, 9], [120, 9]] * MM
     columns = {"priority": [3, 1, 2, 0, 0, 0, 0], "kind": ["science"] * 3 + ["sky"] * 4}
     for n, expected in enumerate([[0, 1, 2, -1], [0, 1, 2, 6], [0, 4, 2, 6], [0, 4, 5, 6], [3, 4, 5, 6]]):
-        found = rs.allocate(xy, plane, method="lamost", requirements=f"sky={n}", **columns)
+        found = flat.allocate(plane, xy, allocator="lamost", requirements=f"sky={n}", **columns)
         assert found.target_of_positioner.tolist() == expected
     pair = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit)
     found = rs.allocate(
-        [[10, 0], [15, 0], [0, 5]] * MM, pair, method="lamost", kind=["science", "science", "sky"], priority=[1, 2, 0],
-        category=["bright", "", ""], requirements=["sky=1", "bright=1"],
-    )  # fmt: skip
+        pair,
+        [[10, 0], [15, 0], [0, 5]] * MM,
+        allocator=rs.AllocationOptions("lamost", requirements=["sky=1", "bright=1"]),
+        kind=["science", "science", "sky"],
+        priority=[1, 2, 0],
+        category=["bright", "", ""],
+    )
     assert found.target_of_positioner.tolist() == [2, 0]
 
 
@@ -165,9 +180,9 @@ def test_rules_take_nothing_but_science(method, name, scene):
     plane, (xy, priority, kind) = PLANES[name], scene
     science = np.flatnonzero(np.array(kind) == "science")
     priority = None if method == "balanced" else np.array(priority)
-    found = rs.allocate(xy * MM, plane, method=method, kind=kind, priority=priority)
+    found = rs.allocate(plane, xy * MM, allocator=method, kind=kind, priority=priority)
     alone = rs.allocate(
-        xy[science] * MM, plane, method=method, priority=None if priority is None else priority[science]
+        plane, xy[science] * MM, allocator=method, priority=None if priority is None else priority[science]
     )
     expected = np.append(science, -1)[alone.target_of_positioner]
     assert found.target_of_positioner.tolist() == expected.tolist()
@@ -178,7 +193,7 @@ def test_what_is_not_science_fills_idle_positioners_only(method):
     plane = lamost_like(rings=1)
     xy = np.concatenate([plane._xy_mm + [9, 0], plane._xy_mm[:5] + [-9, 0]])
     kind = ["sky", "standard", "sky", "sky", "sky", "sky", "standard"] + ["science"] * 5
-    found = rs.allocate(xy * MM, plane, method=method, kind=kind, priority=[9] * 7 + [0] * 5)
+    found = rs.allocate(plane, xy * MM, allocator=method, kind=kind, priority=[9] * 7 + [0] * 5)
     assert sorted(found.target_of_positioner) == [5, 6, 7, 8, 9, 10, 11]
     assert [(level.name, level.value) for level in found.levels] == [("science", 5), ("any target", 7)]
 
@@ -200,10 +215,10 @@ def matched(can):
 @pytest.mark.parametrize("name", ["lamost", "sdss"])
 def test_sdss_assigns_a_maximum_matching(name, n):
     plane, xy, _ = crowd(name, n, n)
-    found = rs.allocate(xy * MM, plane, method="sdss")
+    found = rs.allocate(plane, xy * MM, allocator="sdss")
     assert found.n_assigned == found.bound == matched(plane.reachable(xy * MM))
     assert found.gap == 0
-    assert found.n_assigned >= rs.allocate(xy * MM, plane, method="lamost").n_assigned
+    assert found.n_assigned >= rs.allocate(plane, xy * MM, allocator="lamost").n_assigned
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -213,7 +228,7 @@ def test_sdss_has_as_many_of_each_class_as_matchings_allow(name, seed):
     plane, xy, rng = crowd(name, 700, seed)
     priority = rng.choice([2.5, -1, 7, 0], 700)
     kind = np.where(rng.random(700) < 0.2, "sky", "science")
-    found = rs.allocate(xy * MM, plane, method="sdss", priority=priority, kind=kind)
+    found = rs.allocate(plane, xy * MM, allocator="sdss", priority=priority, kind=kind)
     can = plane.reachable(xy * MM)
     ranks, expected = [0], {}
     for value in (7, 2.5, 0, -1):
@@ -232,11 +247,13 @@ def test_sdss_counts_science_before_classes_if_asked(name):
     plane, xy, rng = crowd(name, 500, 9)
     priority = rng.integers(0, 2, 500)
     kind = np.where(rng.random(500) < 0.3, "standard", "science")
-    found = rs.allocate(xy * MM, plane, method="sdss", priority=priority, kind=kind, objective="count")
+    found = rs.allocate(
+        plane, xy * MM, allocator=rs.AllocationOptions("sdss", objective="count"), priority=priority, kind=kind
+    )
     can = plane.reachable(xy * MM)
     assert found.levels[0].name == "science"
     assert found.levels[0].value == matched(can[:, np.flatnonzero(kind == "science")])
-    first = rs.allocate(xy * MM, plane, method="sdss", priority=priority, kind=kind)
+    first = rs.allocate(plane, xy * MM, allocator="sdss", priority=priority, kind=kind)
     assert first.levels[0].value >= found.levels[1].value
 
 
@@ -250,7 +267,7 @@ def test_sdss_has_the_least_sum_of_squared_distances_of_all_maximum_matchings(ma
     cost = np.where(can, r2 - 1e7, 0.0)
     rows, columns = linear_sum_assignment(cost)
     good = can[rows, columns]
-    found = rs.allocate(xy * MM, plane, method="sdss").target_of_positioner
+    found = rs.allocate(plane, xy * MM, allocator="sdss").target_of_positioner
     used = np.flatnonzero(found >= 0)
     assert len(used) == good.sum()
     assert r2[used, found[used]].sum() == pytest.approx(r2[rows, columns][good].sum(), rel=1e-9)
@@ -265,7 +282,7 @@ def test_repair_and_optimal_stay_below_a_matching_class_by_class(make, n, rng):
     can = plane.reachable(xy * MM)
     top, both = matched(can[:, np.flatnonzero(priority == 1)]), matched(can)
     for method in ("optimal", "repair"):
-        found = rs.allocate(xy * MM, plane, method=method, priority=priority, start="sdss")
+        found = rs.allocate(plane, xy * MM, allocator=rs.AllocationOptions(method, start="sdss"), priority=priority)
         assert found.levels[0].value <= top
         assert found.n_assigned <= both
         if method == "repair":

@@ -38,10 +38,12 @@ def test_arms_and_collisions_are_those_of_slow_geometry(name, rng):
             rs.find_collisions(plane, tips, **options),
             rs.find_collisions(plane, posed),
             rs.find_collisions(
-                plane, theta=np.where(assigned, posed.theta, np.nan) * u.rad,
-                phi=np.where(assigned, posed.phi, np.nan) * u.rad, **again,
+                plane,
+                theta=np.where(assigned, posed.theta, np.nan) * u.rad,
+                phi=np.where(assigned, posed.phi, np.nan) * u.rad,
+                **again,
             ),
-        ):  # fmt: skip
+        ):
             assert report.pairs.tolist() == pairs
             assert report.obstacle_pairs.tolist() == hits
             np.testing.assert_array_equal(report.assigned, assigned)

@@ -4,6 +4,7 @@ from collections import Counter
 from itertools import combinations, product
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
@@ -34,9 +35,9 @@ def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
     plane = dense_plane()
     xy, rng = sparse_targets(plane, seed)
     options = {"method": "optimal", "priority": rng.integers(0, rng.integers(1, 3), len(xy))}
-    best = rs.allocate(xy * MM, plane, **options)
+    best = flat.allocate(plane, xy * MM, **options)
     assert best.gap == 0
-    found = rs.allocate(xy * MM, plane, time_limit=milliseconds * u.ms, **options)
+    found = flat.allocate(plane, xy * MM, time_limit=milliseconds * u.ms, **options)
     for first, second in zip(best.levels, found.levels, strict=True):
         assert second.value <= second.bound
         if second.value != first.value:
@@ -55,11 +56,11 @@ def test_unproven_plans_are_honest(n_classes, objective, seed):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-200, 200, (500, 2)) * MM
     options = {"method": "optimal", "priority": rng.integers(0, n_classes, 500), "objective": objective}
-    best = rs.allocate(xy, plane, **options)
+    best = flat.allocate(plane, xy, **options)
     assert best.gap == 0
     values = [level.value for level in best.levels]
     for seconds in (0.05, 0.3):
-        found = rs.allocate(xy, plane, time_limit=seconds * u.s, **options)
+        found = flat.allocate(plane, xy, time_limit=seconds * u.s, **options)
         assert len(rs.find_collisions(plane, found).pairs) == 0
         assert [level.value for level in found.levels] <= values
         for value, level in zip(values, found.levels, strict=True):
@@ -99,12 +100,12 @@ def test_larger_fields_against_a_plain_integer_program(seed, parked):
     """Reduced candidates need not contain the idle arm, and a plan with a target twice was taken for proven."""
     plane = dense_plane(rings=3)
     xy, _ = sparse_targets(plane, seed)
-    found = rs.allocate(xy * MM, plane, method="optimal", parked_obstacles=parked)
+    found = rs.allocate(plane, xy * MM, allocator=rs.AllocationOptions("optimal", parked_obstacles=parked))
     assert found.n_assigned == edges_alone(plane, xy, parked)
     assert found.gap == 0
     wide = rs.FocalPlane.hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM), rings=3, pitch=22.4 * MM)
     xy, _ = sparse_targets(wide, seed + 100)
-    assert rs.allocate(xy * MM, wide, method="optimal").n_assigned == edges_alone(wide, xy, True)
+    assert rs.allocate(wide, xy * MM, allocator="optimal").n_assigned == edges_alone(wide, xy, True)
 
 
 def test_a_stuck_fiber_of_another_type_is_somewhere_else():
@@ -120,10 +121,10 @@ def test_a_stuck_fiber_of_another_type_is_somewhere_else():
     stuck = [[0, 90], [np.nan, np.nan]] * u.deg
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, fiber_type=["B+A"] * 2, stuck=stuck)
     options = {"method": "optimal", "kind": ["science"], "fiber_type": ["B"], "sky_separation": 0.5 * MM}
-    found = rs.allocate([[11.0, 8.1]] * MM, plane, requirements="sky@A=1", **options)
+    found = flat.allocate(plane, [[11.0, 8.1]] * MM, requirements="sky@A=1", **options)
     assert len(rs.find_collisions(plane, found).pairs) == 0
     assert found.target_of_positioner[0] == -1
-    found = rs.allocate([[11.0, 8.1]] * MM, plane, requirements="sky@B=1", **options)
+    found = flat.allocate(plane, [[11.0, 8.1]] * MM, requirements="sky@B=1", **options)
     assert found.target_of_positioner[0] >= found.n_given
     assert found.unmet == ()
 
@@ -133,8 +134,8 @@ def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_o
     plane = dense_plane(rings=3)
     xy, rng = sparse_targets(plane, seed)
     options = {"priority": rng.integers(0, 2, len(xy)), "required": rng.random(len(xy)) < 0.2}
-    blind = rs.allocate(xy * MM, plane, method="sdss", **options)
-    mended = rs.allocate(xy * MM, plane, method="repair", **options)
+    blind = flat.allocate(plane, xy * MM, allocator="sdss", **options)
+    mended = flat.allocate(plane, xy * MM, allocator="repair", **options)
     for level, best in zip(mended.levels, blind.levels, strict=True):
         assert (level.name, level.bound) == (best.name, best.value)
         assert level.value <= level.bound
@@ -156,10 +157,10 @@ def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, lar
         "priority": rng.integers(0, 5, 60),
         "objective": "count" if seed % 2 else "priority",
     }
-    usual = rs.allocate(xy, plane, **options)
+    usual = flat.allocate(plane, xy, **options)
     for name, value in {"LARGE": 0, "STEEP": steep, "LARGEST": largest}.items():
         monkeypatch.setattr(f"rfpsurvey.allocation._pursue.{name}", value)
-    found = rs.allocate(xy, plane, **options)
+    found = flat.allocate(plane, xy, **options)
     assert found.levels == usual.levels
     assert found.gap == 0
 
@@ -187,9 +188,18 @@ def random_conflicts(rng):
     conflicts.adjacency(pairs[0], pairs[1], indptr, other)
     cost = rng.integers(0, 3, 6).astype(float)[target]
     return conflicts.Options(
-        np.searchsorted(own, np.arange(n + 1)), own, target, rank, cost, key, as_good,
-        np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=6))]), rows, indptr, other,
-    ), pairs  # fmt: skip
+        np.searchsorted(own, np.arange(n + 1)),
+        own,
+        target,
+        rank,
+        cost,
+        key,
+        as_good,
+        np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=6))]),
+        rows,
+        indptr,
+        other,
+    ), pairs
 
 
 def plans(options, pairs, alive):
@@ -241,7 +251,7 @@ def test_classes_after_required_targets_may_be_larger_than_in_a_matching():
     n, rng = len(plane), np.random.default_rng(2)
     xy = plane._xy_mm[rng.integers(n, size=2 * n)] + rng.uniform(-12, 12, (2 * n, 2))
     options = {"priority": rng.integers(0, 4, 2 * n), "required": rng.random(2 * n) < 0.5}
-    found = rs.allocate(xy * MM, plane, method="optimal", parked_obstacles=False, **options)
+    found = flat.allocate(plane, xy * MM, allocator="optimal", parked_obstacles=False, **options)
     assert found.levels[-1].value == found.levels[-1].bound == 27
 
 
@@ -252,8 +262,8 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
     plane = rs.FocalPlane([[0, 0], [60, 0], [120, 0]] * MM, unit, stuck=stuck)
     xy = [[123, 3.0]] * MM
     if options["method"] == "repair":
-        options = {**options, "start": rs.allocate(xy, plane, method="sdss", kind=["sky"])}
-    found = rs.allocate(xy, plane, kind=["sky"], requirements=["sky=1-2"], sky_separation=1 * MM, **options)
+        options = {**options, "start": rs.allocate(plane, xy, allocator="sdss", kind=["sky"])}
+    found = flat.allocate(plane, xy, requirements=["sky=1-2"], sky_separation=1 * MM, kind=["sky"], **options)
     assert found.n_assigned == 2
     assert found.unmet == ()
 
@@ -263,7 +273,7 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
 def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
     """Stretched arms beside each other: no collision at the safe distance, one a rounding nearer."""
     plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, rs.Positioner(4 * MM, 4 * MM, 2.25 * MM))
-    found = rs.allocate([[8, 0], [8, gap]] * MM, plane, method=method, parked_obstacles=False)
+    found = rs.allocate(plane, [[8, 0], [8, gap]] * MM, allocator=rs.AllocationOptions(method, parked_obstacles=False))
     assert found.n_assigned == n
 
 
@@ -279,10 +289,10 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     options = {"method": method, "priority": priority, "kind": kind, "requirements": "sky=4"}
     if n_required:
         options["required"] = rng.permutation(n) < n_required
-    best = rs.allocate(xy, plane, **options)
+    best = flat.allocate(plane, xy, **options)
     late = OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
     monkeypatch.setattr("scipy.optimize.milp", lambda *_, **__: late)
-    found = rs.allocate(xy, plane, **options)
+    found = flat.allocate(plane, xy, **options)
     assert best.gap == 0 < found.gap
     assert any(level.value < level.bound for level in found.levels)
     assert found.levels[0].bound >= best.levels[0].value
@@ -308,5 +318,5 @@ def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypa
     # so thick that something is left to the solver
     plane = rs.FocalPlane(plane.xy, rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM)) if expected else plane
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
-    rs.allocate(xy, plane, method="optimal", time_limit=5 * u.s)
+    rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=5 * u.s))
     assert set(said) == {expected}

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from hypothesis import given
@@ -61,7 +62,9 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
     plane = PLANES[name]
     n = {"lamost": 150, "sdss": 60}.get(method, 100)
     xy, separation = targets(rng, n), 4.0
-    found = rs.allocate(xy * MM, plane, method=method, requirements="sky=20", sky_separation=separation * MM)
+    found = rs.allocate(
+        plane, xy * MM, allocator=rs.AllocationOptions(method, requirements="sky=20", sky_separation=separation * MM)
+    )
     check_columns(found, xy)
     own, rows = blank_of(found)
     stuck = plane._is_stuck[own]
@@ -95,7 +98,11 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
 def test_whatever_the_separation_it_is_kept(seed, n, separation, name):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-60, 60, (n, 2)).round(int(rng.integers(0, 3)))
-    found = rs.allocate(xy * MM, PLANES[name], requirements="sky=37", method="lamost", sky_separation=separation * MM)
+    found = rs.allocate(
+        PLANES[name],
+        xy * MM,
+        allocator=rs.AllocationOptions("lamost", requirements="sky=37", sky_separation=separation * MM),
+    )
     check_columns(found, xy)
     own, rows = blank_of(found)
     if n and len(own):
@@ -109,7 +116,9 @@ def test_whatever_the_separation_it_is_kept(seed, n, separation, name):
 def test_gaps_are_found_where_there_are_any(separation, rng):
     """A dense sample of a patrol area says whether it has a gap worth the name."""
     plane, xy = lamost_like(), rng.uniform(-85, 85, (180, 2))
-    found = rs.allocate(xy * MM, plane, requirements="sky=37", method="lamost", sky_separation=separation * MM)
+    found = rs.allocate(
+        plane, xy * MM, allocator=rs.AllocationOptions("lamost", requirements="sky=37", sky_separation=separation * MM)
+    )
     sees = set(blank_of(found)[0].tolist())
     grid = np.stack(np.meshgrid(*2 * [np.arange(-16.4, 16.5, 0.4)]), axis=-1).reshape(-1, 2)
     grid = grid[np.hypot(*grid.T) < 16.4]
@@ -129,8 +138,8 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
 def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
     xy = targets(rng, 20)
     options = {"method": method, "requirements": wishes}
-    found = rs.allocate(xy * MM, two_fibers(), sky_separation=3 * MM, **options)
-    without = rs.allocate(xy * MM, two_fibers(), **options)
+    found = flat.allocate(two_fibers(), xy * MM, sky_separation=3 * MM, **options)
+    without = flat.allocate(two_fibers(), xy * MM, **options)
     assert len(found.xy) == found.n_given == 20
     np.testing.assert_array_equal(found.target_of_positioner, without.target_of_positioner)
 
@@ -138,7 +147,7 @@ def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
 @pytest.mark.parametrize("method", FILLING)
 def test_without_a_separation_nothing_is_invented(method, rng):
     xy = targets(rng, 30)
-    found = rs.allocate(xy * MM, lamost_like(), method=method, requirements="sky=20")
+    found = rs.allocate(lamost_like(), xy * MM, allocator=rs.AllocationOptions(method, requirements="sky=20"))
     assert len(found.xy) == 30
     assert [str(s) for s in found.unmet] == ["sky targets: 0 of 20, 20 missing; none is in reach"]
 
@@ -146,7 +155,11 @@ def test_without_a_separation_nothing_is_invented(method, rng):
 @pytest.mark.parametrize("separation", [0 * MM, -1 * MM, np.nan * MM, 3, [1, 2] * MM, 3 * u.s])
 def test_a_separation_is_a_length(separation):
     with pytest.raises(rs.InputError, match="sky_separation must"):
-        rs.allocate([[0, 0]] * MM, lamost_like(), requirements="sky=1", sky_separation=separation)
+        rs.allocate(
+            lamost_like(),
+            [[0, 0]] * MM,
+            allocator=rs.AllocationOptions("balanced", requirements="sky=1", sky_separation=separation),
+        )
 
 
 @pytest.mark.parametrize("method", FILLING)
@@ -154,14 +167,21 @@ def test_sky_that_is_given_counts_and_found_sky_adds_to_it(method):
     plane = rs.FocalPlane([[0, 0], [40, 0], [80, 0]] * MM, UNIT)
     xy = [[5, 0], [45, 0], [3, 3], [85, 0]] * MM
     found = rs.allocate(
-        xy, plane, method=method, kind=["science", "science", "sky", "science"], requirements="sky=2",
-        priority=[3, 2, 0, 1], sky_separation=2 * MM, forbidden=[[0, 2]],
-    )  # fmt: skip
+        plane,
+        xy,
+        allocator=rs.AllocationOptions(method, requirements="sky=2", sky_separation=2 * MM),
+        kind=["science", "science", "sky", "science"],
+        priority=[3, 2, 0, 1],
+        forbidden=[[0, 2]],
+    )
     assert found.unmet == ()
     assert found.target_of_positioner[0] == 0
     assert sorted(found.target_of_positioner[1:]) == [4, 5]
     found = rs.allocate(
-        xy, plane, method=method, kind=["sky", "sky", "sky", "sky"], requirements="sky=3", sky_separation=2 * MM
+        plane,
+        xy,
+        allocator=rs.AllocationOptions(method, requirements="sky=3", sky_separation=2 * MM),
+        kind=["sky", "sky", "sky", "sky"],
     )
     assert found.unmet == ()
     assert found.n_assigned == 3
@@ -173,17 +193,20 @@ def test_each_fiber_type_has_sky_of_its_own(method, rng):
     xy = targets(rng, 80)
     fiber = rng.choice(["A", "B", ""], 80)
     found = rs.allocate(
-        xy * MM, plane, method=method, fiber_type=fiber, requirements=["sky@A=7", "sky@B=8"], sky_separation=2 * MM
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky@A=7", "sky@B=8"], sky_separation=2 * MM),
+        fiber_type=fiber,
     )
     check_columns(found, xy)
     assert found.unmet == ()
     own, rows = blank_of(found)
-    wanted = found.wanted[rows]
+    wanted = found.target_fiber_type[rows]
     np.testing.assert_array_equal(found.fiber_type[own], wanted)
     assert all(name in plane.fiber_type[i].split("+") for i, name in zip(own, wanted, strict=True))
     assert (wanted == "A").sum() >= 7
     assert (wanted == "B").sum() >= 8
-    np.testing.assert_array_equal(found.wanted[:80], fiber)
+    np.testing.assert_array_equal(found.target_fiber_type[:80], fiber)
 
 
 @pytest.mark.parametrize("method", FILLING)
@@ -191,13 +214,16 @@ def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     plane = replace(two_fibers(), spectrograph=np.column_stack([np.arange(37) % 2, np.arange(37) % 3]))
     xy = targets(rng, 60)
     wishes = ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
-    found = rs.allocate(xy * MM, plane, method=method, requirements=wishes, sky_separation=2 * MM)
+    found = rs.allocate(
+        plane, xy * MM, allocator=rs.AllocationOptions(method, requirements=wishes, sky_separation=2 * MM)
+    )
     own, rows = blank_of(found)
-    columns = plane.spectrograph[own, [plane.fiber_types.index(name) for name in found.wanted[rows]]]
+    columns = plane.spectrograph[own, [plane.fiber_types.index(name) for name in found.target_fiber_type[rows]]]
     counts = {
-        (name, place): int(((found.wanted[rows] == name) & (columns == place)).sum())
-        for name in "AB" for place in range(3)
-    }  # fmt: skip
+        (name, place): int(((found.target_fiber_type[rows] == name) & (columns == place)).sum())
+        for name in "AB"
+        for place in range(3)
+    }
     lacking = {(s.requirement.fiber_type, s.spectrograph): s.found for s in found.unmet}
     for (name, place), n in counts.items():
         most = {"A": 2, "B": 3}[name]
@@ -219,12 +245,14 @@ def one_stuck(theta=30, phi=100):
 def test_a_stuck_fiber_that_looks_at_blank_sky_is_a_sky_fiber(method):
     plane, tip = one_stuck()
     xy = [tip + [0, 2.01], [62, 0]] * MM
-    found = rs.allocate(xy, plane, method=method, requirements="sky=1", sky_separation=2 * MM)
+    found = rs.allocate(plane, xy, allocator=rs.AllocationOptions(method, requirements="sky=1", sky_separation=2 * MM))
     assert found.target_of_positioner.tolist() == [2, 1]
     assert found.unmet == ()
     np.testing.assert_allclose(found.tips[0].value, tip, atol=1e-12)
     check_columns(found, xy.value)
-    again = rs.allocate(xy, plane, method=method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
+    again = rs.allocate(
+        plane, xy, allocator=rs.AllocationOptions(method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
+    )
     if method in FILLING:
         assert sorted(again.target_of_positioner) == [2, 3]
         assert again.unmet == ()
@@ -237,13 +265,17 @@ def test_a_stuck_fiber_that_looks_at_blank_sky_is_a_sky_fiber(method):
 def test_a_stuck_fiber_that_looks_at_a_target_is_none(method):
     plane, tip = one_stuck()
     xy = [tip + [0, 1.99], [61, 0]] * MM
-    found = rs.allocate(xy, plane, method=method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
+    found = rs.allocate(
+        plane, xy, allocator=rs.AllocationOptions(method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
+    )
     assert found.target_of_positioner.tolist() == [-1, 2]
     assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 1: 0 of 1, 1 missing; none is in reach"]
     alone = replace(plane, stuck=[[30, 100], [0, 180]] * u.deg)
-    found = rs.allocate(xy, alone, method=method, requirements="sky=2", sky_separation=2 * MM)
+    found = rs.allocate(alone, xy, allocator=rs.AllocationOptions(method, requirements="sky=2", sky_separation=2 * MM))
     assert found.target_of_positioner.tolist() == [-1, -1]
-    found = rs.allocate(xy[:1], alone, method=method, requirements="sky=2", sky_separation=2 * MM)
+    found = rs.allocate(
+        alone, xy[:1], allocator=rs.AllocationOptions(method, requirements="sky=2", sky_separation=2 * MM)
+    )
     assert [str(s) for s in found.unmet] == ["sky targets: 1 of 2, 1 missing; only 1 is in reach"]
 
 
@@ -251,7 +283,9 @@ def test_a_stuck_fiber_that_looks_at_a_target_is_none(method):
 def test_a_stuck_fiber_serves_one_fiber_type(method):
     plane = rs.FocalPlane([[0, 0], [60, 0]] * MM, UNIT, stuck=[[0, 90], [90, 90]] * u.deg, fiber_type=["A+B", "B"])
     found = rs.allocate(
-        np.empty((0, 2)) * MM, plane, method=method, requirements=["sky@A=1", "sky@B=2"], sky_separation=2 * MM
+        plane,
+        np.empty((0, 2)) * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky@A=1", "sky@B=2"], sky_separation=2 * MM),
     )
     assert found.fiber_type.tolist() == ["A", "B"]
     assert [str(s) for s in found.unmet] == ["sky targets for B: 1 of 2, 1 missing; only 1 is in reach"]
@@ -259,20 +293,23 @@ def test_a_stuck_fiber_serves_one_fiber_type(method):
 
 def test_found_sky_counts_where_the_given_sky_has_a_category_of_that_name():
     found = rs.allocate(
-        [[5, 0], [900, 0]] * MM, lamost_like(rings=1), method="sdss", kind=["science", "sky"],
-        category=["galaxy", "sky"], requirements="sky=3", sky_separation=2 * MM,
-    )  # fmt: skip
+        lamost_like(rings=1),
+        [[5, 0], [900, 0]] * MM,
+        allocator=rs.AllocationOptions("sdss", requirements="sky=3", sky_separation=2 * MM),
+        kind=["science", "sky"],
+        category=["galaxy", "sky"],
+    )
     assert found.unmet == ()
 
 
 def test_found_sky_does_not_hide_sky_of_the_catalog():
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
     options = {"kind": ["sky", "sky"], "category": ["sky_a", "sky_a"], "requirements": ["sky=1-1"]}
-    found = rs.allocate([[3, 3], [28, 3.0]] * MM, plane, method="optimal", sky_separation=1 * MM, **options)
+    found = flat.allocate(plane, [[3, 3], [28, 3.0]] * MM, allocator="optimal", sky_separation=1 * MM, **options)
     assert found.n_assigned == 1
 
 
 def test_a_separation_that_nobody_needs_is_said():
     plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
     with pytest.warns(rs.RfpsurveyWarning, match="sky_separation changes nothing: no requirement asks for sky"):
-        rs.allocate([[3, 3]] * MM, plane, sky_separation=1 * MM)
+        rs.allocate(plane, [[3, 3]] * MM, allocator=rs.AllocationOptions("balanced", sky_separation=1 * MM))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -35,9 +36,12 @@ def test_a_tile_holds_what_the_instrument_needs(presets, name, allocator, text, 
     instrument, turn, separation = presets[name], 33 * u.deg, 12 * u.arcsec
     catalog = wide_catalog(instrument, rng, text)
     tile = rs.plan_tile(
-        catalog, instrument, CENTER, position_angle=turn, allocator=allocator, requirements="instrument",
-        sky_separation=separation,
-    )  # fmt: skip
+        catalog,
+        instrument,
+        CENTER,
+        allocator=rs.AllocationOptions(allocator, requirements="instrument", sky_separation=separation),
+        position_angle=turn,
+    )
     t = tile.table
     assert tile.summary["unmet"] == []
     assert tile.provenance["parameters"]["requirements"] == [
@@ -83,8 +87,8 @@ def test_a_tile_holds_what_the_instrument_needs(presets, name, allocator, text, 
 def test_a_length_is_a_separation_too(small, allocator, rng):
     sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=60, rng=4)
     options = {"allocator": allocator, "requirements": "sky=9"}
-    tile = rs.plan_tile(sky, small, CENTER, sky_separation=3 * MM, **options)
-    same = rs.plan_tile(sky, small, CENTER, sky_separation=54 * u.arcsec, **options)
+    tile = flat.plan_tile(sky, small, CENTER, sky_separation=3 * MM, **options)
+    same = flat.plan_tile(sky, small, CENTER, sky_separation=54 * u.arcsec, **options)
     assert (tile.table["kind"] == "sky").sum() >= 9
     assert tile.table["tip_x"].value == pytest.approx(same.table["tip_x"].value, nan_ok=True)
 
@@ -95,7 +99,10 @@ def test_names_of_found_sky_are_new(small, ids, tmp_path):
     small = replace(small, focal_plane=focal_plane)
     coord = SkyCoord([95, 95.05], [23.02, 23], unit="deg")
     tile = rs.plan_tile(
-        rs.Catalog(coord, id=ids), small, CENTER, allocator="sdss", requirements="sky=12", sky_separation=4 * MM
+        rs.Catalog(coord, id=ids),
+        small,
+        CENTER,
+        allocator=rs.AllocationOptions("sdss", requirements="sky=12", sky_separation=4 * MM),
     )
     t = tile.table
     assert tile.summary["unmet"] == []
@@ -115,7 +122,12 @@ def test_names_of_found_sky_are_new(small, ids, tmp_path):
 
 def test_names_of_more_than_a_hundred_sky_positions_are_new(presets):
     catalog = rs.Catalog(SkyCoord([95, 95.05], [23.02, 23], unit="deg"), id=["a", "b"])
-    tile = rs.plan_tile(catalog, presets["lamost"], CENTER, requirements="sky=120", sky_separation=10 * u.arcsec)
+    tile = rs.plan_tile(
+        catalog,
+        presets["lamost"],
+        CENTER,
+        allocator=rs.AllocationOptions(requirements="sky=120", sky_separation=10 * u.arcsec),
+    )
     names = tile.table["target_id"][tile.table["kind"] == "sky"].tolist()
     assert len(names) == 120
     assert len(set(names)) == 120
@@ -124,7 +136,9 @@ def test_names_of_more_than_a_hundred_sky_positions_are_new(presets):
 def test_names_of_found_sky_are_new_where_the_catalog_has_such_names(small):
     coord = SkyCoord([95, 95.05], [23.02, 23], unit="deg")
     catalog = rs.Catalog(coord, id=["blank-sky-0", "blank-sky-3"])
-    tile = rs.plan_tile(catalog, small, CENTER, requirements="sky=5", sky_separation=4 * MM)
+    tile = rs.plan_tile(
+        catalog, small, CENTER, allocator=rs.AllocationOptions(requirements="sky=5", sky_separation=4 * MM)
+    )
     names = tile.table["target_id"][tile.table["status"] == "assigned"].tolist()
     assert len(set(names)) == len(names)
 
@@ -133,7 +147,10 @@ def test_a_separation_in_a_real_field(tycho, presets):
     catalog = rs.Catalog.read(tycho)
     center = SkyCoord(catalog.coord.ra.mean(), catalog.coord.dec.mean())
     tile = rs.plan_tile(
-        catalog, presets["lamost"], center, requirements="sky=20/spectrograph", sky_separation=10 * u.arcsec
+        catalog,
+        presets["lamost"],
+        center,
+        allocator=rs.AllocationOptions(requirements="sky=20/spectrograph", sky_separation=10 * u.arcsec),
     )
     blank = tile.table["kind"] == "sky"
     assert tile.summary["unmet"] == []

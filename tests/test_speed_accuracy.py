@@ -15,22 +15,32 @@ from rfpsurvey.benchmark._common import processor
 
 def collisions():
     points = [3, 5, 9, 17, 33]
-    return QTable({
-        "method": ["exact", *["sampled"] * 5, "endpoints"],
-        "n_points": MaskedColumn([0, *points, 0], mask=[True, *[False] * 5, True]),
-        "time": [0.030, 0.029, 0.031, 0.032, 0.06, 0.2, 0.028] * u.ms,
-        "n_colliding_true": [577] * 7,
-        "misclassified": [0, 0.12, 0.02, 0.007, 0, 0, 0.024],
-        "max_error": [1e-15, 4, 2.4, 1, 0.5, 0.1, 4.1] * u.mm,
-    }, meta={"instrument": "mine", "n_positioners": 500, "machine": "a processor, 2 cores"})  # fmt: skip
+    return QTable(
+        {
+            "method": ["exact", *["sampled"] * 5, "endpoints"],
+            "n_points": MaskedColumn([0, *points, 0], mask=[True, *[False] * 5, True]),
+            "time": [0.030, 0.029, 0.031, 0.032, 0.06, 0.2, 0.028] * u.ms,
+            "n_colliding_true": [577] * 7,
+            "misclassified": [0, 0.12, 0.02, 0.007, 0, 0, 0.024],
+            "max_error": [1e-15, 4, 2.4, 1, 0.5, 0.1, 4.1] * u.mm,
+        },
+        meta={"instrument": "mine", "n_positioners": 500, "machine": "a processor, 2 cores"},
+    )
 
 
 def probabilities(repeats=30):
-    return QTable({
-        "method": ["closed_form", "quadrature", "quadrature", "conditional"],
-        "estimand": [*["independent"] * 3, "allocated"], "effort": [0, 64, 128, 16], "time": [1, 2, 4, 3] * u.ms,
-        "error": [0.1, 0.01, 0.005, 0.02], "error_error": [0, 0.001, 0.0006, 0.04], "truth_error": [2e-4] * 3 + [1e-4],
-    }, meta={"instrument": "mine", "repeats": repeats})  # fmt: skip
+    return QTable(
+        {
+            "method": ["closed_form", "quadrature", "quadrature", "conditional"],
+            "estimand": [*["independent"] * 3, "allocated"],
+            "effort": [0, 64, 128, 16],
+            "time": [1, 2, 4, 3] * u.ms,
+            "error": [0.1, 0.01, 0.005, 0.02],
+            "error_error": [0, 0.001, 0.0006, 0.04],
+            "truth_error": [2e-4] * 3 + [1e-4],
+        },
+        meta={"instrument": "mine", "repeats": repeats},
+    )
 
 
 def labels_of(ax):
@@ -97,11 +107,17 @@ def test_labels_of_probabilities_can_be_read():
 
 def test_ticks_of_a_short_axis_do_not_overlap():
     """Labels such as 2 x 10^0, 3 x 10^0 and 4 x 10^0 ran into each other."""
-    table = QTable({
-        "method": ["conditional"] * 4, "estimand": ["allocated"] * 4, "effort": [4, 16, 64, 256],
-        "time": [2.2, 5.7, 21, 38] * u.ms, "error": [3e-3, 1.7e-3, 9e-4, 7e-4], "error_error": [3e-4] * 4,
-        "truth_error": [2e-4] * 4,
-    })  # fmt: skip
+    table = QTable(
+        {
+            "method": ["conditional"] * 4,
+            "estimand": ["allocated"] * 4,
+            "effort": [4, 16, 64, 256],
+            "time": [2.2, 5.7, 21, 38] * u.ms,
+            "error": [3e-3, 1.7e-3, 9e-4, 7e-4],
+            "error_error": [3e-4] * 4,
+            "truth_error": [2e-4] * 4,
+        }
+    )
     axes = rs.plot_probability_accuracy(table, axes=(Figure((4.5, 4), layout="constrained").add_subplot(),))
     assert_readable(axes)
     assert {"5", "10", "20"} <= {t.get_text() for t in ticks_of(axes[0].xaxis)}

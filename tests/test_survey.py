@@ -1,6 +1,7 @@
 """Whole surveys: what a tile gets, what becomes of targets, and that nothing depends on who does the work."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -23,16 +24,18 @@ def grid(step, n=3):
 
 @pytest.fixture(scope="module")
 def sky():
-    catalog = rs.synthetic_catalog("clustered", CENTER, 2 * u.deg, density=400 / u.deg**2, cluster_size=5,
-                                   cluster_scale=0.05 * u.deg, rng=3)  # fmt: skip
+    catalog = rs.synthetic_catalog(
+        "clustered", CENTER, 2 * u.deg, density=400 / u.deg**2, cluster_size=5, cluster_scale=0.05 * u.deg, rng=3
+    )
     rng = np.random.default_rng(5)
     return rs.Catalog(catalog.coord, priority=rng.integers(1, 4, len(catalog)), visits=rng.integers(0, 4, len(catalog)))
 
 
 def same(a, b):
     """Are two surveys equal, table by table?"""
-    for one, other in zip((a.tiles, a.completeness, a.outcomes, a.targets),
-                          (b.tiles, b.completeness, b.outcomes, b.targets), strict=True):  # fmt: skip
+    for one, other in zip(
+        (a.tiles, a.completeness, a.outcomes, a.targets), (b.tiles, b.completeness, b.outcomes, b.targets), strict=True
+    ):
         assert one.colnames == other.colnames
         for name in one.colnames:
             assert np.array_equal(np.asarray(one[name]), np.asarray(other[name])), name
@@ -46,7 +49,7 @@ def one_by_one(sky, tiling, instrument, order, **options):
     for k in order:
         rows = np.flatnonzero(left > 0)
         try:
-            tile = rs.plan_tile(sky[rows], instrument, tiling.coord[k], **options)
+            tile = flat.plan_tile(sky[rows], instrument, tiling.coord[k], **options)
         except rs.InputError:
             continue
         table = tile.table[tile.table["status"] == "assigned"]
@@ -61,7 +64,7 @@ def one_by_one(sky, tiling, instrument, order, **options):
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
 def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocator):
     tiling = grid(1.2)
-    survey = rs.plan_survey(sky, tiling, small, allocator=allocator)
+    survey = rs.plan_survey(sky, small, tiling, allocator=allocator)
     order = np.lexsort((np.arange(len(tiling)), survey.tiles["round"]))
     left, visits, summaries = one_by_one(sky, tiling, small, order, allocator=allocator)
     assert len(summaries) == len(tiling)
@@ -79,7 +82,7 @@ def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocato
 
 
 def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
-    visits = rs.plan_survey(sky, grid(1.2), small, lost_in_collision=False).targets
+    visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False).targets
     pairs = np.column_stack([visits["tile"], visits["target_row"]])
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     times = np.bincount(visits["target_row"], minlength=len(sky))
@@ -89,11 +92,11 @@ def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
 
 def test_visits_given_by_hand(sky, small):
     tiling = grid(1.2)
-    by_column = rs.plan_survey(sky, tiling, small)
+    by_column = rs.plan_survey(sky, small, tiling)
     plain = rs.Catalog(sky.coord, priority=sky.priority)
-    assert same(rs.plan_survey(plain, tiling, small, visits=sky.visits), by_column)
-    assert rs.plan_survey(plain, tiling, small).summary["n_visits_wanted"] == len(sky)
-    assert rs.plan_survey(sky, tiling, small, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
+    assert same(rs.plan_survey(plain, small, tiling, visits=sky.visits), by_column)
+    assert rs.plan_survey(plain, small, tiling).summary["n_visits_wanted"] == len(sky)
+    assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
 
 
 @pytest.mark.filterwarnings("ignore:no target was observed")
@@ -110,14 +113,18 @@ def test_what_became_of_each_target(small):
     def outcome(chosen, visits, **options):
         rows = [names.index(name) for name in chosen]
         catalog = rs.Catalog(coord[rows], id=chosen, visits=visits)
-        survey = rs.plan_survey(catalog, CENTER.reshape(1), instrument, allocator="nearest", **options)
+        survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), allocator="nearest", **options)
         table = survey.outcomes
         return {str(i): rs.Survey.OUTCOMES[k] for i, k in zip(table["target_id"], table["outcome"], strict=True)}
 
     assert outcome(["first", "second", "beyond", "unwanted", "often", "far"], [1, 1, 1, 0, 2, 1]) == {
-        "first": "observed", "second": "competed out", "beyond": "reachable by no positioner",
-        "unwanted": "not wanted", "often": "partly observed", "far": "on no tile",
-    }  # fmt: skip
+        "first": "observed",
+        "second": "competed out",
+        "beyond": "reachable by no positioner",
+        "unwanted": "not wanted",
+        "often": "partly observed",
+        "far": "on no tile",
+    }
     both = ["left", "right"]
     assert set(outcome(both, [1, 1]).values()) == {"collided out"}
     assert set(outcome(both, [1, 1], lost_in_collision=False).values()) == {"observed"}
@@ -129,7 +136,7 @@ def test_completeness_counts_what_the_visits_say(sky, small, order):
     tiling = grid(1.2)
     if order == "given":  # tiles of the second pass come before and after those of the first
         tiling = rs.Tiling(tiling.table[np.random.default_rng(2).permutation(len(tiling))])
-    survey = rs.plan_survey(sky, tiling, small, order=order)
+    survey = rs.plan_survey(sky, small, tiling, order=order)
     number = dict(zip(survey.tiles["tile"].tolist(), survey.tiles["pass"].tolist(), strict=True))
     visits = survey.targets[survey.targets["observed"]]
     of_pass = np.array([number[t] for t in visits["tile"].tolist()])
@@ -151,13 +158,13 @@ def test_a_target_is_complete_after_the_last_pass_that_it_needs(small):
     """Its tile of pass 2 is observed before that of pass 1: pass 1 alone does not complete two visits."""
     tiles = QTable({"ra": [0.1, 0.1] * u.deg, "dec": [60, 60] * u.deg, "pass": [2, 1]})
     target = rs.Catalog(SkyCoord([CENTER.directional_offset_by(0 * u.deg, 0.05 * u.deg)]), visits=[2])
-    survey = rs.plan_survey(target, tiles, small, order="given")
+    survey = rs.plan_survey(target, small, tiles, order="given")
     assert survey.completeness["n_observed"].tolist() == [1, 2]
     assert survey.completeness["n_complete"].tolist() == [0, 1]
 
 
 def classes(sky, small, priority):
-    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), grid(1.2), small, passes=[2])
+    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), small, grid(1.2), passes=[2])
     return survey.completeness[1:]
 
 
@@ -198,7 +205,7 @@ def test_standards_and_sky_are_never_used_up(small):
     kind = np.where(np.arange(60) < 20, "sky", np.where(np.arange(60) < 30, "standard", "science"))
     catalog = rs.Catalog(coord, kind=kind)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
-    survey = rs.plan_survey(catalog, tiles, small, requirements=["sky=5", "standard=2"])
+    survey = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements=["sky=5", "standard=2"]))
     for tile in (0, 1):
         kinds = survey.visits(tile)["kind"].tolist()
         assert kinds.count("sky") == 5
@@ -206,17 +213,22 @@ def test_standards_and_sky_are_never_used_up(small):
     assert survey.summary["n_unmet"] == 0
     assert survey.summary["n_targets"] == 30
     assert not survey.outcomes["observed"][:30].any()
-    lacking = rs.plan_survey(catalog, tiles, small, requirements="sky=25")
+    lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements="sky=25"))
     assert lacking.tiles["n_unmet"].tolist() == [1, 1]
     assert lacking.summary["n_unmet"] == 2
     codes = survey.outcomes["outcome"][:30]
     assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not wanted"}
-    assert rs.plan_survey(catalog, tiles, small).summary["n_assigned"] <= 30
+    assert rs.plan_survey(catalog, small, tiles).summary["n_assigned"] <= 30
 
 
 def test_blank_sky_has_its_position(small):
     catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=20, rng=2)
-    survey = rs.plan_survey(catalog, CENTER.reshape(1), small, requirements="sky=3", sky_separation=30 * u.arcsec)
+    survey = rs.plan_survey(
+        catalog,
+        small,
+        CENTER.reshape(1),
+        allocator=rs.AllocationOptions(requirements="sky=3", sky_separation=30 * u.arcsec),
+    )
     visits = survey.targets
     sky = visits[visits["kind"] == "sky"]
     assert len(sky) == 3
@@ -231,7 +243,7 @@ def test_blank_sky_has_its_position(small):
 def test_blank_sky_keeps_away_from_targets_that_nobody_wants(small):
     catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=400, rng=2)
     options = {"requirements": "sky=5", "sky_separation": 100 * u.arcsec, "visits": np.arange(400) % 40 == 0}
-    visits = rs.plan_survey(catalog, CENTER.reshape(1), small, **options).targets
+    visits = flat.plan_survey(catalog, small, CENTER.reshape(1), **options).targets
     sky = visits[visits["kind"] == "sky"]
     assert len(sky) == 5
     where = SkyCoord(sky["ra"], sky["dec"])
@@ -242,7 +254,7 @@ def test_fields_that_overlap_are_planned_in_turn(sky, small):
     radius = small.field_radius
     for factor, n in ((1.95, 2), (2.05, 1)):
         apart = SkyCoord([CENTER, CENTER.directional_offset_by(30 * u.deg, factor * radius)])
-        assert rs.plan_survey(sky, apart, small).summary["n_rounds"] == n
+        assert rs.plan_survey(sky, small, apart).summary["n_rounds"] == n
 
 
 def test_each_tile_draws_by_itself(sky, small):
@@ -250,7 +262,7 @@ def test_each_tile_draws_by_itself(sky, small):
     other = CENTER.directional_offset_by(0 * u.deg, 10 * u.deg)
     offsets = np.random.default_rng(1).uniform(-0.4, 0.4, (2, 2000)) * u.deg
     both = [SkyCoord(*offsets, frame=c.skyoffset_frame()).icrs for c in (CENTER, other)]
-    survey = rs.plan_survey(SkyCoord(both).ravel(), SkyCoord([CENTER, other]), small, allocator="balanced")
+    survey = rs.plan_survey(SkyCoord(both).ravel(), small, SkyCoord([CENTER, other]), allocator="balanced")
     assert survey.summary["n_rounds"] == 1
     one, two = (survey.visits(k)["target_row"] % 2000 for k in (0, 1))
     assert not np.array_equal(one, two)
@@ -258,7 +270,7 @@ def test_each_tile_draws_by_itself(sky, small):
 
 def test_a_field_without_targets_has_no_completeness(sky, small):
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 20 * u.deg)])
-    survey = rs.plan_survey(sky, tiles, small)
+    survey = rs.plan_survey(sky, small, tiles)
     assert survey.tiles["n_in_field"][1] == survey.tiles["n_assigned"][1] == 0
     assert np.isnan(survey.tiles["completeness"][1])
     near = sky.coord.separation(CENTER) < small.field_radius
@@ -269,25 +281,31 @@ def test_a_field_without_targets_has_no_completeness(sky, small):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"passes": [1, 1]}, "must be different passes"), ({"passes": [1.5]}, "must be different passes"),
-        ({"passes": "all"}, "must be different passes"), ({"passes": [np.nan]}, "must be different passes"),
-        ({"rng": -1}, "rng must be a seed of at least 0"), ({"visits": 256}, "whole numbers from 0 to 255"),
-        ({"visits": [1, 2]}, "must be one number or have the shape"), ({"visits": "often"}, "visits must be"),
-        ({"executor": 2}, "must be a concurrent.futures.Executor"), ({"start": "repair"}, "allocator to start with"),
-        ({"time_limit": 5}, "time_limit must be a Quantity"), ({"objective": "most"}, "unknown objective"),
+        ({"passes": [1, 1]}, "must be different passes"),
+        ({"passes": [1.5]}, "must be different passes"),
+        ({"passes": "all"}, "must be different passes"),
+        ({"passes": [np.nan]}, "must be different passes"),
+        ({"rng": -1}, "rng must be a seed of at least 0"),
+        ({"visits": 256}, "whole numbers from 0 to 255"),
+        ({"visits": [1, 2]}, "must be one number or have the shape"),
+        ({"visits": "often"}, "visits must be"),
+        ({"executor": 2}, "must be a concurrent.futures.Executor"),
+        ({"start": "repair"}, "allocator to start with"),
+        ({"time_limit": 5}, "time_limit must be a Quantity"),
+        ({"objective": "most"}, "unknown objective"),
     ],
-)  # fmt: skip
+)
 def test_bad_options(sky, small, options, sentence):
     with pytest.raises(rs.InputError, match=sentence):
-        rs.plan_survey(sky, grid(1.2), small, **options)
+        flat.plan_survey(sky, small, grid(1.2), **options)
 
 
 def test_nothing_to_plan(sky, small):
     with pytest.raises(rs.InputError, match="at least one target"):
-        rs.plan_survey(sky[:0], grid(1.2), small)
+        rs.plan_survey(sky[:0], small, grid(1.2))
     with pytest.raises(rs.InputError, match="at least one tile"):
-        rs.plan_survey(sky, grid(1.2).table[:0], small)
-    nobody = rs.plan_survey(sky, grid(1.2), small, visits=0)
+        rs.plan_survey(sky, small, grid(1.2).table[:0])
+    nobody = rs.plan_survey(sky, small, grid(1.2), visits=0)
     assert nobody.summary["n_assigned"] == 0
     assert set(nobody.summary["outcomes"]) == {"not wanted"}
 
@@ -301,17 +319,23 @@ def test_what_is_told_is_told_once(sky, small):
         ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch changes nothing"),
         ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
-        ((twins, grid(1.2)), {}, "share their id"), ((sky, away), {}, "no target was observed"),
+        ((twins, grid(1.2)), {}, "share their id"),
+        ((sky, away), {}, "no target was observed"),
         ((sky, wide), {}, "placed for fields of 1 deg, those of small have 0.4"),
-    ):  # fmt: skip
+    ):
         with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
-            rs.plan_survey(*arguments, small, **options)
+            flat.plan_survey(arguments[0], small, arguments[1], **options)
         assert len(told) == 1
-    rs.plan_survey(sky, grid(1.2), small, requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec)
+    rs.plan_survey(
+        sky,
+        small,
+        grid(1.2),
+        allocator=rs.AllocationOptions(requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec),
+    )
 
 
 def test_visits_say_where_they_are(sky, small):
-    visits = rs.plan_survey(sky, grid(1.2), small).targets
+    visits = rs.plan_survey(sky, small, grid(1.2)).targets
     where = SkyCoord(visits["ra"], visits["dec"])
     assert where.separation(sky.coord[visits["target_row"]]).max() < 1e-8 * u.arcsec
 
@@ -321,7 +345,7 @@ def test_a_tile_of_a_survey_can_be_scored(presets):
     sdss = presets["sdss_apo"]
     catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
     fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
-    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), CENTER.reshape(1), sdss)
+    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1))
     tile = rs.score_tile(survey.visits(0), sdss, center=CENTER, position_angle=0 * u.deg)
     for name in ("n_assigned", "n_colliding", "n_colliding_pairs"):
         assert tile.summary[name] == survey.tiles[name][0]
@@ -330,22 +354,22 @@ def test_a_tile_of_a_survey_can_be_scored(presets):
 
 def test_order_and_passes(sky, small):
     tiling = grid(1.2)
-    second_first = rs.plan_survey(sky, tiling, small, passes=[2, 1])
+    second_first = rs.plan_survey(sky, small, tiling, passes=[2, 1])
     assert second_first.tiles["round"][9:].max() < second_first.tiles["round"][:9].min()
-    only = rs.plan_survey(sky, tiling, small, passes=[2])
+    only = rs.plan_survey(sky, small, tiling, passes=[2])
     assert len(only) == 9
     assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
-    given = rs.plan_survey(sky, tiling, small, order="given")
+    given = rs.plan_survey(sky, small, tiling, order="given")
     left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
     assert np.array_equal(given.outcomes["wanted"] - given.outcomes["observed"].astype(int), left)
 
 
 def test_drawing_allocators_draw_the_same_for_the_same_seed(sky, small):
     tiling = grid(1.2)
-    surveys = [rs.plan_survey(sky, tiling, small, allocator="balanced", rng=seed) for seed in (1, 1, 2)]
+    surveys = [rs.plan_survey(sky, small, tiling, allocator="balanced", rng=seed) for seed in (1, 1, 2)]
     assert same(*surveys[:2])
     assert not np.array_equal(surveys[0].targets["target_id"], surveys[2].targets["target_id"])
-    drawn = rs.plan_survey(sky, tiling, small, allocator="balanced", rng=np.random.default_rng(1))
+    drawn = rs.plan_survey(sky, small, tiling, allocator="balanced", rng=np.random.default_rng(1))
     assert drawn.summary["n_tiles"] == len(tiling)
 
 
@@ -359,7 +383,7 @@ def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
         catalog = rs.Catalog(SkyCoord(lon, lat, frame=frame).icrs)
         tiles = SkyCoord([-0.5, 0, 0.5] * u.deg, [0, 0.2, -0.2] * u.deg, frame=frame).icrs
         # north at each tile is that of the sky, so that arms differ: the number of targets in the field does not
-        survey = rs.plan_survey(catalog, tiles, small, allocator="nearest")
+        survey = rs.plan_survey(catalog, small, tiles, allocator="nearest")
         results.append((survey.tiles["n_in_field"][0], survey.summary["n_rounds"]))
     assert results[0] == results[1] == results[2]
 
@@ -368,5 +392,5 @@ def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
 def test_targets_move_to_the_epoch(small):
     fast = SkyCoord(CENTER.ra, CENTER.dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=36e6 * u.mas / u.yr).reshape(1)
     catalog = rs.Catalog(fast, epoch=2000.0)
-    assert rs.plan_survey(catalog, CENTER.reshape(1), small).summary["n_assigned"] == 1
-    assert rs.plan_survey(catalog, CENTER.reshape(1), small, epoch=2002.0).summary["n_assigned"] == 0
+    assert rs.plan_survey(catalog, small, CENTER.reshape(1)).summary["n_assigned"] == 1
+    assert rs.plan_survey(catalog, small, CENTER.reshape(1), epoch=2002.0).summary["n_assigned"] == 0

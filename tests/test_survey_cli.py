@@ -39,7 +39,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     picture = tmp_path / "plan.png"
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", "--workers", 2)
     out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture)
-    expected = rs.plan_survey(sky, tiling, "moons").summary
+    expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["visits wanted"] == [str(sky.visits.sum())]
     assert lines["observed"] == [str(expected["n_visits_observed"])]
@@ -57,15 +57,22 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
 @pytest.mark.parametrize(
     ("words", "name", "value"),
     [
-        (["--kept"], "lost_in_collision", False), ([], "lost_in_collision", True),
-        (["--no-parked"], "parked_obstacles", False), (["--order", "given"], "order", "given"),
-        (["--visits", 3], "visits", 3), (["--pass", 2, "--pass", 1], "passes", [2, 1]),
-        (["--epoch", "2026.5"], "epoch", "2026.5"), (["--seed", 4], "rng", 4),
-        (["--allocator", "sdss"], "allocator", "sdss"), (["--require", "sky=5"], "requirements", ["sky=5"]),
-        (["--sky-separation", 10], "sky_separation", 10 * u.arcsec), (["--time-limit", 5], "time_limit", 5 * u.s),
-        (["--resume"], "resume", True), ([], "executor", None),
+        (["--kept"], "lost_in_collision", False),
+        ([], "lost_in_collision", True),
+        (["--no-parked"], "allocator", rs.AllocationOptions(parked_obstacles=False)),
+        (["--order", "given"], "order", "given"),
+        (["--visits", 3], "visits", 3),
+        (["--pass", 2, "--pass", 1], "passes", [2, 1]),
+        (["--epoch", "2026.5"], "epoch", "2026.5"),
+        (["--seed", 4], "rng", 4),
+        (["--allocator", "sdss"], "allocator", rs.AllocationOptions("sdss")),
+        (["--require", "sky=5"], "allocator", rs.AllocationOptions(requirements=["sky=5"])),
+        (["--sky-separation", 10], "allocator", rs.AllocationOptions(sky_separation=10 * u.arcsec)),
+        (["--time-limit", 5], "allocator", rs.AllocationOptions(time_limit=5 * u.s)),
+        (["--resume"], "resume", True),
+        ([], "executor", None),
     ],
-)  # fmt: skip
+)
 def test_every_option_reaches_the_library(call, files, monkeypatch, words, name, value):
     folder, _, _ = files
     seen = {}

@@ -273,7 +273,9 @@ def test_targets_of_other_kinds_before_and_between(small):
 
 def test_parked_positioners_can_be_left_out(small):
     coord = CENTER.directional_offset_by([0, 90] * u.deg, [0.05, 0.2] * u.deg)
-    with_parked, without = (rs.plan_tile(coord, small, CENTER, parked_obstacles=p) for p in (True, False))
+    with_parked, without = (
+        rs.plan_tile(coord, small, CENTER, allocator=rs.AllocationOptions(parked_obstacles=p)) for p in (True, False)
+    )
     assert with_parked.summary["n_parked"] == 35
     assert without.summary["n_parked"] == 0
     assert without.summary["n_idle"] == 35
@@ -296,7 +298,9 @@ def test_stuck_units_in_collision_are_not_counted_as_colliding(small):
     stuck[18] = [0, 0]  # the central one, stretched toward +x
     plane = replace(small.focal_plane, stuck=stuck * u.deg)
     target = small.projection(CENTER).to_sky([[14, 1]] * MM)
-    tile = rs.plan_tile(target, replace(small, focal_plane=plane), CENTER, parked_obstacles=False)
+    tile = rs.plan_tile(
+        target, replace(small, focal_plane=plane), CENTER, allocator=rs.AllocationOptions(parked_obstacles=False)
+    )
     assert tile.table["in_collision"].sum() == 2
     assert tile.summary["n_colliding"] == 1
     assert tile.summary["collision_rate"] == 1
@@ -321,8 +325,9 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
         tested, near = (int(n) for n in re.search(r"of (\d+) pairs .*, (\d+) needed", said[name]).groups())
         assert tested == len(plane.neighbor_pairs())
         # every pair that is closer than an arm is long is near
-        middle = np.column_stack([(tile.table["elbow_x"] + tile.table["arm_x"]) / 2,
-                                  (tile.table["elbow_y"] + tile.table["arm_y"]) / 2])  # fmt: skip
+        middle = np.column_stack(
+            [(tile.table["elbow_x"] + tile.table["arm_x"]) / 2, (tile.table["elbow_y"] + tile.table["arm_y"]) / 2]
+        )
         gap = np.hypot(*(middle[plane.neighbor_pairs()[:, 0]] - middle[plane.neighbor_pairs()[:, 1]]).T)
         assert tile.summary["n_colliding_pairs"] <= near <= (gap < 60 * u.mm).sum()
     assert "(collision type 2)" in said["lamost"]

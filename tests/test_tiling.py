@@ -188,9 +188,15 @@ def test_a_spiral_covers_the_whole_sky():
 
 
 SHAPES = [
-    "cap 95 23 8", "cap 0 90 5", "box 350 10 -5 5", "box 0 360 80 90", "polygon 0 0 40 0 40 20 10 5 0 20",
-    "box 180 181 -20 20", "polygon 10 0 40 0.001 70 0 40 -0.001", "cap 10 10 0.1",
-]  # fmt: skip
+    "cap 95 23 8",
+    "cap 0 90 5",
+    "box 350 10 -5 5",
+    "box 0 360 80 90",
+    "polygon 0 0 40 0 40 20 10 5 0 20",
+    "box 180 181 -20 20",
+    "polygon 10 0 40 0.001 70 0 40 -0.001",
+    "cap 10 10 0.1",
+]
 
 
 @pytest.mark.parametrize("method", ["hexagonal", "spiral"])

@@ -126,7 +126,7 @@ def _instrument(folder) -> Sample:
 def _survey(folder, table) -> Sample:
     catalog = rs.Catalog.from_table(table["id", "ra", "dec", "priority"])
     tiles = SkyCoord([94.8, 95.2] * u.deg, [23, 23] * u.deg)
-    whole = rs.plan_survey(catalog, tiles, _small(), folder=folder / "survey")
+    whole = rs.plan_survey(catalog, _small(), tiles, folder=folder / "survey")
     n = len(whole.outcomes) + sum(len(whole.visits(k)) for k in range(2))
     pieces = ("tiles.fits", "outcomes.fits", "completeness.ecsv", "tiles/000/000000.fits", "index.csv", "survey.json")
     return Sample("survey", folder / "survey", read_survey, lambda path: _count_survey(path, n), pieces, sign)

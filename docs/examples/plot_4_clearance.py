@@ -22,7 +22,9 @@ usable = {"sdss": [], "lamost": [], "optimal": []}
 for clearance in clearances:
     unit = replace(moons.focal_plane.positioner, clearance=clearance)
     other = replace(moons, focal_plane=replace(moons.focal_plane, positioner=unit))
-    table = rs.compare_allocators(galaxies, other, center, allocators=list(usable), time_limit=5 * u.s)
+    table = rs.compare_allocators(
+        galaxies, other, center, options=rs.AllocationOptions(time_limit=5 * u.s), allocators=list(usable)
+    )
     for name, number in zip(table["allocator"], table["usable"], strict=True):
         usable[name].append(number)
 

@@ -18,7 +18,7 @@ bright = table["vt_mag"] < 10 * u.mag
 table["priority"], table["visits"] = np.where(bright, 2, 1), np.where(bright, 2, 1)
 stars = rs.Catalog.from_table(table).within(SkyCoord("06h20m00s +23d00m00s"), 4 * u.deg)
 tiles = rs.place_tiles(stars, "sdss_apo", passes=4)
-survey = rs.plan_survey(stars, tiles, "sdss_apo", allocator="repair", epoch=2026.5)
+survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="repair", epoch=2026.5)
 print(survey)
 for outcome, number in survey.summary["outcomes"].items():
     print(f"{number:>6} {outcome}")

@@ -19,8 +19,11 @@ stars = rs.Catalog(stars.coord, kind=kind)
 lamost = rs.Instrument.preset("lamost")
 print("requires", *lamost.requirements)
 tile = rs.plan_tile(
-    stars, lamost, center, allocator="optimal", requirements="instrument", sky_separation=10 * u.arcsec
-)  # fmt: skip
+    stars,
+    lamost,
+    center,
+    allocator=rs.AllocationOptions("optimal", requirements="instrument", sky_separation=10 * u.arcsec),
+)
 print(tile, "missing:", tile.summary["unmet"])
 
 # %%

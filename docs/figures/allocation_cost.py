@@ -17,11 +17,11 @@ for method in ("balanced", "nearest", "lamost", "sdss", "optimal", "repair"):
         rng = np.random.default_rng(n)
         r, angle = 865 * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
         xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
-        rs.allocate(xy, plane, method=method)  # compiles, and fills the caches
+        rs.allocate(plane, xy, allocator=method)  # compiles, and fills the caches
         times = []
         for _ in range(3):
             begin = perf_counter()
-            rs.allocate(xy, plane, method=method)
+            rs.allocate(plane, xy, allocator=method)
             times.append(perf_counter() - begin)
         seconds.append(min(times))
     ax.loglog(NUMBERS, seconds, "o-", label=method)

@@ -98,7 +98,7 @@ class AllocationOptions:
         check_choice(self.objective, OBJECTIVES, "objective")
         to_scalar(self.time_limit, u.s, "time_limit", low=0)
         if self.sky_separation is not None:
-            unit = u.rad if _is_angle(self.sky_separation) else u.mm
+            unit = self.sky_separation.unit if _is_angle(self.sky_separation) else u.mm
             to_scalar(self.sky_separation, unit, "sky_separation", low=0)
         if self.requirements != "instrument":
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
@@ -145,7 +145,7 @@ class AllocationOptions:
         built_in = self.name in ALLOCATORS
         unused = {}
         if built_in and self.allocator not in ("sdss", "optimal"):
-            unused.update(objective=AllocationOptions.objective, time_limit=60 * u.s)
+            unused["time_limit"] = 60 * u.s
         if built_in and self.allocator != "repair":
             unused["start"] = AllocationOptions.start
         return replace(self, requirements=requirements, sky_separation=separation, **unused)

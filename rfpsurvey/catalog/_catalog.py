@@ -104,7 +104,7 @@ class Catalog:
                     raise InputError(f"{name} must be numbers: {error}") from None
         for name, value in columns.items():
             if value.shape != (n,):
-                raise InputError(f"{name} must have one value a target, shape ({n},), got {value.shape}")
+                raise InputError(f"{name} must have one value per target, shape ({n},), got {value.shape}")
         if "kind" in columns:
             for kind in np.unique(columns["kind"]):
                 check_choice(str(kind), KINDS, "kind of target")

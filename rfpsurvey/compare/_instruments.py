@@ -172,10 +172,10 @@ def compare_instruments(
     plans = plan_fields(fields, methods, others, executor, progress)
     rows = []
     for model, known in zip(models, facts, strict=True):
-        blind, *others = zip(
+        blind, *own = zip(
             *(plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model), strict=True
         )
-        rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, others, strict=True)]
+        rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, own, strict=True)]
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
     software = dict(versions())

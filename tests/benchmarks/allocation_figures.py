@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 
 import astropy.units as u
+import flat
 import numpy as np
 from astropy.coordinates import SkyCoord
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -56,7 +57,7 @@ def hexagons():
             seconds, best = median(rs.allocate, xy, plane, method="optimal", repeats=5, **options)
             mend_s, mended = median(rs.allocate, xy, plane, method="repair", repeats=5, **options)
             blind = int((maximum_bipartite_matching(plane.reachable(xy), perm_type="column") >= 0).sum())
-            rule = rs.allocate(xy, plane, method="lamost", **options)
+            rule = flat.allocate(plane, xy, allocator="lamost", **options)
             usable = rule.n_assigned - int(rs.find_collisions(plane, rule).in_collision.sum())
             pairs = len(rs.find_collisions(plane, best).pairs)
             print(
@@ -112,7 +113,7 @@ def classes():
         for k in (1, 3, 10, 100, n):
             options = {"method": "optimal", "priority": rng.integers(0, k, n), "fiber_type": types}
             start = perf_counter()
-            found = rs.allocate(xy, plane, **options)
+            found = flat.allocate(plane, xy, **options)
             cells.append(f"{k} classes {perf_counter() - start:.2f} s" + (f" gap {found.gap:.4f}" if found.gap else ""))
         print(f"  {name:<10} " + "   ".join(cells), flush=True)
 

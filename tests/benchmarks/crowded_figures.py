@@ -19,10 +19,18 @@ from rfpsurvey.survey._order import make_rounds
 
 CENTER = SkyCoord("06h20m00s +23d00m00s")
 FIELDS = [
-    ("lamost", "lamost", 2e6), ("lamost", "lamost", 2e7), ("lamost", "repair", 2e6), ("lamost", "repair", 2e7),
-    ("lamost", "optimal", 2e7), ("sdss_apo", "optimal", 2e4), ("sdss_apo", "optimal", 1e5),
-    ("sdss_apo", "optimal", 3e5), ("sdss_apo", "optimal", 2e6), ("sdss_apo", "repair", 2e6), ("sdss_apo", "sdss", 2e6),
-]  # fmt: skip
+    ("lamost", "lamost", 2e6),
+    ("lamost", "lamost", 2e7),
+    ("lamost", "repair", 2e6),
+    ("lamost", "repair", 2e7),
+    ("lamost", "optimal", 2e7),
+    ("sdss_apo", "optimal", 2e4),
+    ("sdss_apo", "optimal", 1e5),
+    ("sdss_apo", "optimal", 3e5),
+    ("sdss_apo", "optimal", 2e6),
+    ("sdss_apo", "repair", 2e6),
+    ("sdss_apo", "sdss", 2e6),
+]
 
 
 def peak_gb():
@@ -32,8 +40,12 @@ def peak_gb():
 def field(name, method, n):
     """A whole tile, from the catalog in memory to its table."""
     model = rs.Instrument.preset(name)
-    rs.plan_tile(rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=4000, rng=1), model, CENTER,
-                 allocator=method)  # fmt: skip
+    rs.plan_tile(
+        rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=4000, rng=1),
+        model,
+        CENTER,
+        allocator=method,
+    )
     rng = np.random.default_rng(3)
     z = 1 - rng.random(n) * (1 - np.cos(model.field_radius.to_value(u.rad)))
     catalog = rs.Catalog(CENTER.directional_offset_by(2 * np.pi * rng.random(n) * u.rad, np.arccos(z) * u.rad))
@@ -54,7 +66,7 @@ def dense():
         r, angle = (5 * rings + 10) * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
         xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
         begin = perf_counter()
-        plan = rs.allocate(xy, plane, method="optimal", time_limit=5 * u.s)
+        plan = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=5 * u.s))
         seconds = perf_counter() - begin
         print(
             f"dense {len(plane):>4} positioners {n:>4} targets {seconds:6.1f} s {plan.n_assigned:>3} of {plan.bound:g}"

@@ -31,9 +31,12 @@ SCANS = (
 )
 """Method, targets a positioner, and of how many designs one is enough."""
 NAMED = {
-    "LAMOST": (8.25, 8.25, 25.6, 2.25), "SDSS-V": (7.4, 15.0, 22.4, 2.5391), "MOONS": (8.0, 17.0, 25.058, 2.0),
-    "DESI": (3.0, 3.0, 10.4, 0.99), "PFS": (2.375, 2.375, 8.0, 1.0),
-}  # fmt: skip
+    "LAMOST": (8.25, 8.25, 25.6, 2.25),
+    "SDSS-V": (7.4, 15.0, 22.4, 2.5391),
+    "MOONS": (8.0, 17.0, 25.058, 2.0),
+    "DESI": (3.0, 3.0, 10.4, 0.99),
+    "PFS": (2.375, 2.375, 8.0, 1.0),
+}
 
 
 def scan(n, executor, **options):

@@ -26,8 +26,17 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from mutations import FINE, damage, outcome
 from valid_files import samples
 
-OUTCOMES = ("read", "refused", "row loss", "traceback", "foreign warning", "long sentence", "too slow", "too large",
-            "crash")  # fmt: skip
+OUTCOMES = (
+    "read",
+    "refused",
+    "row loss",
+    "traceback",
+    "foreign warning",
+    "long sentence",
+    "too slow",
+    "too large",
+    "crash",
+)
 
 
 def guarded(sample, path, seconds: float, n_bytes: int) -> tuple[str, str]:

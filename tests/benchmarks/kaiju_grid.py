@@ -18,10 +18,26 @@ def make_grid(plane):
     for i, (x, y) in enumerate(plane.xy.to_value("mm")):
         # flat wok: no offsets, no tilt, unit scale
         grid.addRobot(
-            i, str(i), [x, y, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0], l1, 0.0, 0.0,
-            143.0, 1.0, [l2, 0.0], [l2, 0.0], [l2, 0.0], [[0.0, 0.0], [l2, 0.0]], True,
-            unit.clearance.to_value("mm"), False,
-        )  # fmt: skip
+            i,
+            str(i),
+            [x, y, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, 0.0],
+            l1,
+            0.0,
+            0.0,
+            143.0,
+            1.0,
+            [l2, 0.0],
+            [l2, 0.0],
+            [l2, 0.0],
+            [[0.0, 0.0], [l2, 0.0]],
+            True,
+            unit.clearance.to_value("mm"),
+            False,
+        )
     grid.initGrid()
     return grid
 

@@ -19,8 +19,10 @@ def main():
         found = [rs.collision_probability(plane, precision=1e-3, rng=k) for k in range(REPEATS)]
         held = np.mean([e.low <= truth.value <= e.high for e in found])
         iterations = np.median([e.n for e in found])
-        print(f"pitch {pitch} mm: p = {truth.value:.2g} +- {truth.standard_error:.1g}, held {held:.3f}, "
-              f"{iterations:.0f} realizations")  # fmt: skip
+        print(
+            f"pitch {pitch} mm: p = {truth.value:.2g} +- {truth.standard_error:.1g}, held {held:.3f}, "
+            f"{iterations:.0f} realizations"
+        )
 
 
 if __name__ == "__main__":

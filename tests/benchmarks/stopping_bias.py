@@ -24,9 +24,11 @@ def main():
         error = np.hypot(values.std() / np.sqrt(REPEATS), truth.standard_error)
         held = np.mean([e.low <= truth.value <= e.high for e in found])
         bias = values.mean() - truth.value
-        print(f"pitch {pitch} mm: p = {truth.value:.5f}; mean of the estimates "
-              f"{100 * bias / truth.value:+.1f} +- {100 * error / truth.value:.1f} %, {bias / PRECISION:+.3f} of the "
-              f"precision; interval holds {held:.3f}; {np.median(n):.0f} iterations")  # fmt: skip
+        print(
+            f"pitch {pitch} mm: p = {truth.value:.5f}; mean of the estimates "
+            f"{100 * bias / truth.value:+.1f} +- {100 * error / truth.value:.1f} %, {bias / PRECISION:+.3f} of the "
+            f"precision; interval holds {held:.3f}; {np.median(n):.0f} iterations"
+        )
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def plan(targets, tiling, options, folder, *, progress=True):
     begin = perf_counter()
     with pool(options.workers) as executor:
         survey = rs.plan_survey(
-            targets, tiling, "desi", allocator=options.allocator, folder=folder, executor=executor, progress=progress
+            targets, "desi", tiling, allocator=options.allocator, folder=folder, executor=executor, progress=progress
         )
     return survey, perf_counter() - begin
 
@@ -127,7 +127,7 @@ def main():
     options = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
     few = rs.synthetic_catalog("uniform", POLE, 2 * u.deg, n_targets=1000, rng=1)
-    rs.plan_survey(few, POLE.reshape(1), "desi", allocator=options.allocator)  # compiles
+    rs.plan_survey(few, "desi", POLE.reshape(1), allocator=options.allocator)  # compiles
     if options.scaling:
         return scale(options)
     print(f"stages of a tile with all its targets, ms: {one_tile(options.allocator)}")

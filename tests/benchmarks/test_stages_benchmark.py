@@ -28,21 +28,21 @@ def test_3_reach(benchmark, lamost, xy):
 
 @pytest.mark.parametrize("method", ["balanced", "lamost"])
 def test_4_allocation_with_reach(benchmark, lamost, xy, method):
-    benchmark(lambda: rs.allocate(xy, lamost.focal_plane, method=method))
+    benchmark(lambda: rs.allocate(lamost.focal_plane, xy, allocator=method))
 
 
 def test_5_arms(benchmark, lamost, xy):
-    allocation = rs.allocate(xy, lamost.focal_plane, method="balanced")
+    allocation = rs.allocate(lamost.focal_plane, xy, allocator="balanced")
     benchmark(lambda: allocation.place_arms(lamost.focal_plane))
 
 
 def test_6_collisions(benchmark, lamost, xy):
-    arms = rs.allocate(xy, lamost.focal_plane, method="balanced").place_arms(lamost.focal_plane)
+    arms = rs.allocate(lamost.focal_plane, xy, allocator="balanced").place_arms(lamost.focal_plane)
     benchmark(lambda: find_collisions(lamost.focal_plane, arms))
 
 
 def test_7_clearances(benchmark, lamost, xy):
-    arms = rs.allocate(xy, lamost.focal_plane, method="balanced").place_arms(lamost.focal_plane)
+    arms = rs.allocate(lamost.focal_plane, xy, allocator="balanced").place_arms(lamost.focal_plane)
     benchmark(lambda: nearest_distance(arms))
 
 

@@ -7,6 +7,7 @@ After a wanted change, look at the new pictures and keep them:
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -26,7 +27,7 @@ def axes(width=7, height=7, projection=None):
 
 def tile(instrument, **options):
     sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=700, rng=1)
-    return rs.plan_tile(sky, instrument, CENTER, **options)
+    return flat.plan_tile(sky, instrument, CENTER, **options)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,7 @@ def survey():
     sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=100 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
     tiles = QTable({"ra": [94.7, 95.3, 94.7, 95.3] * u.deg, "dec": [23, 23, 23.3, 23.3] * u.deg, "pass": [1, 1, 2, 2]})
-    return rs.plan_survey(sky, tiles, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg))
+    return rs.plan_survey(sky, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg), tiles)
 
 
 @kept
@@ -110,10 +111,16 @@ def test_residuals():
 
 @kept
 def test_allocators():
-    table = QTable({
-        "allocator": ["balanced", "sdss", "optimal"], "science": [820, 900, 860], "usable": [640, 655, 860],
-        "missing": [12, 0, 0], "seconds": [0.0012, 0.21, 14] * u.s,
-    }, meta={"blind_science": 905, "instrument": "mine"})  # fmt: skip
+    table = QTable(
+        {
+            "allocator": ["balanced", "sdss", "optimal"],
+            "science": [820, 900, 860],
+            "usable": [640, 655, 860],
+            "missing": [12, 0, 0],
+            "seconds": [0.0012, 0.21, 14] * u.s,
+        },
+        meta={"blind_science": 905, "instrument": "mine"},
+    )
     return rs.plot_allocators(table, ax=axes(7, 5)).figure
 
 
@@ -145,26 +152,35 @@ def test_completeness(survey):
 
 @kept
 def test_speed_against_accuracy():
-    table = QTable({
-        "method": ["exact", "sampled", "sampled", "sweep"],
-        "n_points": MaskedColumn([0, 5, 65, 9], mask=[True, False, False, False]),
-        "time": [0.04, 0.03, 0.8, 13] * u.ms,
-        "n_colliding_true": [1100] * 4, "misclassified": [0, 0.02, 0, 1.7],
-        "max_error": np.array([1e-15, 1.2, 0.07, 4.2]) * u.mm,
-    }, meta={"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"})  # fmt: skip
+    table = QTable(
+        {
+            "method": ["exact", "sampled", "sampled", "sweep"],
+            "n_points": MaskedColumn([0, 5, 65, 9], mask=[True, False, False, False]),
+            "time": [0.04, 0.03, 0.8, 13] * u.ms,
+            "n_colliding_true": [1100] * 4,
+            "misclassified": [0, 0.02, 0, 1.7],
+            "max_error": np.array([1e-15, 1.2, 0.07, 4.2]) * u.mm,
+        },
+        meta={"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"},
+    )
     figure = Figure(figsize=(9, 9))
     return rs.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
 
 
 @kept
 def test_probability_against_time():
-    table = QTable({
-        "method": ["closed_form", "conditional", "conditional", "quadrature", "quadrature"],
-        "estimand": ["independent", "allocated", "allocated", "independent", "independent"],
-        "effort": [0, 4, 64, 64, 256], "time": [1, 9, 120, 40, 160] * u.ms,
-        "error": [0.3, 0.02, 0.004, 0.003, 0.0007], "error_error": [0, 0.002, 0.0006, 0.0004, 0.0001],
-        "truth_error": [0.0005] * 5,
-    }, meta={"instrument": "mine", "n_positioners": 37, "repeats": 30})  # fmt: skip
+    table = QTable(
+        {
+            "method": ["closed_form", "conditional", "conditional", "quadrature", "quadrature"],
+            "estimand": ["independent", "allocated", "allocated", "independent", "independent"],
+            "effort": [0, 4, 64, 64, 256],
+            "time": [1, 9, 120, 40, 160] * u.ms,
+            "error": [0.3, 0.02, 0.004, 0.003, 0.0007],
+            "error_error": [0, 0.002, 0.0006, 0.0004, 0.0001],
+            "truth_error": [0.0005] * 5,
+        },
+        meta={"instrument": "mine", "n_positioners": 37, "repeats": 30},
+    )
     figure, room = Figure(figsize=(9, 5)), {"top": 0.8, "wspace": 0.35}
     return rs.plot_probability_accuracy(table, axes=tuple(figure.subplots(1, 2, gridspec_kw=room)))[0].figure
 

@@ -30,9 +30,16 @@ def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.S
     visits = np.random.default_rng(1).integers(1, 5, len(targets))
     with ThreadPoolExecutor(2) as executor:
         survey = rs.plan_survey(
-            targets, tiles, "desi", allocator="nearest", visits=visits, folder=folder, resume=True, executor=executor,
+            targets,
+            "desi",
+            tiles,
+            allocator="nearest",
+            visits=visits,
+            folder=folder,
+            resume=True,
+            executor=executor,
             progress=True,
-        )  # fmt: skip
+        )
     print(survey)
     survey.completeness.pprint_all()
     rs.plot_completeness(survey).figure.savefig("desi_footprint.png", dpi=150)

@@ -24,7 +24,7 @@ def main(path: str | Path = DATA) -> rs.Survey:
     tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.9)
     print(tiles, f"for a completeness of {tiles.summary['completeness']:.3f}, were every star in reach of a fiber")
     with ThreadPoolExecutor(2) as executor:
-        survey = rs.plan_survey(stars, tiles, "lamost", allocator="repair", executor=executor, progress=True)
+        survey = rs.plan_survey(stars, "lamost", tiles, allocator="repair", executor=executor, progress=True)
     print(survey)
     for outcome, number in survey.summary["outcomes"].items():
         print(f"{number:>8} {outcome}")

@@ -30,7 +30,7 @@ def main(path: str | Path = DATA, passes: int = 6) -> rs.Survey:
     table["visits"] = np.where(magnitude < 8, 2, 1)
     stars = rs.Catalog.from_table(table)
     tiles = rs.place_tiles(stars, "sdss_apo", method="hexagonal", passes=int(passes))
-    survey = rs.plan_survey(stars, tiles, "sdss_apo", allocator="optimal", epoch=2026.5, progress=True)
+    survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="optimal", epoch=2026.5, progress=True)
     print(survey)
     survey.completeness.pprint_all()
     rs.plot_completeness(survey).figure.savefig("sdssv_anticenter.png", dpi=150)
