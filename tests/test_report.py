@@ -184,10 +184,10 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     # the foot gives numbers in full
     assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
     # those that barely do not collide: the same as by hand
-    heads, rows = page.table("The narrowest passages")
+    heads, rows = page.table("The smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
-    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The narrowest")]
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]
     assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
