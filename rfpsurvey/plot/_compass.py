@@ -17,7 +17,7 @@ ORIENTATIONS = ("sky", "focal plane")
 LENGTH = 16  # points, of an arrow
 LABEL = 22  # points, from the center of the compass to the letters
 GROUND = LABEL / 2**0.5 + 5  # points, radius of the white disk below the arrows
-MARGIN = 32  # points, from the corner of the axes to the center of the compass
+MARGIN = 35  # points, from the corner of the axes to the center of the compass
 
 
 def position_angle_of(thing: object) -> float | None:
@@ -55,7 +55,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
         tip = (LENGTH * x, LENGTH * y)
         ax.add_artist(FancyArrowPatch((0, 0), tip, transform=points, zorder=8.5, gid=f"compass-{name}", **style))
         ax.text(LABEL * x, LABEL * y, name, transform=points, **text)
-    label = ax.text(*(-12 * toward), f"PA {position_angle:g}\N{DEGREE SIGN}", transform=points, **text)
+    label = ax.text(*(-12 * toward), f"PA {round(position_angle, 1):g}\N{DEGREE SIGN}", transform=points, **text)
     label.set(fontsize="x-small", bbox={**ground, "pad": 1})
 
 

@@ -56,8 +56,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     y, labels = _places(table)
     style = {"height": 0.8, "linewidth": 0.5, "edgecolor": "white", **kwargs}
     pieces = (
-        (usable, "on a science target", {"color": ARM}),
-        (assigned - usable, "on a science target, in collision", {"color": COLLISION, "hatch": HATCH}),
+        (usable, "science target", {"color": ARM}),
+        (assigned - usable, "science target, in collision", {"color": COLLISION, "hatch": HATCH}),
         (number - assigned, "no science target", {"color": IDLE, "alpha": 0.4}),
     )
     left, handles = np.zeros(len(table)), []

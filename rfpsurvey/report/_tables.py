@@ -129,8 +129,8 @@ def page_of_instruments(table: Table, where: str) -> Page:
     lead = f"{', '.join(names)}; fields of each: {meta['n_fields']}, {meta['way']}."
     seen = (
         "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions of "
-        "the positioners on a science target, on one but in collision, and without one; the number to the right is the "
-        "fraction of targets lost to collisions. Right: the collision probability with its 95 % interval."
+        "the positioners with a science target, with one but in collision, and without one; the number to the right is "
+        "the fraction of targets lost to collisions. Right: the collision probability with its 95 % interval."
     )
     blocks = [
         Picture("Instruments side by side.", draw_instruments(table), seen),
