@@ -219,7 +219,7 @@ def test_a_wide_region_has_a_low_figure():
 def test_fields_of_later_passes_have_a_legend_entry(survey):
     """Nothing on a saved plot told why fills differ in size."""
     labels = [text.get_text() for text in rs.plot_tiling(survey).get_legend().get_texts()]
-    assert labels == ["field; later passes fill less of it"]
+    assert labels == ["field (fill is smaller in later passes)"]
     one = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
     assert rs.plot_tiling(one).get_legend() is None
 

@@ -181,7 +181,7 @@ def _entry_of_fields():
     from matplotlib.lines import Line2D
 
     style = {"linestyle": "none", "marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgecolor": "0.3"}
-    yield Line2D([], [], label="field; later passes fill less of it", **style)
+    yield Line2D([], [], label="field (fill is smaller in later passes)", **style)
 
 
 def _draw_field(ax, sky_map: SkyMap, targets, region):
