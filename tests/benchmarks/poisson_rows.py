@@ -1,7 +1,7 @@
 """Rows of the page on the paper's claims: Poisson point process and Poisson-distributed coordinates, without disc sets.
 
 A standard error of 2e-4 for every design in place of 1e-4. ``python tests/benchmarks/poisson_rows.py``; 14 minutes on
-one core. With the path of a table ``poisson.ecsv`` of ``rfpsurvey reproduce poisson`` it compares the columns of that table.
+one core. With the path of a table ``poisson.ecsv`` of ``rfpsurvey reproduce poisson`` it prints the rows of that table.
 """
 
 import sys
