@@ -123,8 +123,8 @@ def allocate(
 
     References
     ----------
-    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", Section 4.2 (balanced, lamost). Blanton et al. 2003, AJ 125, 2276 (network flow).
+    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
+    Theta-phi Positioners", Section 4.2 (balanced, lamost). Blanton et al. 2003, AJ 125, 2276 (network flow).
 
     Examples
     --------

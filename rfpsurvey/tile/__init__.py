@@ -1,9 +1,10 @@
 """One tile end to end: planned from a catalog, or scored as another planner assigned it."""
 
+from rfpsurvey.tile._model import model_sentence
 from rfpsurvey.tile._plan import plan_tile
 from rfpsurvey.tile._score import score_tile
 from rfpsurvey.tile._stages import run_stages
 from rfpsurvey.tile._tile import Tile, versions
 from rfpsurvey.tile._wishes import to_length
 
-__all__ = ["Tile", "plan_tile", "run_stages", "score_tile", "to_length", "versions"]
+__all__ = ["Tile", "model_sentence", "plan_tile", "run_stages", "score_tile", "to_length", "versions"]
