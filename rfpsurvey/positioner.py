@@ -60,8 +60,8 @@ class Positioner:
 
     References
     ----------
-    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", Eqs. 1 and 2 (safe distance).
+    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
+    Theta-phi Positioners", Eqs. 1 and 2 (safe distance).
 
     Examples
     --------

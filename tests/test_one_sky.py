@@ -6,7 +6,7 @@ from scipy import stats
 
 import rfpsurvey as rs
 from rfpsurvey.probability import rate_interval
-from rfpsurvey.probability._one_sky import CORRELATION, sky_variance
+from rfpsurvey.probability._one_sky import BEYOND, CORRELATION, sky_variance
 from rfpsurvey.probability._run import Precision, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
@@ -14,7 +14,8 @@ from scenes import MM, lamost_like, sdss_like
 
 
 def dense(plane, *, ring):
-    """Adjacency of the nearest ring or of all neighbors, and the projection that removes the profile, as matrices."""
+    """Adjacency of the nearest ring or of all neighbors, that of the neighbors beyond, and the projection that removes
+    the profile, as matrices."""
     n = len(plane)
     everyone, apart = np.zeros((n, n)), np.hypot(*(plane._xy_mm[:, None] - plane._xy_mm[None]).transpose(2, 0, 1))
     first, second = plane.neighbor_pairs().T
@@ -22,15 +23,14 @@ def dense(plane, *, ring):
     design = np.column_stack([np.ones(n), everyone.sum(axis=1)])
     nearest = apart[apart > 0].min()
     adjacency = everyone * (apart < 1.1 * nearest) if ring else everyone
-    return adjacency, np.eye(n) - design @ np.linalg.pinv(design)
+    return adjacency, everyone - adjacency, np.eye(n) - design @ np.linalg.pinv(design)
 
 
-def quadratic_form(plane, adjacency, projection):
+def quadratic_form(adjacency, base, projection):
     """The symmetric matrix M of the only unbiased combination of e'e and e'Ae, by solving the two equations."""
-    n, size = len(plane), adjacency.sum()
-    p, pa = projection, projection @ adjacency
-    moments = np.array([[np.trace(p), np.trace(pa)], [np.trace(pa), np.trace(pa @ pa)]])
-    a, b = np.linalg.solve(moments.T, [1 / n, size / n**2])
+    n, p, pa = len(base), projection, projection @ adjacency
+    moments = np.array([[np.trace(p @ base), np.trace(pa)], [np.trace(pa @ p @ base), np.trace(pa @ pa)]])
+    a, b = np.linalg.solve(moments.T, [base.sum() / n**2, adjacency.sum() / n**2])
     return p @ (a * np.eye(n) + b * adjacency) @ p
 
 
@@ -38,25 +38,38 @@ def quadratic_form(plane, adjacency, projection):
     ("plane", "ring"), [(lamost_like(2), False), (lamost_like(4), False), (sdss_like(3), True), (sdss_like(9), False)]
 )
 def test_the_variance_is_unbiased_for_correlated_neighbors_and_a_profile_at_the_edge(plane, ring, rng):
-    adjacency, projection = dense(plane, ring=ring)
-    form, n = quadratic_form(plane, adjacency, projection), len(plane)
-    covariance = 0.04 * (np.eye(n) + 0.17 * adjacency)
+    adjacency, beyond, projection = dense(plane, ring=ring)
+    n = len(plane)
+    base = np.eye(n) + BEYOND * beyond
+    form = quadratic_form(adjacency, base, projection)
+    covariance = 0.04 * (base + 0.17 * adjacency)
     assert np.trace(form @ covariance) == pytest.approx(covariance.sum() / n**2, rel=1e-9)
-    profile = 0.1 + 0.01 * adjacency.sum(axis=1) if not ring else np.full(n, 0.3)
+    profile = 0.1 + 0.01 * (adjacency + beyond).sum(axis=1)
     correlated = np.linalg.cholesky(np.eye(n) + 0.1 * adjacency + 5 * np.eye(n))
     for _ in range(3):
         risk = profile + 0.02 * correlated @ rng.normal(size=n)
         away = projection @ risk
-        floor = away @ away / (n - 2) / n
+        floor = away @ away * base.sum() / np.trace(projection @ base) / n**2
         variance, degrees = sky_variance(plane, risk)
         assert variance == pytest.approx(max(risk @ form @ risk, floor), rel=1e-9)
-    typical = form @ (np.eye(n) + CORRELATION * adjacency * (1 if ring else _share(plane)))
+    typical = form @ (base + CORRELATION * adjacency * (1 if ring else _share(plane)))
     assert degrees == pytest.approx(np.trace(typical) ** 2 / np.trace(typical @ typical), rel=1e-9)
 
 
+def test_the_variance_is_not_below_that_of_positioners_with_uncorrelated_nearest_neighbors():
+    plane = sdss_like(3)
+    adjacency, beyond, projection = dense(plane, ring=True)
+    vectors = np.linalg.eigh(projection @ adjacency @ projection)[1]
+    away = projection @ vectors[:, 0]  # neighbors differ as much as they can
+    assert away @ adjacency @ away < -1
+    base = np.eye(37) + BEYOND * beyond
+    floor = away @ away * base.sum() / np.trace(projection @ base) / 37**2
+    assert sky_variance(plane, 0.3 + 0.1 * away)[0] == pytest.approx(0.01 * floor, rel=1e-9)
+
+
 def _share(plane):
-    """Part of the neighbors that are in the nearest ring."""
-    (ring, _), (everyone, _) = dense(plane, ring=True), dense(plane, ring=False)
+    """Fraction of the neighbors that are in the nearest ring."""
+    (ring, _, _), (everyone, _, _) = dense(plane, ring=True), dense(plane, ring=False)
     return ring.sum() / everyone.sum()
 
 

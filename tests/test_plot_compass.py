@@ -75,6 +75,21 @@ def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
     assert not rs.plot_focal_plane(small, orientation="focal plane").xaxis_inverted()
 
 
+@pytest.mark.parametrize("position_angle", [0, 45, 123.456, 315.25])
+def test_the_compass_is_inside_the_axes(presets, sky, position_angle):
+    """The label of an angle with three decimals went over the frame."""
+    tile = rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=position_angle * u.deg)
+    ax = rs.plot_focal_plane(tile)
+    ax.figure.draw_without_rendering()
+    frame, boxes = ax.get_window_extent(), {t.get_text(): t.get_window_extent() for t in ax.texts}
+    assert set(boxes) == {"N", "E", f"PA {round(position_angle, 1):g}\N{DEGREE SIGN}"}
+    for box in boxes.values():
+        assert min(box.x0 - frame.x0, box.y0 - frame.y0, frame.x1 - box.x1, frame.y1 - box.y1) > 1
+    one, other, label = boxes.values()
+    assert not one.overlaps(label)
+    assert not other.overlaps(label)
+
+
 def test_the_compass_hides_as_little_as_it_can(small):
     """In a corner with a collision it hid the arms."""
     corners = {(1, 1): [-85, 85], (0, 1): [85, 85], (0, 0): [85, -85], (1, 0): [-85, -85]}

@@ -2,7 +2,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.collections import EllipseCollection, LineCollection, PathCollection
 from matplotlib.colors import to_hex
 
 import rfpsurvey as rs
@@ -86,3 +86,11 @@ def test_targets_are_crosses_where_they_are_projected_to(presets, tile):
     (crosses,) = [c for c in ax.collections if c.get_label() == "target"]
     np.testing.assert_array_equal(crosses.get_offsets(), xy.value)
     assert "target" in [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_groups_are_pale_below_dots(tile):
+    """Dots could not be seen on a spectrograph of the same color."""
+    for thing, opacity in ((tile, 0.4), ("pfs", 1.0)):
+        ax = rs.plot_focal_plane(thing, color="spectrograph")
+        fills = [c for c in ax.collections if isinstance(c, EllipseCollection) and c.get_zorder() == 0.9]
+        assert [c.get_alpha() for c in fills] == [opacity] * 4

@@ -144,3 +144,23 @@ def test_points_at_zero_are_whole(results):
     x = right.transData.transform(points.get_xydata())[:, 0]
     assert x.min() - radius > right.get_window_extent().x0
     assert x.max() + radius < right.get_window_extent().x1
+
+
+def test_colors_of_values_can_be_told_from_a_dark_page(results):
+    """Dark purple designs and the darkest blue of the reach could not be seen on the dark page of a report."""
+    points = np.vstack([c.get_facecolor() for c in rs.plot_designs(results["designs"]).collections])
+    reach = draw_instruments(results["instruments"]).axes[0]
+    bars = np.array([patch.get_facecolor() for container in reach.containers[1:] for patch in container])
+    for color in (*points, *bars):
+        assert contrast(color[:3], np.array([22, 25, 29]) / 255) > 1.8
+
+
+def contrast(one, other):
+    """Return the contrast ratio of two colors, 1 to 21, as web pages define it."""
+    light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def luminance(color):
+    linear = np.where(color <= 0.03928, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])

@@ -214,3 +214,17 @@ def test_a_wide_region_has_a_low_figure():
     box = figure.get_tightbbox()
     assert box.height > 0.8 * figure.get_figheight()
     assert box.width > 0.9 * figure.get_figwidth()
+
+
+def test_fields_of_later_passes_have_a_legend_entry(survey):
+    """Nothing on a saved plot told why fills differ in size."""
+    labels = [text.get_text() for text in rs.plot_tiling(survey).get_legend().get_texts()]
+    assert labels == ["field (fill is smaller in later passes)"]
+    one = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
+    assert rs.plot_tiling(one).get_legend() is None
+
+
+def test_few_fields_are_round(survey):
+    """Large circles had visible corners."""
+    (edges,) = [c for c in rs.plot_tiling(survey).collections if isinstance(c, LineCollection)]
+    assert {len(segment) for segment in edges.get_segments()} == {145}

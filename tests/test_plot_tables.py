@@ -120,6 +120,24 @@ def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
     assert len(rs.plot_allocators(table).containers) == 2
 
 
+def test_coverages_of_intervals_are_drawn_beside_each_other_and_bars_end_at_one():
+    rows = [(arms, 1.0, "uniform", n, 0.99, 0.02) for arms in ("LAMOST", "SDSS-V") for n in (37, 91)]
+    names = ["arms", "targets_per_positioner", "sky", "positioners", "coverage", "coverage_error"]
+    table = QTable(rows=rows, names=names)
+    more = QTable({"scene": ["a"], "method": ["b"], "interval": ["c"], "stop": ["d"], "coverage": [0.98]})
+    more["coverage_error"] = [0.02]
+    figures = draw_reproduction("intervals", {"one_sky": table, "intervals": more})
+    bars = [c.lines[2][0].get_segments() for c in figures["one_sky"].axes[0].containers]
+    ends = np.array(bars)
+    assert len({round(x, 6) for x in ends[..., 0].ravel()}) == 4
+    np.testing.assert_allclose(ends[..., 1].max(), 1)
+    np.testing.assert_allclose(ends[..., 1].min(), 0.95)
+    labels = [text.get_text() for text in figures["one_sky"].legends[0].get_texts()]
+    assert labels == [f"{arms}, 1 target per positioner, uniform" for arms in ("LAMOST", "SDSS-V")]
+    (ends,) = figures["intervals"].axes[0].containers[0].lines[2][0].get_segments()
+    np.testing.assert_allclose(ends[:, 0], [0.94, 1])
+
+
 def test_the_scans_of_the_paper_have_intervals_in_both_scales():
     rows = [
         (scan, ratio, pitch, v, v - 0.01, v + 0.02, v / 5)

@@ -20,8 +20,10 @@ from matplotlib.figure import Figure
 import rfpsurvey as rs
 from pages import LOADING, Reader, full
 from rfpsurvey import reproduction
+from rfpsurvey.plot._reproduction import FIGURES as DRAWN
 from rfpsurvey.report import _svg, _tile, estimate_facts
 from rfpsurvey.report._numbers import column_texts
+from rfpsurvey.report._tables import FIGURES as CAPTIONS
 from rfpsurvey.report._text import text_of
 
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -184,10 +186,10 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     # the foot gives numbers in full
     assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
     # those that barely do not collide: the same as by hand
-    heads, rows = page.table("The narrowest passages")
+    heads, rows = page.table("The smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
-    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The narrowest")]
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]
     assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
@@ -254,6 +256,30 @@ def test_claims_have_verdicts_and_their_experiments(tmp_path):
     _, rows = page.table("What the paper says")
     assert [(row[3]["text"], row[3]["class"]) for row in rows] == [("reproduced", "good"), ("not reproduced", "bad")]
     assert page.text("dd")[:2] == ["1", "1"]
+
+
+def test_every_figure_of_an_experiment_has_a_caption():
+    """Some had the name of their table as a caption, and lines that no caption named."""
+    drawn = {name for figures in DRAWN.values() for name in figures}
+    assert set(CAPTIONS) == drawn
+    for title, words in CAPTIONS.values():
+        assert title.endswith(".")
+        assert len(words) > 60
+    for name in ("large", "poisson_disc", "surrogate", "intervals", "one_sky"):
+        assert "gray line" in CAPTIONS[name][1]
+
+
+def test_the_first_sentence_of_a_caption_is_in_bold(tmp_path):
+    caption = "Designs. The line is the front. Bars are errors."
+    text = written(QTable({"k": [1]}), tmp_path, figures={caption: Figure(), "One sentence.": Figure()})
+    assert "<strong>Designs.</strong> The line is the front. Bars are errors.</figcaption>" in text
+    assert "<strong>One sentence.</strong></figcaption>" in text
+
+
+def test_the_map_of_a_survey_is_explained(survey, tmp_path):
+    text = written(survey, tmp_path)
+    assert "The color is the completeness of the field." in text
+    assert ("filled up to a smaller radius" in text) == (len(set(survey.tiles["pass"])) > 1)
 
 
 def test_no_row_is_left_out_in_silence(tmp_path):

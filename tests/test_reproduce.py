@@ -6,9 +6,11 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.reproduction import EXPERIMENTS
+from rfpsurvey.reproduction import EXPERIMENTS, _poisson
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
 from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
+from rfpsurvey.reproduction._intervals import coverage
+from rfpsurvey.reproduction._large import _differences, _of_differences, _of_plain
 from rfpsurvey.reproduction._one_sky import one_sky
 from rfpsurvey.reproduction._poisson import _of_reading, drops_by_ratio
 
@@ -81,22 +83,76 @@ def test_drops_are_averaged_over_means_and_over_designs():
 
 
 def test_a_reading_is_judged_by_each_average():
-    """One average that agrees is named; without any the claim is not reproduced."""
+    """An average that agrees is named; if it is one of a part of the designs, the text does not decide."""
     table = disc_designs()
     claim = _of_reading("disc", table)
     assert claim.verdict == "reproduced"
-    assert claim.reading == "disc; means"
+    assert claim.reading == "disc; agrees: means"
     assert "+6.00 % +- 0.20 % (LAMOST's design)" in claim.ours
     assert "+2.50 % +- 0.02 % (means)" in claim.ours
     assert "+10.00 % +- 0.10 % (mean of the drops for ratios below 1.25)" in claim.ours
     table["uniform"] = table["disc"]
     assert _of_reading("disc", table).verdict == "not reproduced"
     table["uniform"][2], table["uniform error"][2] = 0.0512, 2e-4  # 2.4 +- 0.4 %
-    assert _of_reading("disc", table).reading == "disc; LAMOST's design"
+    assert _of_reading("disc", table).reading == "disc; agrees: LAMOST's design"
+    assert _of_reading("disc", table).verdict == "cannot be decided from the text"
     table["disc"][0] = 0.0  # nothing collides: no ratio
     assert "; +0.00 % +- 0.02 % (mean of the drops); +nan" in _of_reading("disc", table).ours
     table["disc"][2] = np.nan
     assert "LAMOST" not in _of_reading("disc", table).ours
+
+
+def test_readings_without_discs_are_those_of_the_whole(monkeypatch):
+    """What takes long can be left out: the other columns stay the same."""
+    monkeypatch.setattr(_poisson, "random_designs", lambda settings: random_designs(settings)[:2])
+    coarse = Settings(quick=True, error=5e-3)
+    assert coarse.precision == 5e-3
+    tables, claims = _poisson.poisson(coarse, discs={})
+    whole = _poisson.poisson(coarse, discs={"disc, separation 0.52 mm": 0.52})[0]["poisson"]
+    assert len(tables["poisson_disc"]) == 0
+    assert [c.reading for c in claims] == [_poisson.POINT_PROCESS, *_poisson.COORDINATES]
+    for name in ("uniform", _poisson.POINT_PROCESS, *_poisson.COORDINATES):
+        assert np.array_equal(tables["poisson"][name], whole[name], equal_nan=True)
+
+
+def plain_row(value, standard_error):
+    names = ("value", "standard_error", "n")
+    columns = {f"plain_{n}": [v] for n, v in zip(names, (value, standard_error, 6000), strict=True)}
+    columns |= {f"conditional_{n}": [v] for n, v in zip(names, (0.1, 1e-4, 100), strict=True)}
+    return QTable({"design": ["LAMOST"], **columns})
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "words"),
+    [(0.1005, 4e-4, "reproduced"), (0.1, 6e-4, "not reproduced"), (0.102, 4e-4, "not reproduced")],
+)
+def test_a_proper_number_of_iterations_is_precise_and_right(value, error, words):
+    """An interval of more than 1 % is too wide, and a value that is off by five errors is wrong."""
+    (claim,) = _of_plain(plain_row(value, error))
+    assert claim.verdict == words
+    assert f"a 95 % interval of +- {196 * error / value:.1f} %" in claim.ours
+
+
+def test_a_mean_that_one_formula_gives_is_attributed_to_it():
+    rng = np.random.default_rng(1)
+    ratio = rng.uniform(1, 2, 80)
+    simulation = ratio**3 / 20
+    table = QTable({"range_200": 1.1 * simulation, "covered": simulation})
+    for way in ("range_200", "covered"):
+        table[f"{way}_error"] = 1e-4
+    table["closed_form_corrected"], table["closed_form_pitch"] = ratio / 20, ratio**3 / 40 + rng.normal(0, 1e-3, 80)
+    mean, variance, correlated, edge = _of_differences(table, _differences(table, Settings()))
+    assert mean.verdict == "not reproduced"  # simulation - formula: -0.1 for the one, 0 for the other
+    assert "in 0 of 8 readings" in mean.ours
+    assert variance.verdict == "not reproduced"
+    assert correlated.verdict == "reproduced"
+    assert edge.verdict == "reproduced"
+    assert "beyond 3 errors in 80 of 80 designs" in edge.ours
+    table["closed_form_corrected"] = ratio**2 / 20
+    mean = _of_differences(table, _differences(table, Settings()))[0]
+    assert "those with the closed form corrected" in mean.ours
+    table["range_200"] = table["covered"]
+    assert _of_differences(table, _differences(table, Settings()))[3].verdict == "not reproduced"
 
 
 def test_intervals_of_one_sky_are_counted():
@@ -108,6 +164,15 @@ def test_intervals_of_one_sky_are_counted():
     assert (table["coverage"][~seven] > 0.7).all()  # 40 skies: four standard errors below 0.9
     assert (table["coverage_error"][~seven] > 0).all()
     assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
+
+
+def test_an_iteration_is_more_than_one_trial():
+    """With every iteration as one trial the interval is several times too wide, and holds the truth always."""
+    table = coverage(QUICK, repeats=20)
+    width = {r["interval"]: r["half_width"] for r in table if r["scene"] == "LAMOST" and r["method"] == "monte_carlo"}
+    assert width["wilson_naive"] < 1.1 * width["wilson"] < width["wilson_iterations"] / 2
+    part = table[(table["interval"] == "wilson_iterations") & (table["method"] == "monte_carlo")]
+    assert (part["coverage"] == 1).all()
 
 
 def test_verdicts():

@@ -87,6 +87,17 @@ def test_zeros_are_upper_limits_with_arrows():
     assert above.get_ylim()[0] < 1 / 577
 
 
+def test_fractions_of_misclassified_pairs_have_standard_errors():
+    table = collisions()
+    above, below = rs.plot_speed_accuracy(table)
+    assert not below.containers
+    ends = np.concatenate([np.array(bars.lines[2][0].get_segments())[:, :, 1] for bars in above.containers])
+    value = np.array([v for v in table["misclassified"] if v > 0])
+    error = np.sqrt(value / 577)
+    np.testing.assert_allclose(np.sort(ends[:, 1]), np.sort(value + error))
+    assert (ends[:, 0] > 0).all()
+
+
 def test_the_chart_states_machine_and_better_corner():
     above, _ = rs.plot_speed_accuracy(collisions())
     for words in ("mine: 500 positioners, 577 colliding pairs", "a processor, 2 cores", "lower left is better"):

@@ -81,6 +81,29 @@ def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocato
     assert survey.summary["n_colliding"] == (0 if allocator == "repair" else survey.targets["in_collision"].sum())
 
 
+def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_path):
+    center = rs.Tiling.from_table(QTable({"ra": [CENTER.ra.deg] * u.deg, "dec": [CENTER.dec.deg] * u.deg}))
+    said = {}
+    for name, instrument in {"small": small, "lamost": presets["lamost"], "sdss_apo": presets["sdss_apo"]}.items():
+        survey = rs.plan_survey(sky, instrument, center, folder=tmp_path / name)
+        said[name] = survey.summary["model"]
+        assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
+        n_pairs = len(instrument.focal_plane.neighbor_pairs())
+        assert f"each tile tests the {n_pairs} pairs within reach of each other" in said[name]
+        # the statement on a tile differs in the pairs alone
+        tile = rs.plan_tile(sky, instrument, CENTER).summary["model"]
+        assert tile.split(";")[0] == said[name].split(";")[0]
+        assert tile.split(", which is exact for ")[1] == said[name].split(" is exact for ")[1]
+    assert "(collision type 2)" in said["lamost"]
+    assert "(collision type 3)" in said["sdss_apo"]
+    assert "capsules" in said["sdss_apo"]
+    assert "radial map, one for each fiber type" in said["sdss_apo"]
+    far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
+    apart = rs.Instrument("apart", far, plate_scale=300 * u.mm / u.deg)
+    survey = rs.plan_survey(sky, apart, center)
+    assert "No two arms can touch (collision type 1), so that no pair was tested" in survey.summary["model"]
+
+
 def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
     visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False).targets
     pairs = np.column_stack([visits["tile"], visits["target_row"]])

@@ -17,7 +17,8 @@ stars = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=300 / u.deg
 rule, best = (rs.plan_tile(stars, "sdss_apo", center, allocator=name) for name in ("lamost", "optimal"))
 
 worst = rule.table[np.nanargmin(rule.table["clearance"])]
-print(f"{worst['id']} and {worst['colliding_with']} are {-worst['clearance']:.2f} closer than the safe distance")
+depth = -worst["clearance"]
+print(f"{worst['id']} and {worst['colliding_with']} are closer than the minimum separation, by {depth:.2f}")
 
 # %%
 # Arms collide where their shades overlap. Green dots are all stars that some fiber may reach.
@@ -25,7 +26,7 @@ print(f"{worst['id']} and {worst['colliding_with']} are {-worst['clearance']:.2f
 middle = u.Quantity([worst["x"], worst["y"]])
 region = u.Quantity([middle - 45 * u.mm, middle + 45 * u.mm])
 dots = rs.Instrument.preset("sdss_apo").projection(center).to_focal_plane(stars).value
-fig, axes = plt.subplots(1, 2, figsize=(11, 5.6), layout="constrained", sharey=True)
+fig, axes = plt.subplots(1, 2, figsize=(11, 5.9), layout="constrained", sharey=True)
 for ax, tile, name in zip(axes, (rule, best), ("LAMOST's rule", "optimum"), strict=True):
     rs.plot_focal_plane(tile, ax=ax, region=region)
     ax.plot(*dots.T, ".", color="#009E73", markersize=5, zorder=0)

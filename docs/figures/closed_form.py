@@ -3,6 +3,7 @@
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 import rfpsurvey as rs
 
@@ -22,3 +23,6 @@ for pitch, color in ((25.6, "#0072B2"), (30.0, "#E69F00"), (35.0, "#009E73")):
 left.set(xlabel="eccentric over central arm", ylabel="collision probability", title="dashed: closed form")
 left.legend()
 right.set(xlabel="eccentric over central arm", ylabel="truth over closed form", yscale="log")
+right.yaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+right.yaxis.set_major_formatter("{x:g}")
+right.yaxis.set_minor_formatter(NullFormatter())

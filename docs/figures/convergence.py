@@ -3,6 +3,7 @@
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 import rfpsurvey as rs
 
@@ -14,8 +15,11 @@ for stop, color in (("convergence", "#D55E00"), ("interval", "#0072B2")):
     options = {"method": "monte_carlo", "n_targets": 148, "precision": 0.002, "stop": stop}
     found = [rs.collision_probability(plane, rng=k, **options) for k in range(60)]
     error = np.sqrt(np.mean([(e.value - truth) ** 2 for e in found]))
-    label = f"{stop}: root mean square error {error / 0.002:.1f} x that asked for"
+    label = f"{stop}: root mean square error {error / 0.002:.1f} \N{MULTIPLICATION SIGN} the requested one"
     ax.plot([e.n for e in found], [e.value for e in found], "o", color=color, ms=4, label=label)
-ax.axhspan(truth - 0.002, truth + 0.002, color="0.85", label="truth +- standard error asked for")
+ax.axhspan(truth - 0.002, truth + 0.002, color="0.85", label="truth \N{PLUS-MINUS SIGN} requested standard error")
 ax.set(xlabel="iterations", ylabel="collision probability", xscale="log")
-ax.legend(fontsize="small")
+ax.xaxis.set_major_locator(LogLocator(subs=range(1, 10)))
+ax.xaxis.set_major_formatter("{x:g}")
+ax.xaxis.set_minor_formatter(NullFormatter())
+figure.legend(fontsize="small", loc="outside lower center")  # inside, it hid points

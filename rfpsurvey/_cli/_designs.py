@@ -11,6 +11,11 @@ from rfpsurvey._cli import _app
 __all__ = ["axes", "finish", "options"]
 
 MOST_ROWS = 30
+FIGURE = (
+    "The designs. Each point is a design, and its color and marker are the ratio of the arms or the parameter with "
+    "most values. Large points with an edge, joined by a line, are the front: no other design is better in both "
+    "objectives."
+)
 USUAL, NODES = {"ratio": "1:2", "pitch": "24:34"}, 6
 """Limits where nothing else is asked, and the nodes of a grid between them."""
 COLUMNS = ("l1", "ratio", "pitch", "clearance", "collision_type", "coverage", "loss", "loss_error", "usable", "method")
@@ -56,7 +61,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
     """Draw the front and write a page where asked, and print the front and the sensitivities."""
     page = {"title": f"{len(table)} designs", "data": output}
     if report is not None:
-        page["figures"] = {"The designs, and the front of those that no other one beats.": rs.plot_designs(table)}
+        page["figures"] = {FIGURE: rs.plot_designs(table)}
     draw = (plot, lambda: rs.plot_designs(table).figure)
     with _app.files(overwrite=overwrite, plot=draw, report=(report, table, page)):
         front = table[table["pareto"]]

@@ -19,6 +19,11 @@ __all__ = [
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_AIMS = 12
+MAP = (
+    "Collision probability of each positioner. Values of single positioners scatter, since the number of trials is "
+    "finite. Inside of a regular lattice without gaps, the expected value is the same everywhere; positioners at edges "
+    "and beside gaps have fewer neighbors to collide with. Dashed circles are positioners that are not counted."
+)
 
 
 @contextmanager
@@ -98,7 +103,7 @@ def finish_estimate(
 
     page = {"title": f"Collision probability of {model.name}"}
     if report is not None:
-        page["figures"] = {"How likely each positioner collides; that of a single one is partly chance.": draw()}
+        page["figures"] = {MAP: draw()}
     with files(
         overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, draw),
         report=(report, estimate, page),

@@ -74,6 +74,8 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print what came out, a line a figure."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
+    if "model" in s:  # surveys of earlier versions lack it
+        print(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     print("after each pass:")

@@ -22,7 +22,7 @@ def reproduce(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Rerun the experiments of the paper, and put its claims beside what comes out."""
+    """Rerun the experiments of Chen et al. (2024), arXiv:2409.07288, and judge each claim."""
     _app.check_outputs(None, report=report, overwrite=overwrite)
     options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
     claims = rs.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)

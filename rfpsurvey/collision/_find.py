@@ -91,8 +91,8 @@ def find_collisions(
 
     References
     ----------
-    Chen et al., "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", Eq. 1, and Section 4.1 (sampled, sweep and scipy).
+    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
+    Theta-phi Positioners", Eq. 1, and Section 4.1 (sampled, sweep and scipy).
 
     Examples
     --------

@@ -38,8 +38,9 @@ def plot_collision_map(
     """Draw how likely each positioner is to collide or, of one configuration, which ones do.
 
     Each positioner is a disk, open where it is not counted. The colors of probabilities run from the smallest to the
-    largest one. Disks of one configuration are hatched where they collide, and a line joins those that collide with
-    each other.
+    largest one. Inside of a regular lattice without gaps, the expected probability is the same everywhere: there, the
+    values of a simulation differ by chance alone. Disks of one configuration are hatched where they collide, and a line
+    joins those that collide with each other.
 
     Parameters
     ----------

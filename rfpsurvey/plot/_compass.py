@@ -16,7 +16,8 @@ ORIENTATIONS = ("sky", "focal plane")
 """East to the left as on the sky (x increases to the left), or x increasing to the right."""
 LENGTH = 16  # points, of an arrow
 LABEL = 22  # points, from the center of the compass to the letters
-MARGIN = 32  # points, from the corner of the axes to the center of the compass
+GROUND = LABEL / 2**0.5 + 5  # points, radius of the white disk below the arrows
+MARGIN = 35  # points, from the corner of the axes to the center of the compass
 
 
 def position_angle_of(thing: object) -> float | None:
@@ -44,15 +45,18 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
     flip = -1 if ax.xaxis_inverted() else 1
     angle = np.deg2rad(position_angle)
     directions = {"N": (-flip * np.sin(angle), np.cos(angle)), "E": (flip * np.cos(angle), np.sin(angle))}
-    ax.add_artist(Circle((0, 0), LABEL + 6, transform=points, facecolor="white", alpha=0.85, linewidth=0, zorder=8))
+    toward = np.sum(list(directions.values()), axis=0)
+    # the arrows fill one quarter of a disk about the place where they meet
+    ground = {"facecolor": "white", "alpha": 0.85, "linewidth": 0}
+    ax.add_artist(Circle(tuple(LABEL / 2 * toward), GROUND, transform=points, zorder=8, **ground))
     style = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 0, "shrinkB": 0, "color": OUTLINE, "linewidth": 1}
     text = {"ha": "center", "va": "center", "fontsize": "small", "color": OUTLINE, "zorder": 8.5}
     for name, (x, y) in directions.items():
         tip = (LENGTH * x, LENGTH * y)
         ax.add_artist(FancyArrowPatch((0, 0), tip, transform=points, zorder=8.5, gid=f"compass-{name}", **style))
         ax.text(LABEL * x, LABEL * y, name, transform=points, **text)
-    away = -12 * np.sum(list(directions.values()), axis=0)
-    ax.text(*away, f"PA {position_angle:g}\N{DEGREE SIGN}", transform=points, **{**text, "fontsize": "x-small"})
+    label = ax.text(*(-12 * toward), f"PA {round(position_angle, 1):g}\N{DEGREE SIGN}", transform=points, **text)
+    label.set(fontsize="x-small", bbox={**ground, "pad": 1})
 
 
 def _corner(ax, avoid):

@@ -7,7 +7,7 @@ from astropy.table import QTable
 
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.plot._axes import legend_below, new_axes, values_of
-from rfpsurvey.plot._style import COLLISION, MARKERS, SEQUENTIAL
+from rfpsurvey.plot._style import COLLISION, MARKERS, light_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,7 +91,7 @@ def plot_designs(
     ax = new_axes() if ax is None else ax
     front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
     few = len(np.unique(values)) <= len(MARKERS)
-    style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": SEQUENTIAL, "linewidths": 0.3}
+    style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": light_scale(), "linewidths": 0.3}
     style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
     look = {**style, "s": 2 * style["s"], "linewidths": 1.2, "edgecolors": "black", "alpha": 1.0, "zorder": 3}
     handles = []

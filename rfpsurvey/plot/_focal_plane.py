@@ -100,7 +100,7 @@ def plot_focal_plane(
     if region is not None:
         scene = visible_part(scene, ax)
     large = arms_are_visible(ax, scene) if arms is None else arms
-    handles = list(draw_groups(ax, scene, color, pale=large))
+    handles = list(draw_groups(ax, scene, color, pale=large or isinstance(thing, Tile)))
     if large or not (color or isinstance(thing, Tile)):
         handles += draw_patrol_areas(ax, scene, color, patrol)
     handles += draw_obstacles(ax, scene)

@@ -11,11 +11,14 @@ from rfpsurvey.plot._style import GROUP_COLORS
 
 __all__ = ["draw_groups"]
 
+PALE = 0.4
+"""Opacity of fills below arms or dots, which may have the same color."""
+
 
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
     """Fill the cell of each positioner by its group, write the name of the group there or yield a legend entry.
 
-    Pale fills leave the arms on top of them visible.
+    Pale fills leave the arms or dots on top of them visible.
     """
     from matplotlib.patches import Patch
 
@@ -27,7 +30,7 @@ def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
         raise InputError(f"{color} must have at most {len(GROUP_COLORS)} values, got {len(names)}")
     radius = 0.5 * spacing_of(scene.centers, scene.outer)
     for k, name in enumerate(names):
-        style = {"facecolor": GROUP_COLORS[k], "linewidth": 0, "alpha": 0.55 if pale else 1.0}
+        style = {"facecolor": GROUP_COLORS[k], "linewidth": 0, "alpha": PALE if pale else 1.0}
         rows = values == name
         add_circles(ax, scene.centers[rows], radius, zorder=0.9, **style)
         midpoint = scene.centers[rows].mean(axis=0)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["draw_instruments", "plot_instruments"]
 
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
+SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
+"""White to dark blue; a darker one would look like the first one on a dark page."""
 REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
@@ -54,8 +56,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     y, labels = _places(table)
     style = {"height": 0.8, "linewidth": 0.5, "edgecolor": "white", **kwargs}
     pieces = (
-        (usable, "on a science target", {"color": ARM}),
-        (assigned - usable, "on one, in collision", {"color": COLLISION, "hatch": HATCH}),
+        (usable, "science target", {"color": ARM}),
+        (assigned - usable, "science target, in collision", {"color": COLLISION, "hatch": HATCH}),
         (number - assigned, "no science target", {"color": IDLE, "alpha": 0.4}),
     )
     left, handles = np.zeros(len(table)), []
@@ -66,7 +68,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     for height, lost in zip(y, table["loss"], strict=True):
         if np.isfinite(lost):
             ax.annotate(f"{lost:.3f}", (1, height), (5, 0), textcoords="offset points", va="center", fontsize="small")
-    ax.annotate("lost", (1, 1), (5, 3), ("axes fraction"), "offset points", fontsize="small", fontstyle="italic")
+    header = {"fontsize": "small", "fontstyle": "italic", "linespacing": 1.0}
+    ax.annotate("fraction\nlost", (1, 1), (5, 3), "axes fraction", "offset points", **header)
     ax.set_yticks(y, labels)
     ax.set_ylim(y.min() - 0.6, 0.6)
     ax.set_xlim(0, 1)
@@ -97,7 +100,7 @@ def _draw_reach(table, ax):
     rows = np.sort(np.unique(np.asarray(table["instrument"]), return_index=True)[1])
     y = -np.arange(len(rows), dtype=float)
     left, handles = np.zeros(len(rows)), []
-    for name, color, label in zip(REACH, LEVELS[::2], ("none", "1", "2", "3 or more"), strict=True):
+    for name, color, label in zip(REACH, SHADES, ("none", "1", "2", "3 or more"), strict=True):
         part = np.asarray(table[name][rows], float)
         style = {"color": color, "edgecolor": "0.5", "linewidth": 0.5, "height": 0.7, "label": label}
         handles.append(ax.barh(y, part, left=left, **style))

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["draw_reproduction"]
 
 GROUPS = ("arms", "targets_per_positioner", "sky")
+BESIDE = 1.025
+"""Ratio of the places of neighboring groups on a logarithmic axis."""
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
@@ -106,12 +108,18 @@ def _intervals(tables):
     table = tables["intervals"]
     figure, (ax,) = _figure(size=(8, 4.5))
     labels = [f"{r['scene']}, {r['method']}\n{r['interval']}, {r['stop']}" for r in table]
-    ax.errorbar(table["coverage"], np.arange(len(table)), xerr=2 * table["coverage_error"], fmt="o", color=ARM)
+    ax.errorbar(table["coverage"], np.arange(len(table)), xerr=_within_one(table), fmt="o", color=ARM)
     ax.set_yticks(np.arange(len(table)), labels, fontsize="x-small")
     ax.axvline(0.95, color="0.4", lw=0.8)
     ax.axvspan(0.935, 0.965, color="0.8", alpha=0.5, lw=0)
-    ax.set_xlabel("how often the interval holds the truth")
+    ax.set_xlabel("fraction of runs whose interval contains the truth")
     return figure
+
+
+def _within_one(table):
+    """Return the lengths of bars of two standard errors below and above a fraction, as far as fractions can be."""
+    value, bar = np.asarray(table["coverage"], float), 2 * np.asarray(table["coverage_error"], float)
+    return [np.minimum(bar, value).tolist(), np.minimum(bar, 1 - value).tolist()]
 
 
 def _one_sky(tables):
@@ -123,15 +131,17 @@ def _one_sky(tables):
         rows = np.all([np.asarray(table[c]) == value for c, value in zip(GROUPS, group, strict=True)], axis=0)
         part = table[rows & np.isfinite(table["coverage"])]
         style = {"color": SERIES[k % 8], "marker": MARKERS[(k + k // 8) % 8], "linestyle": ":", "capsize": 2}
-        label = f"{group[0]}, {group[1]:g} targets per positioner, {group[2]}"
-        ax.errorbar(part["positioners"], part["coverage"], yerr=2 * part["coverage_error"], label=label, **style)
+        label = f"{group[0]}, {group[1]:g} target{'' if group[1] == 1 else 's'} per positioner, {group[2]}"
+        # beside each other, since many groups have the same value
+        beside = np.asarray(part["positioners"]) * BESIDE ** (k - (len(groups) - 1) / 2)
+        ax.errorbar(beside, part["coverage"], yerr=_within_one(part), label=label, **style)
     ax.axhline(0.95, color="0.4", lw=0.8)
     numbers = sorted(set(np.asarray(table["positioners"]).tolist()))
     ax.set_xscale("log")
     ax.set_xticks(numbers, [str(n) for n in numbers])
     ax.set_xticks([], minor=True)
     ax.set_xlabel("number of positioners")
-    ax.set_ylabel("fraction of skies whose interval holds the expectation")
+    ax.set_ylabel("fraction of skies whose interval contains the expectation")
     figure.legend(fontsize="small", ncols=2, loc="outside lower center")
     return figure
 

@@ -11,7 +11,7 @@ from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError
 from rfpsurvey.plot._axes import legend_below, new_axes
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
-from rfpsurvey.plot._style import COLLISION, SEQUENTIAL
+from rfpsurvey.plot._style import COLLISION, light_scale
 from rfpsurvey.region import Region
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
@@ -100,8 +100,9 @@ def plot_tiling(
     whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
     sky_map = map_of(centers, radius, whole=whole)
     rims = None if whole else sky_map.to_xy(rims_of(centers, radius))
+    several = not whole and len(np.unique(np.asarray(table["pass"]))) > 1
     if ax is None:
-        ax = _new_axes(sky_map, rims, scale=len(levels) > 1, legend=not (targets is None and region is None))
+        ax = _new_axes(sky_map, rims, scale=len(levels) > 1, legend=several or not (targets is None and region is None))
     sky_map.label(ax)
     inner = radius * _filled_part(np.asarray(table["pass"]))
     order = np.argsort(np.asarray(table["pass"]), kind="stable")
@@ -110,7 +111,8 @@ def plot_tiling(
     else:
         polygons, row_of = list(sky_map.to_xy(rims_of(centers[order], inner[order]))), np.arange(len(centers))
     _draw_tiles(ax, polygons, rims, values[order][row_of], levels, color, kwargs)
-    legend_below(ax, list(_draw_field(ax, sky_map, targets, region)))
+    handles = list(_draw_field(ax, sky_map, targets, region))
+    legend_below(ax, [*_entry_of_fields(), *handles] if several else handles)
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
     ax.set_title(f"{len(table)} tiles{only}", pad=14 if whole else None)
     return ax
@@ -144,15 +146,12 @@ def _filled_part(number):
 
 def _draw_tiles(ax, polygons, rims, values, levels, name, kwargs):
     """Fill tiles by value, with a color bar beside the axes: steps for a few whole numbers, none for one value."""
-    from matplotlib import colormaps
     from matplotlib.collections import LineCollection, PolyCollection
-    from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.colors import BoundaryNorm
 
     whole = rims is None
     steps = 1 < len(levels) <= MOST_STEPS and (levels == np.rint(levels)).all()
-    # without its darkest third, on which neither edges nor targets can be seen
-    light = ListedColormap(colormaps[SEQUENTIAL](np.linspace(0.35, 1, 256)))
-    style = {"cmap": light, "alpha": None if len(levels) > 1 else FLAT, "ec": "face", "lw": 0.2 if whole else 0}
+    style = {"cmap": light_scale(), "alpha": None if len(levels) > 1 else FLAT, "ec": "face", "lw": 0.2 if whole else 0}
     if steps:
         edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
         style["norm"] = BoundaryNorm(edges, 256)
@@ -175,6 +174,14 @@ def _draw_tiles(ax, polygons, rims, values, levels, name, kwargs):
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))
         if steps:
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
+
+
+def _entry_of_fields():
+    """Yield the legend entry of fields whose fills differ in size."""
+    from matplotlib.lines import Line2D
+
+    style = {"linestyle": "none", "marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgecolor": "0.3"}
+    yield Line2D([], [], label="field (fill is smaller in later passes)", **style)
 
 
 def _draw_field(ax, sky_map: SkyMap, targets, region):

@@ -10,7 +10,8 @@ from rfpsurvey.region import Region
 
 __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
 
-CORNERS = 36
+CORNERS, MOST_CORNERS = 36, 7200
+"""Points on the edge of each field: more where there are few fields, so that large circles look round."""
 WIDE = 60.0  # deg about the mean direction: beyond it, the whole sky
 POLAR = 75.0
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
@@ -78,8 +79,9 @@ def _mean_direction(centers):
 
 
 def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
-    """Return points on the edge of each field (radius in deg), shape (n, CORNERS)."""
-    angles = np.linspace(0, 360, CORNERS, endpoint=False) * u.deg
+    """Return points on the edge of each field (radius in deg), shape (n, CORNERS); up to 144 for few fields."""
+    corners = int(np.clip(MOST_CORNERS // max(len(centers), 1), CORNERS, 4 * CORNERS)) // 4 * 4
+    angles = np.linspace(0, 360, corners, endpoint=False) * u.deg
     return centers[:, None].directional_offset_by(
         angles[None, :], np.broadcast_to(radius, len(centers))[:, None] * u.deg
     )

@@ -17,6 +17,7 @@ __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 SHORT_AXIS = 100.0
 """Ratio of the ends of an axis below which 1, 2 and 5 of each decade are labeled."""
+BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and the gap that is kept around a label, in points."""
 
@@ -38,7 +39,8 @@ def plot_speed_accuracy(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Both axes. Where no pair is misclassified, an arrow points down from an upper limit, one over the number of
+        Both axes. Bars are the standard error of the fraction, from the square root of the number of misclassified
+        pairs. Where no pair is misclassified, an arrow points down from an upper limit, one over the number of
         colliding pairs. Methods to the lower left are better.
 
     Raises
@@ -60,20 +62,21 @@ def plot_speed_accuracy(
     if len(axes) != 2:
         raise InputError(f"axes must be two Axes, got {len(axes)}")
     limit = 1 / np.maximum(np.asarray(table["n_colliding_true"], float), 1)
-    errors = table["max_error"].to_value(u.mm)
+    errors, misclassified = table["max_error"].to_value(u.mm), np.asarray(table["misclassified"], float)
     least = errors[errors > 0].min(initial=1.0)
     panels = (
-        (np.asarray(table["misclassified"], float), limit, "misclassified pairs per colliding pair"),
-        (errors, np.full(len(table), least), "largest error of a distance [mm]"),
+        (misclassified, limit, np.sqrt(misclassified * limit), "misclassified pairs per colliding pair"),
+        (errors, np.full(len(table), least), None, "largest error of a distance [mm]"),
     )
     labels = []
-    for ax, (values, limits, label) in zip(axes, panels, strict=True):
-        labels.append(_draw_methods(ax, table, values, limits, kwargs))
+    for ax, (values, limits, uncertain, label) in zip(axes, panels, strict=True):
+        labels.append(_draw_methods(ax, table, values, limits, uncertain, kwargs))
         ax.set_ylabel(label)
     n = int(np.max(table["n_colliding_true"], initial=0))
     _state(
-        axes[0], table, f"{n} colliding pairs", "labels: points per arm; arrows: none misclassified, less than one pair"
-    )
+        axes[0], table, f"{n} colliding pairs",
+        "labels: points per arm; bars: standard errors\narrows: none misclassified, less than one pair",
+    )  # fmt: skip
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
     for ax, own in zip(axes, labels, strict=True):
@@ -81,7 +84,7 @@ def plot_speed_accuracy(
     return axes
 
 
-def _draw_methods(ax, table, values, limits, style):
+def _draw_methods(ax, table, values, limits, uncertain, style):
     """Draw a line for each method, zeros as upper limits with arrows, and return all points with their labels."""
     time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
     heights = np.where(values > 0, values, limits)
@@ -93,6 +96,9 @@ def _draw_methods(ax, table, values, limits, style):
         line.set_linestyle("none")  # limits are not connected
         some = rows[values[rows] > 0]
         ax.plot(time[some], heights[some], color=own["color"], linestyle=":", linewidth=line.get_linewidth(), zorder=1)
+        if uncertain is not None and len(some):
+            bars = _bars(heights[some], uncertain[some])
+            ax.errorbar(time[some], heights[some], yerr=bars, color=own["color"], **BARS)
         for row in rows[values[rows] == 0]:
             arrow = {"arrowstyle": "<-", "color": own["color"], "shrinkA": 0, "shrinkB": 3}
             ax.annotate("", (time[row], heights[row]), (0, -22), textcoords="offset points", arrowprops=arrow)
@@ -178,13 +184,15 @@ def _draw_errors(ax, part, method, style, options):
     """Draw the errors of a method, with bars that stay above zero."""
     formula = not np.asarray(part["effort"]).any()
     error, uncertain = np.asarray(part["error"]), np.nan_to_num(np.asarray(part["error_error"]))
-    bars = [
-        np.minimum(uncertain, 0.9 * error).tolist(),
-        uncertain.tolist(),
-    ]  # as older versions of matplotlib take them
+    bars = _bars(error, uncertain)
     style = {**style, "linestyle": ":", "capsize": 2, "elinewidth": 0.9, "label": method}
     style["markerfacecolor"] = "none" if formula else style["color"]
     ax.errorbar(_ms(part), error, yerr=None if formula else bars, **{**style, **options})
+
+
+def _bars(values, uncertain):
+    """Return the lengths of bars down and up, which stay above zero, as older versions of matplotlib take them."""
+    return [np.minimum(uncertain, 0.9 * values).tolist(), uncertain.tolist()]
 
 
 def _set_ticks(ax):

@@ -1,8 +1,10 @@
 """Colors and markers: every difference that matters shows without color, too, by a marker, a hatch or a line."""
 
+import numpy as np
+
 __all__ = [
     "ARM", "COLLISION", "DIVERGING", "FADED", "FAINT", "GROUP_COLORS", "HATCH", "IDLE", "LEVELS", "MARKERS", "OBSTACLE",
-    "OUTLINE", "PATROL", "RISK", "SEQUENTIAL", "SERIES",
+    "OUTLINE", "PATROL", "RISK", "SEQUENTIAL", "SERIES", "light_scale",
 ]  # fmt: skip
 
 # the palette of Okabe and Ito, which color-blind people can tell apart
@@ -23,3 +25,11 @@ HATCH = "//////"
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
 """Counts 0, 1, 2, ...: steps of lightness, which print in gray as well."""
 SEQUENTIAL, DIVERGING, RISK = "viridis", "RdBu_r", "YlOrBr"
+
+
+def light_scale():
+    """Return the sequential color map without its darkest third, on which no edges can be seen and no dark page."""
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(colormaps[SEQUENTIAL](np.linspace(0.35, 1, 256)))

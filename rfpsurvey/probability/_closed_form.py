@@ -19,7 +19,7 @@ def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the sum over neighbors of two ratios of areas (Chen et al. 2024, arXiv:2409.07288, Eq. 5 to 9)."""
+    """Return the sum over neighbors of two ratios of areas (Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9)."""
     check_choice(variant, VARIANTS, "variant of the closed form")
     d, l1, l2 = plane.positioner._clearance_mm, plane._l1_mm, plane._l2_mm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)

@@ -68,12 +68,12 @@ def collision_probability(
         The positioners; a str is the name of a preset.
     method : str or callable, optional
         ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
-        ``monte_carlo`` (allocated): one configuration for each realization, as in the paper. ``quadrature``
-        (independent): scrambled Sobol points for each positioner and its neighbors. Without an error: ``closed_form``
-        (Eq. 5 to 9 of the paper), ``overlap_ratio`` (part of the patrol area that others reach), ``close_pair`` (chance
-        that another observed target lies within the safe distance). ``auto``: the cheapest one of the estimand that
-        has an error. Another name is that of a method of an installed package; a function of a `ProbabilityQuestion`
-        is taken as it is.
+        ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024),
+        arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors.
+        Without an error: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (part of the patrol area
+        that others reach), ``close_pair`` (chance that another observed target lies within the safe distance).
+        ``auto``: the cheapest one of the estimand that has an error. Another name is that of a method of an installed
+        package; a function of a `ProbabilityQuestion` is taken as it is.
     estimand : {"allocated", "independent"}, optional
         For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
     targets : Catalog, Quantity (n, 2), callable or str, optional
@@ -149,8 +149,8 @@ def collision_probability(
 
     References
     ----------
-    Chen et al. 2024, "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", arXiv:2409.07288.
+    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
+    Theta-phi Positioners".
 
     Examples
     --------

@@ -86,7 +86,7 @@ def fit_polynomial(
     held_back: float = 0.25,
     rng: int | np.random.Generator | None = 0,
 ) -> PolynomialFit:
-    """Fit the paper's polynomial, its equation 13, to the probabilities of designs.
+    """Fit the polynomial of Chen et al. (2024), arXiv:2409.07288, Eq. 13, to the probabilities of designs.
 
     Parameters
     ----------

@@ -16,14 +16,19 @@ NEAREST_RING = 1.5
 CORRELATION = 0.2
 """Typical correlation of positioners in the nearest ring (0.13 to 0.28 for LAMOST, SDSS-V and MOONS). Only the degrees
 of freedom depend on it."""
+BEYOND = -0.03
+"""Typical correlation of neighbors beyond the nearest ring, which compete for targets but rarely collide. It is taken
+as given, since a small plane is too small to measure it: for SDSS-V and MOONS it is -0.03 to -0.05 with four targets
+per positioner, and 0 to -0.01 with one."""
 
 
 def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
     """Return the variance of the mean over positioners, estimated from one sky, and its degrees of freedom.
 
     Positioners share targets with their neighbors, so that their collisions are correlated. The estimate is unbiased
-    if all pairs of neighbors have the same covariance and the expected value of a positioner is linear in its number
-    of neighbors, which at an edge is smaller.
+    if all pairs of neighbors in the nearest ring have the same covariance, those beyond it have the correlation
+    ``BEYOND``, and the expected value of a positioner is linear in its number of neighbors, which at an edge is
+    smaller. If there are enough positioners, all pairs of neighbors are assumed to have the same covariance.
 
     Parameters
     ----------
@@ -59,12 +64,14 @@ def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
     if n < 3:
         return np.nan, 0.0
     pairs, near = plane._neighbors, _nearest_ring(plane)
-    all_of, ring_of = (_adjacency(len(plane), p)[counts][:, counts] for p in (pairs, pairs[near]))
+    all_of, ring_of, beyond = (
+        _adjacency(len(plane), some)[counts][:, counts] for some in (pairs, pairs[near], pairs[~near])
+    )
     basis = _profile(np.bincount(pairs.ravel(), minlength=len(plane))[counts].astype(float))
     typical = CORRELATION * ring_of.sum() / max(all_of.sum(), 1.0)
-    found = _Quadratic(all_of, basis, typical) if len(near) > near.sum() else None
+    found = _Quadratic(all_of, basis, typical) if beyond.nnz else None
     if found is None or found.degrees < ENOUGH_DEGREES:
-        found = _Quadratic(ring_of, basis, CORRELATION)
+        found = _Quadratic(ring_of, basis, CORRELATION, BEYOND * beyond)
     return found.variance(risk[counts]), found.degrees
 
 
@@ -97,56 +104,56 @@ class _Quadratic:
     """Unbiased quadratic estimate of the variance of the mean if variances are equal, and covariances of neighbors.
 
     With the residuals e of the profile, the sum of squares e'e and the sum over ordered pairs of neighbors e'Ae have
-    expected values linear in variance and covariance; the solution is e'(aI + bA)e.
+    expected values linear in variance and covariance; the solution is e'(aI + bA)e. ``known`` are correlations that
+    are taken as given.
     """
 
-    def __init__(self, adjacency, basis: np.ndarray, correlation: float):
+    def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
         n, k = basis.shape
-        through = adjacency @ basis
-        inner = basis.T @ through
-        pairs = float(adjacency.sum())
-        # traces of P, PA and PAPA, with P = 1 - basis basis'
-        t0, t1 = n - k, -float(np.trace(inner))
-        t2 = pairs - 2 * float((through**2).sum()) + float((inner**2).sum())
-        determinant = t0 * t2 - t1**2
-        self.adjacency, self.basis, self.n, self.free = adjacency, basis, n, t0
-        self.a, self.b, self.degrees = (1.0 / t0 / n if t0 else np.nan), 0.0, float(t0)
-        if pairs == 0:
+        own = _identity(n)
+        base = own if known is None else (own + known).tocsr()
+        self.adjacency, self.basis, self.n = adjacency, basis, n
+        # expected values of e'e and e'Ae for unit variance, and for unit covariance of neighbors
+        moments = np.array([[_trace(form, one, basis) for one in (base, adjacency)] for form in (own, adjacency)])
+        sums = np.array([base.sum(), adjacency.sum()])
+        self.a, self.b, self.degrees, self.least = np.nan, 0.0, 0.0, np.nan
+        if n - k < 1 or moments[0, 0] <= 0:
             return
-        if t0 < 1 or determinant <= 1e-9 * t0 * t2:
-            self.a, self.degrees = np.nan, 0.0
-            return
-        self.a, self.b = (n * t2 - pairs * t1) / determinant / n**2, (pairs * t0 - n * t1) / determinant / n**2
-        self.degrees = self._degrees(correlation, through, inner)
+        self.least = sums[0] / moments[0, 0] / n**2
+        if sums[1] == 0:
+            self.a, self.degrees = self.least, float(n - k)
+        elif np.linalg.det(moments) > 1e-9 * moments[0, 0] * moments[1, 1]:
+            self.a, self.b = np.linalg.solve(moments.T, sums) / n**2
+            self.degrees = self._degrees((base + correlation * adjacency).tocsr())
 
-    def _degrees(self, correlation, through, inner):
+    def _degrees(self, covariance):
         """Return 2 E(V)^2 / Var(V) for normal variables, without making the dense matrix P (aI + bA) P."""
-        a, b, basis, adjacency = self.a, self.b, self.basis, self.adjacency
-        expected = (self.n + correlation * adjacency.sum()) / self.n**2
-        weighted = a * basis + b * through
-        beside = weighted - basis @ (a * np.eye(basis.shape[1]) + b * inner) / 2
+        basis, weight = self.basis, self.a * _identity(self.n) + self.b * self.adjacency
+        expected = covariance.sum() / self.n**2
+        weighted = weight @ basis
+        beside = weighted - basis @ (basis.T @ weighted) / 2
         left, right = np.hstack([-basis, -beside]), np.hstack([beside, basis])  # P K P = K + left right'
-
-        def covariance(x):
-            return x + correlation * (adjacency @ x)
-
-        def weight(x):
-            return a * x + b * (adjacency @ x)
-
-        squares = a * correlation + b
-        square = (adjacency @ adjacency).tocsr()
-        # K S = a + (a rho + b) A + b rho A^2, and the trace of its square is the sum of its squared entries
-        product = squares * adjacency + b * correlation * square
-        diagonal = product.diagonal()
-        trace = float((product.data**2).sum() + 2 * a * diagonal.sum() + a * a * self.n)
-        mixed = right.T @ covariance(left)
-        trace += 2 * float(np.trace(right.T @ covariance(weight(covariance(left))))) + float(np.trace(mixed @ mixed))
+        product = (weight @ covariance).tocsr()
+        mixed = right.T @ (covariance @ left)
+        trace = float(product.multiply(product.T).sum()) + float((mixed * mixed.T).sum())
+        trace += 2 * float(np.trace(right.T @ (covariance @ (weight @ (covariance @ left)))))
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, risk: np.ndarray) -> float:
-        """Return the estimate, which is not below that of independent positioners."""
+        """Return the estimate, which is not below that of positioners whose neighbors have the covariance 0."""
         away = risk - self.basis @ (self.basis.T @ risk)
         own = float(away @ away)
-        if np.isnan(self.a) or self.free < 1:
+        if np.isnan(self.a):
             return np.nan
-        return max(self.a * own + self.b * float(away @ (self.adjacency @ away)), own / self.free / self.n)
+        return float(max(self.a * own + self.b * float(away @ (self.adjacency @ away)), self.least * own))
+
+
+def _identity(n: int):
+    return coo_array((np.ones(n), (np.arange(n), np.arange(n))), shape=(n, n)).tocsr()
+
+
+def _trace(first, second, basis: np.ndarray) -> float:
+    """Return the trace of P F P S for symmetric matrices F and S, with P = 1 - basis basis'."""
+    left, right = first @ basis, second @ basis
+    outer = float(((basis.T @ left) * (basis.T @ right)).sum())
+    return float(first.multiply(second).sum()) - 2 * float((left * right).sum()) + outer

@@ -23,14 +23,12 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         "collision rate": s["collision_rate"],
     }
     pictures = [
-        Picture("The tiles on the sky.", plot_tiling(survey), "Their color is the completeness of each field."),
-        Picture(
-            "Completeness, tile after tile.", plot_completeness(survey), "In the order in which tiles are planned."
-        ),
+        Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),
+        Picture("Completeness after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
     after = "Completeness after each pass, of each class of priority and of all."
     sections = [
-        Section("What came out", [Facts("", survey_facts(survey))]),
+        Section("Result", [Facts("", survey_facts(survey))]),
         Section("On the sky", pictures[:1]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section("Tiles", [Rows("The tiles of the survey, in the order of the tiling.", survey.tiles, where)]),
@@ -50,11 +48,33 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
         if isinstance(summary.get(key), float):
             highlights[label] = summary[key]
     rows = Rows("The tiles, in the order in which they are to be observed.", table, where or "Tiling.table")
-    picture = Picture("The tiles on the sky.", plot_tiling(tiling), "Their color is the pass.")
+    picture = Picture("The tiles on the sky.", plot_tiling(tiling), _about_tiles(table, "pass"))
     sections = [Section("On the sky", [picture]), Section("Tiles", [rows])]
     if numbers:
-        sections.insert(0, Section("What came out", [Facts("", numbers)]))
+        sections.insert(0, Section("Result", [Facts("", numbers)]))
     title = f"Tiles for {summary['instrument']}" if "instrument" in summary else "Tiles"
     n = len(set(table["pass"].tolist()))
     lead = f"{len(tiling)} tiles in {n} pass{'' if n == 1 else 'es'}."
     return Page("Tiling", title, lead, highlights, sections, dict(table.meta))
+
+
+def _about_tiles(table, color) -> str:
+    """Return what the map of tiles shows: ``color`` is what their color stands for."""
+    words = "Each circle is a field. East is to the left."
+    if color == "pass" and len(set(table["pass"].tolist())) == 1:
+        return f"{words} Where fields overlap, the color is darker or lighter."
+    words += f" The color is the {color}."
+    if len(set(table["pass"].tolist())) > 1:
+        words += " Fields of later passes are filled up to a smaller radius, so that those below can be seen."
+    return words
+
+
+def _about_curves(survey) -> str:
+    """Return what the plot of the completeness shows."""
+    words = (
+        "The line is the fraction of all visits that are observed, in the order in which tiles are planned. Crosses "
+        "are the fraction of targets with all of their visits, after each pass; gray lines mark the ends of passes."
+    )
+    if len(set(survey.completeness["priority"].tolist())) > 2:  # "all" is one of them
+        words += " Dotted lines join the completeness of each priority after each pass."
+    return words

@@ -18,13 +18,49 @@ __all__ = ["page_of_allocators", "page_of_claims", "page_of_estimate", "page_of_
 
 VERDICTS = {"reproduced": "good", "not reproduced": "bad", "cannot be decided from the text": "open"}
 FIGURES = {
-    "small": "Probability against arm ratio and pitch, by simulation and formula; below, scaled as in the paper.",
-    "large": "The formula against the simulation, and their difference over arm ratio and pitch.",
-    "poisson": "What Poisson-distributed targets change, in every reading of the text.",
-    "surrogate": "The error of the surrogate at designs that it never saw.",
-    "intervals": "How often each interval holds the truth; the line is what it promises.",
-    "speed": "The time of each method against its errors.",
+    "small": (
+        "Collision probability against arm ratio and pitch.",
+        "Solid lines are simulations with their 95 % intervals as shades, and dashed lines are the formula. The lower "
+        "panels show the same values scaled to the range from 0 to 1, as in the paper.",
+    ),
+    "large": (
+        "The formula against the simulation.",
+        "Left: each point is a design, with two definitions of the simulated probability; on the gray line both are "
+        "equal. Right: the difference of the two, each scaled to the range from 0 to 1. Triangles point up where the "
+        "formula is larger.",
+    ),
+    "poisson": (
+        "Uniform minus Poisson-distributed targets.",
+        "Each panel shows the difference of the collision probabilities for one reading of the paper's text. Triangles "
+        "point up where uniform targets collide more often.",
+    ),
+    "poisson_disc": (
+        "Uniform targets against Poisson-disc targets.",
+        "The points show by how many percent uniform targets collide more often, for each minimum separation of the "
+        "targets; bars are standard errors. The dashed line is the 2.6 % of the paper, and the gray line is 0.",
+    ),
+    "surrogate": (
+        "The error of the surrogate.",
+        "The points are designs that were not used to make the surrogate; bars are the standard errors of the "
+        "quadrature. The gray line is 0.",
+    ),
+    "intervals": (
+        "How often each interval contains the truth.",
+        "Bars are two standard errors. The gray line is the nominal 95 %, and the gray band is 93.5 to 96.5 %.",
+    ),
+    "one_sky": (
+        "How often the interval for given targets contains the expectation.",
+        "There is a line for each kind of arms, number of targets per positioner and kind of sky; bars are two "
+        "standard errors. The gray line is the nominal 95 %. Points of equal numbers of positioners are drawn "
+        "beside each other.",
+    ),
+    "speed": (
+        "The time of each method against its errors.",
+        "Arrows point down from upper limits, where no pair is misclassified; the labels give the points per arm. "
+        "Methods to the lower left are better.",
+    ),
 }
+"""Name of a figure to its caption, and to a description of all that it shows."""
 
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
@@ -42,7 +78,7 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
         "Collision probability",
         f"By the method {kind}.",
         highlights,
-        [Section("What came out", blocks)],
+        [Section("Result", blocks)],
         meta,
     )
 
@@ -75,8 +111,11 @@ def page_of_allocators(table: Table, where: str) -> Page:
         "observed if arms could pass each other, as a part of these. gap: how far the plan may be from the best one, "
         "where that is known. missing: what the requirements lack."
     )
-    seen = "Usable fibers and those lost to collisions; the line is what could be if arms could pass each other."
-    picture = Picture("What each allocator gives.", plot_allocators(table), seen)
+    seen = (
+        "Bars are fibers on science targets, usable or lost to collisions, and what the requirements lack. The dashed "
+        "line is the number of science fibers if collisions are ignored. The time is that of the allocation."
+    )
+    picture = Picture("Fibers of each allocator.", plot_allocators(table), seen)
     blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
     sections = [Section("Side by side", blocks)]
     if unmet:
@@ -89,7 +128,11 @@ def page_of_instruments(table: Table, where: str) -> Page:
     """Return a page on instruments side by side."""
     meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
     lead = f"{', '.join(names)}; fields of each: {meta['n_fields']}, {meta['way']}."
-    seen = "Reach, what the positioners do, and the collision probability with its interval."
+    seen = (
+        "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions of "
+        "the positioners with a science target, with one but in collision, and without one; the number to the right is "
+        "the fraction of targets lost to collisions. Right: the collision probability with its 95 % interval."
+    )
     blocks = [
         Picture("Instruments side by side.", draw_instruments(table), seen),
         *(Rows(f"{title.capitalize()}.", part, where) for title, part in parts_of(table).items()),
@@ -122,7 +165,7 @@ def _experiment(name, folder) -> list:
         return []
     tables = {key: read_table(Path(folder) / f"{key}.ecsv") for key in TABLES[name]}
     figures = draw_reproduction(name, tables)
-    pictures = [Picture(FIGURES.get(key, f"{key}."), figure) for key, figure in figures.items()]
+    pictures = [Picture(FIGURES[key][0], figure, FIGURES[key][1]) for key, figure in figures.items()]
     return pictures + [Rows(f"Table {key}.", table, f"{key}.ecsv") for key, table in tables.items()]
 
 

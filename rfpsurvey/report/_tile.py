@@ -45,10 +45,10 @@ def page_of_tile(tile: Tile, where: str) -> Page:
         Section(
             "Request and result",
             [
-                Facts("What was asked", _asked(tile)),
-                Facts("What came out", tile_facts(tile)),
+                Facts("Request", _asked(tile)),
+                Facts("Result", tile_facts(tile)),
                 *_aims(tile),
-                Facts("Seconds", summary["seconds"]),
+                Facts("Times in seconds", summary["seconds"]),
             ],
         ),
     ]
@@ -108,17 +108,24 @@ def _pictures(tile) -> list:
         t.get_text() for t in whole.get_legend().get_texts()
     }
     if dots:
-        words = "Dots are fibers on their targets, and diamonds those in collision."
+        words = (
+            "Blue dots are fibers on their targets, gray dots are positioners without one, and diamonds are in "
+            "collision."
+        )
     else:
-        words = "Circles are patrol areas, and the shade around an arm is half the minimum separation wide."
+        words = (
+            "Circles are patrol areas; dotted circles are their inner edges. The shade around an arm is half the "
+            "minimum separation wide: two arms collide where their shades overlap."
+        )
     if "position_angle_deg" in tile.provenance["parameters"]:
         words += " East is to the left of north, as on the sky; the arrows show both."
     pictures = [Picture("The whole focal plane.", whole, words)]
     if len(tile.table) > LITTLE:
         corner = _crowded(tile)
-        more = " Arms whose shades overlap collide, and are hatched." if tile.summary["n_colliding"] else ""
-        words = f"{'The most collisions are here.' if more else 'The narrowest passage is here.'}{more}"
-        pictures.append(Picture("A part of it, larger.", _draw(tile, corner), words))
+        words = "This part has the smallest clearance between two arms."
+        if tile.summary["n_colliding"]:
+            words = "This part has the most collisions. Arms whose shades overlap collide, and are hatched."
+        pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
     return pictures
 
 
@@ -158,13 +165,13 @@ def _collisions(tile, where) -> list:
     clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
     free = np.flatnonzero(~colliding & np.isfinite(clearance))
     narrow = free[np.argsort(clearance[free], kind="stable")]
-    words = "The clearance is how much farther than the safe distance the nearest other arm is away."
+    words = "The clearance is the distance to the nearest other arm, minus the minimum separation."
     blocks = [Text(f"{words}{'' if colliding.any() else ' No arm is in collision.'}")]
     if colliding.any():
         blocks.append(Rows("Positioners in collision.", table[colliding], where))
     rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
     left_out = len(narrow) - len(rest)
-    return [*blocks, Rows("The narrowest passages of arms that do not collide.", rest, where, left_out)]
+    return [*blocks, Rows("The smallest clearances of arms that do not collide.", rest, where, left_out)]
 
 
 def _assignments(tile, where) -> list:

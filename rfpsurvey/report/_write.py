@@ -76,7 +76,8 @@ def write_report(
     title : str, optional
         Heading of the page; by default it says what the result is.
     figures : matplotlib Figure or Axes, sequence of them, or dict, optional
-        Further figures, for example ``rs.plot_speed_accuracy(table)``; the keys of a dict are their captions.
+        Further figures, for example ``rs.plot_speed_accuracy(table)``; the keys of a dict are their captions, whose
+        first sentence is in bold.
     data : str or path-like, optional
         File that holds the whole result. Where a table leaves out rows, the page names this file, without its folder.
     max_rows : int, optional
@@ -138,4 +139,8 @@ def _pictures(figures) -> list[Picture]:
     for figure in named.values():
         if not hasattr(getattr(figure, "figure", figure), "savefig"):
             raise InputError(f"figures must be Figures or Axes of matplotlib, got {type(figure).__name__}")
-    return [Picture(str(caption), figure) for caption, figure in named.items()]
+    pictures = []
+    for caption, figure in named.items():
+        first, stop, rest = str(caption).partition(". ")
+        pictures.append(Picture(f"{first}." if stop else first, figure, rest))
+    return pictures

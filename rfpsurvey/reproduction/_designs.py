@@ -32,11 +32,14 @@ class Settings:
     executor: Executor | None = None
     progress: bool = False
     seed: int = 0
+    error: float | None = None
+    """Standard error of every design, if it is not the usual one."""
 
     @property
     def precision(self) -> float:
         """Standard error of every design."""
-        return 2e-3 if self.quick else 1e-4
+        usual = 2e-3 if self.quick else 1e-4
+        return usual if self.error is None else self.error
 
     def pick(self, full: int, quick: int) -> int:
         """Return the number for this care."""

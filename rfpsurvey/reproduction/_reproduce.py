@@ -44,7 +44,7 @@ def reproduce(
     overwrite: bool = False,
     progress: bool = False,
 ) -> QTable:
-    """Rerun the experiments of the paper, and put each of its claims beside what came out.
+    """Rerun the experiments of Chen et al. (2024), arXiv:2409.07288, and judge each claim.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def reproduce(
 
     References
     ----------
-    Chen et al. 2024, "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", arXiv:2409.07288.
+    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
+    Theta-phi Positioners".
 
     Examples
     --------

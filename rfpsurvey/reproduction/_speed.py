@@ -4,10 +4,13 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.benchmark import benchmark_collisions
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
 from rfpsurvey.reproduction._designs import Settings
 
 __all__ = ["speed"]
+
+FAR_LESS = 1.0
+"""Per cent of the time of swept areas above which the claim is refuted, whatever the machines were."""
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
@@ -26,19 +29,21 @@ def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     claims = [
         Claim(
             "speed", "arms of 64 segments take 0.15 % of the time of swept areas", "0.15 %", f"{ratio:.2g} %",
-            REPRODUCED if ratio <= 0.3 else NOT_REPRODUCED,
-            "both our own on one core; pairs that cannot touch are skipped; holds up to twice the paper's ratio",
+            UNDECIDED if ratio <= FAR_LESS else NOT_REPRODUCED,
+            "both our own on one core, and pairs that cannot touch are skipped; the paper compares a GPU with a "
+            "machine that it does not describe, so that the agreement of the two numbers proves little",
         ),
         Claim(
             "speed", "collisions of 4000 positioners take 0.45 s", "0.45 s on an RTX 4090D",
             f"{sampled['time'].to_value('ms'):.2g} ms with 65 points, {exact['time'].to_value('ms'):.2g} ms exactly",
-            REPRODUCED,
-            "on one core of this machine, an upper limit",
+            REPRODUCED if sampled["time"].to_value("s") <= 0.45 else NOT_REPRODUCED,
+            "at most that; on one core of this machine, and pairs that cannot touch are skipped",
         ),
         Claim(
             "speed", "the accuracy of arms of 64 segments satisfies the requirements", "stated",
             f"{missed} of {count} pairs missed, distances up to {error:.2g} mm too long",
-            REPRODUCED if missed == 0 else NOT_REPRODUCED, "against rational arithmetic",
+            REPRODUCED if missed == 0 else NOT_REPRODUCED,
+            "LAMOST's arms against rational arithmetic; no pair may be missed: the paper states no requirement",
         ),
     ]  # fmt: skip
     return {"speed": table}, claims

@@ -4,6 +4,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.survey._ledger import OUTCOMES, Ledger
+from rfpsurvey.tile import model_sentence
 
 __all__ = ["completeness_table", "outcome_table", "tile_table"]
 
@@ -48,6 +49,7 @@ def _summary(request, ledger, counts, fates, n_usable) -> dict:
         "n_obstacle_collisions": total["n_obstacle_collisions"],
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "n_unmet": total["n_unmet"],
+        "model": model_sentence(request.instrument),
     }
 
 

@@ -73,7 +73,7 @@ class Survey:
 
     @property
     def summary(self) -> dict:
-        """Counts of tiles, targets, visits, fibers, collisions and outcomes."""
+        """Counts of tiles, targets, visits, fibers, collisions and outcomes, and the model behind them as text."""
         return self.tiles.meta["summary"]
 
     @property

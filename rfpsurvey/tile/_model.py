@@ -1,4 +1,4 @@
-"""One sentence on the model behind a tile: what was computed, and why no more was needed."""
+"""State the model behind a tile or a survey: what was computed, and why no more was needed."""
 
 import numpy as np
 
@@ -18,15 +18,15 @@ ARMS = {
 }
 
 
-def model_sentence(instrument: Instrument, posed: Arms) -> str:
-    """Return which model a tile was computed with, and why it suffices.
+def model_sentence(instrument: Instrument, posed: Arms | None = None) -> str:
+    """Return which model a tile or the tiles of a survey were computed with, and why it suffices.
 
     Parameters
     ----------
     instrument : Instrument
         The instrument.
-    posed : Arms
-        The arms of the tile.
+    posed : Arms, optional
+        The arms of the tile; without them the sentence is about every tile of a survey.
 
     Returns
     -------
@@ -38,12 +38,14 @@ def model_sentence(instrument: Instrument, posed: Arms) -> str:
     if kind == 1:
         collisions = "No two arms can touch (collision type 1), so that no pair was tested"
     else:
-        case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
-        near, tested = len(near_pairs(case)[0]), len(plane._neighbors)
-        collisions = (
-            f"Collisions: {TYPES[kind]}; of {tested} pairs within reach of each other, {near} needed a distance, which "
-            f"is exact for arms as {ARMS[plane.positioner.arm_model]}"
-        )
+        n_pairs, arms = len(plane._neighbors), f"exact for arms as {ARMS[plane.positioner.arm_model]}"
+        if posed is None:
+            looked = f"each tile tests the {n_pairs} pairs within reach of each other, and a distance, where needed, is"
+        else:
+            case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
+            n_near = len(near_pairs(case)[0])
+            looked = f"of {n_pairs} pairs within reach of each other, {n_near} needed a distance, which is"
+        collisions = f"Collisions: {TYPES[kind]}; {looked} {arms}"
     if instrument.distortion is None:
         positions = "a tangent plane with one plate scale"
     else:
