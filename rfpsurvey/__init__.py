@@ -13,7 +13,7 @@ from rfpsurvey.allocation import (
     AllocationProblem,
     Requirement,
     allocate,
-)  # fmt: skip
+)
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, RfpsurveyWarning

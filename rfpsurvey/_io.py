@@ -21,9 +21,19 @@ from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of,
 from rfpsurvey.errors import InputError
 
 __all__ = [
-    "TEMPORARY_PREFIX", "check_output", "fits_bytes", "output_path", "read_fits_bytes", "read_table", "suffix_of",
-    "table_bytes", "temporary_folder", "to_path", "write_bytes", "write_table",
-]  # fmt: skip
+    "TEMPORARY_PREFIX",
+    "check_output",
+    "fits_bytes",
+    "output_path",
+    "read_fits_bytes",
+    "read_table",
+    "suffix_of",
+    "table_bytes",
+    "temporary_folder",
+    "to_path",
+    "write_bytes",
+    "write_table",
+]
 
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")

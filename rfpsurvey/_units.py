@@ -17,9 +17,23 @@ from rfpsurvey.errors import InputError
 MOST_VISITS = 255
 
 __all__ = [
-    "locked", "to_direction", "to_flags", "to_generator", "to_labels", "to_lonlat", "to_mm", "to_plain", "to_points_mm",
-    "to_radian", "to_scalar", "to_seed", "to_spawner", "to_unit", "to_vectors", "to_visits",
-]  # fmt: skip
+    "locked",
+    "to_direction",
+    "to_flags",
+    "to_generator",
+    "to_labels",
+    "to_lonlat",
+    "to_mm",
+    "to_plain",
+    "to_points_mm",
+    "to_radian",
+    "to_scalar",
+    "to_seed",
+    "to_spawner",
+    "to_unit",
+    "to_vectors",
+    "to_visits",
+]
 
 
 def locked(array: np.ndarray) -> np.ndarray:

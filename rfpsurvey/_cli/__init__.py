@@ -17,6 +17,18 @@ from rfpsurvey._cli import (
 from rfpsurvey._cli._app import app, main
 
 __all__ = [
-    "app", "benchmark", "benchmark_probability", "compare", "compare_allocators", "design", "instruments", "main",
-    "plan", "probability", "reproduce", "score", "survey", "tile",
-]  # fmt: skip
+    "app",
+    "benchmark",
+    "benchmark_probability",
+    "compare",
+    "compare_allocators",
+    "design",
+    "instruments",
+    "main",
+    "plan",
+    "probability",
+    "reproduce",
+    "score",
+    "survey",
+    "tile",
+]

@@ -25,17 +25,35 @@ from rfpsurvey._cli._print import (
     finish_table,
     finish_tiling,
     print_table,
-)  # fmt: skip
+)
 from rfpsurvey._io import WRITABLE, check_output, read_table
 from rfpsurvey.catalog import UNITS, as_catalog
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.report import check_report
 
 __all__ = [
-    "allocation_options", "app", "check_chart", "check_outputs", "files", "finish", "finish_comparison",
-    "finish_estimate", "finish_table", "finish_tiling", "instrument_of", "main", "parse_center", "parse_pairs",
-    "print_table", "read_assignment", "read_catalog", "read_targets", "targets_and_center", "to_mm", "units_of",
-]  # fmt: skip
+    "allocation_options",
+    "app",
+    "check_chart",
+    "check_outputs",
+    "files",
+    "finish",
+    "finish_comparison",
+    "finish_estimate",
+    "finish_table",
+    "finish_tiling",
+    "instrument_of",
+    "main",
+    "parse_center",
+    "parse_pairs",
+    "print_table",
+    "read_assignment",
+    "read_catalog",
+    "read_targets",
+    "targets_and_center",
+    "to_mm",
+    "units_of",
+]
 
 # What a shell reports of a program that writes to a pipe whose reader has gone.
 READER_GONE = 141
@@ -187,9 +205,13 @@ def allocation_options(
     if sky_separation is not None:
         sky_separation = sky_separation * u.arcsec
     return rs.AllocationOptions(
-        allocator, requirements="instrument" if own else require, sky_separation=sky_separation, objective=objective,
-        time_limit=time_limit * u.s, parked_obstacles=parked,
-    )  # fmt: skip
+        allocator,
+        requirements="instrument" if own else require,
+        sky_separation=sky_separation,
+        objective=objective,
+        time_limit=time_limit * u.s,
+        parked_obstacles=parked,
+    )
 
 
 def read_assignment(path: Path, select: list[str] | None):

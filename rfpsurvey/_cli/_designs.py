@@ -53,8 +53,9 @@ def options(target_density: float | None, time_limit: float, objective: list[str
     """Return arguments of explore_designs that need more than to be handed on."""
     return {
         "target_density": None if target_density is None else target_density / u.mm**2,
-        "time_limit": time_limit * u.s, "objectives": _app.parse_pairs(objective, "--objective") or None,
-    }  # fmt: skip
+        "time_limit": time_limit * u.s,
+        "objectives": _app.parse_pairs(objective, "--objective") or None,
+    }
 
 
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:

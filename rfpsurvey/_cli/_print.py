@@ -13,9 +13,15 @@ from rfpsurvey._io import output_path, write_table
 from rfpsurvey.report import estimate_facts, tile_aims, tile_facts
 
 __all__ = [
-    "PICTURES", "files", "finish", "finish_comparison", "finish_estimate", "finish_table", "finish_tiling",
+    "PICTURES",
+    "files",
+    "finish",
+    "finish_comparison",
+    "finish_estimate",
+    "finish_table",
+    "finish_tiling",
     "print_table",
-]  # fmt: skip
+]
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_AIMS = 12
@@ -55,9 +61,11 @@ def files(*, overwrite: bool, output=None, plot=None, report=None) -> Iterator[N
 def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
     """Write a tile, its picture and page where asked, and print its summary."""
     with files(
-        overwrite=overwrite, output=(output, tile.write), plot=(plot, lambda: rs.plot_focal_plane(tile).figure),
+        overwrite=overwrite,
+        output=(output, tile.write),
+        plot=(plot, lambda: rs.plot_focal_plane(tile).figure),
         report=(report, tile, {"data": output}),
-    ):  # fmt: skip
+    ):
         print_summary(tile)
 
 
@@ -67,9 +75,11 @@ def finish_tiling(
     """Write a tiling, its plot with the targets or the region of ``field``, and its page; print how it was made."""
     shown = {"region" if isinstance(field, rs.Region) else "targets": field}
     with files(
-        overwrite=overwrite, output=(output, tiling.write), plot=(plot, lambda: rs.plot_tiling(tiling, **shown).figure),
+        overwrite=overwrite,
+        output=(output, tiling.write),
+        plot=(plot, lambda: rs.plot_tiling(tiling, **shown).figure),
         report=(report, tiling, {"data": output}),
-    ):  # fmt: skip
+    ):
         for name, value in tiling.summary.items():
             if value != "":
                 print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
@@ -78,9 +88,11 @@ def finish_tiling(
 def finish_comparison(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
     """Write methods side by side, their chart and page where asked, and print them."""
     with files(
-        overwrite=overwrite, output=(output, partial(write_table, table)),
-        plot=(plot, lambda: rs.plot_allocators(table).figure), report=(report, table, {"data": output}),
-    ):  # fmt: skip
+        overwrite=overwrite,
+        output=(output, partial(write_table, table)),
+        plot=(plot, lambda: rs.plot_allocators(table).figure),
+        report=(report, table, {"data": output}),
+    ):
         print(
             f"{table.meta['instrument']}; {table.meta['blind_science']} science targets if arms could pass each other"
         )
@@ -105,9 +117,11 @@ def finish_estimate(
     if report is not None:
         page["figures"] = {MAP: draw()}
     with files(
-        overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, draw),
+        overwrite=overwrite,
+        output=(output, partial(write_table, table)),
+        plot=(plot, draw),
         report=(report, estimate, page),
-    ):  # fmt: skip
+    ):
         print(f"{model.name}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
             print(f"{label:<34}{value}")
@@ -121,9 +135,11 @@ def finish_table(table, draw, output: Path, plot: Path, report: Path | None, *, 
     if report is not None:
         page |= {"title": f"Benchmark: {name}", "figures": {f"Time against error, on {name}.": _first(draw(table))}}
     with files(
-        overwrite=overwrite, output=(output, partial(write_table, table)),
-        plot=(plot, lambda: _first(draw(table)).figure), report=(report, table, page),
-    ):  # fmt: skip
+        overwrite=overwrite,
+        output=(output, partial(write_table, table)),
+        plot=(plot, lambda: _first(draw(table)).figure),
+        report=(report, table, page),
+    ):
         print_table(table)
 
 

@@ -50,16 +50,26 @@ def compare(
     options = _app.allocation_options("lamost", require, sky_separation, time_limit)
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
-            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame), instruments,
-            center=None if center is None else _app.parse_center(center), allocators=allocator or ("lamost", "optimal"),
-            targets_per_positioner=targets, density=None if density is None else density / u.deg**2,
-            n_realizations=realizations, rng=seed, executor=pool if workers > 1 else None, progress=sys.stderr.isatty(),
-            options=options, position_angle=pa * u.deg, epoch=epoch,
-        )  # fmt: skip
+            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame),
+            instruments,
+            center=None if center is None else _app.parse_center(center),
+            allocators=allocator or ("lamost", "optimal"),
+            targets_per_positioner=targets,
+            density=None if density is None else density / u.deg**2,
+            n_realizations=realizations,
+            rng=seed,
+            executor=pool if workers > 1 else None,
+            progress=sys.stderr.isatty(),
+            options=options,
+            position_angle=pa * u.deg,
+            epoch=epoch,
+        )
     with _app.files(
-        overwrite=overwrite, output=(output, partial(write_table, table)), plot=(plot, lambda: draw_instruments(table)),
+        overwrite=overwrite,
+        output=(output, partial(write_table, table)),
+        plot=(plot, lambda: draw_instruments(table)),
         report=(report, table, {"data": output}),
-    ):  # fmt: skip
+    ):
         print(table.meta["way"])
         for title, part in parts_of(table).items():
             print(f"\n{title}")

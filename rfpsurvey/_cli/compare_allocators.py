@@ -39,11 +39,17 @@ def compare_allocators(
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
-    options = _app.allocation_options(
-        "lamost", require, sky_separation, time_limit, objective=objective, parked=parked
-    )  # fmt: skip
+    options = _app.allocation_options("lamost", require, sky_separation, time_limit, objective=objective, parked=parked)
     table = rs.compare_allocators(
-        targets, model, field, allocators=allocator, options=options, position_angle=pa * u.deg, equinox=equinox,
-        epoch=epoch, required=required or None, rng=seed,
-    )  # fmt: skip
+        targets,
+        model,
+        field,
+        allocators=allocator,
+        options=options,
+        position_angle=pa * u.deg,
+        equinox=equinox,
+        epoch=epoch,
+        required=required or None,
+        rng=seed,
+    )
     _app.finish_comparison(table, output, plot, report, overwrite=overwrite)

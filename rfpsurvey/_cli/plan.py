@@ -37,9 +37,16 @@ def plan(
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
     options = _app.allocation_options(
         allocator, require, sky_separation, time_limit, objective=objective, parked=parked
-    )  # fmt: skip
+    )
     tile = rs.plan_tile(
-        targets, model, field, position_angle=pa * u.deg, equinox=equinox, epoch=epoch, allocator=options,
-        required=required or None, rng=seed,
-    )  # fmt: skip
+        targets,
+        model,
+        field,
+        position_angle=pa * u.deg,
+        equinox=equinox,
+        epoch=epoch,
+        allocator=options,
+        required=required or None,
+        rng=seed,
+    )
     _app.finish(tile, output, plot, report, overwrite=overwrite)

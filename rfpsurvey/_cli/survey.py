@@ -38,8 +38,14 @@ def survey(
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame)
     options = {
         "allocator": _app.allocation_options(allocator, require, sky_separation, time_limit, parked=parked),
-        "visits": visits, "passes": passes, "epoch": epoch, "lost_in_collision": lost, "order": order,
-        "folder": folder, "resume": resume, "rng": seed,
-    }  # fmt: skip
+        "visits": visits,
+        "passes": passes,
+        "epoch": epoch,
+        "lost_in_collision": lost,
+        "order": order,
+        "folder": folder,
+        "resume": resume,
+        "rng": seed,
+    }
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
         _surveys.run(targets, tiles, model, executor, options, plot, report)

@@ -92,9 +92,15 @@ def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
 def pair_squared(segments, i, j):
     """Squared distance of the arms i and j."""
     return segments_squared(
-        segments[0, i], segments[1, i], segments[2, i], segments[3, i],
-        segments[0, j], segments[1, j], segments[2, j], segments[3, j],
-    )  # fmt: skip
+        segments[0, i],
+        segments[1, i],
+        segments[2, i],
+        segments[3, i],
+        segments[0, j],
+        segments[1, j],
+        segments[2, j],
+        segments[3, j],
+    )
 
 
 @kernel

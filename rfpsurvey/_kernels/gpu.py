@@ -18,7 +18,7 @@ from rfpsurvey._kernels.batch import (
     COUNTED,
     OBSTACLE_PAIRS,
     PAIRS,
-)  # fmt: skip
+)
 from rfpsurvey._kernels.collisions import near_squared, point_segment_squared
 
 __all__ = ["THREADS", "count", "list_pairs", "stand"]

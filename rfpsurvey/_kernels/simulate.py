@@ -110,9 +110,26 @@ def realize(rng, number, sky, array, room):
     x0, y0, size, nx, ny, start, order = array.grid
     indptr = room.indptr[: number + 1]
     reachable_pairs(
-        x, y, room.accepts, g.cx, g.cy, array.inner, array.outer, array.offers, x0, y0, size, nx, ny, start, order,
-        indptr, room.owner, room.r2, room.code,
-    )  # fmt: skip
+        x,
+        y,
+        room.accepts,
+        g.cx,
+        g.cy,
+        array.inner,
+        array.outer,
+        array.offers,
+        x0,
+        y0,
+        size,
+        nx,
+        ny,
+        start,
+        order,
+        indptr,
+        room.owner,
+        room.r2,
+        room.code,
+    )
     balanced(indptr, room.owner, room.r2, room.length, room.owner_of[:number])
     fill_queues(room.owner_of[:number], room.length, room.queues, room.queue)
 
@@ -184,9 +201,18 @@ def queue_and_expect(rng, numbers, most, sky, array, room, pairs, stage, hall, r
         realize(rng, numbers[c], sky, array, room)
         thin(rng, most, room.queues, room.queue)
         place_queues(
-            room.x, room.y, room.queues, room.queue, array.geometry, array.side, stage.model, stage.length,
-            stage.cosine, stage.sine, hall.segments,
-        )  # fmt: skip
+            room.x,
+            room.y,
+            room.queues,
+            room.queue,
+            array.geometry,
+            array.side,
+            stage.model,
+            stage.length,
+            stage.cosine,
+            stage.sine,
+            hall.segments,
+        )
         line_up(room.queues, array.idle, hall)
         sum_up(room.queues, pairs, array.geometry, stage, hall, risk, chance_of, sums[c], times, counted)
 

@@ -7,6 +7,16 @@ from rfpsurvey._readers._parquet import import_parquet, read_parquet
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, suffix_of, to_path
 
 __all__ = [
-    "FORMATS", "META_KEY", "content_of", "import_parquet", "parse_json", "read_fits_bytes", "read_parquet",
-    "read_table", "read_toml", "sentence", "suffix_of", "to_path",
-]  # fmt: skip
+    "FORMATS",
+    "META_KEY",
+    "content_of",
+    "import_parquet",
+    "parse_json",
+    "read_fits_bytes",
+    "read_parquet",
+    "read_table",
+    "read_toml",
+    "sentence",
+    "suffix_of",
+    "to_path",
+]

@@ -54,8 +54,22 @@ def _is_plain(kind) -> bool:
 
     if types.is_dictionary(kind):
         kind = kind.value_type
-    tests = ("boolean", "integer", "floating", "decimal", "string", "large_string", "binary", "large_binary",
-             "fixed_size_binary", "timestamp", "date", "null", "string_view", "binary_view")  # fmt: skip
+    tests = (
+        "boolean",
+        "integer",
+        "floating",
+        "decimal",
+        "string",
+        "large_string",
+        "binary",
+        "large_binary",
+        "fixed_size_binary",
+        "timestamp",
+        "date",
+        "null",
+        "string_view",
+        "binary_view",
+    )
     return any(getattr(types, f"is_{name}", lambda _: False)(kind) for name in tests)
 
 
@@ -77,8 +91,10 @@ def _to_array(column, name: str, path: Path) -> np.ndarray:
     missing = np.asarray(column.is_null()) if column.null_count else None
     if any(test(column.type) for test in (types.is_string, types.is_large_string, types.is_string_view)):
         values = _texts(column, path, name)
-    elif any(test(column.type) for test in (types.is_binary, types.is_large_binary, types.is_binary_view,
-                                            types.is_fixed_size_binary)):  # fmt: skip
+    elif any(
+        test(column.type)
+        for test in (types.is_binary, types.is_large_binary, types.is_binary_view, types.is_fixed_size_binary)
+    ):
         values = np.array([_decoded(value, path, name) for value in column.to_pylist()], dtype=str)
     else:
         if missing is not None and types.is_boolean(column.type):

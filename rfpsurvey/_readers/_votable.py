@@ -17,8 +17,20 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["read_votable"]
 
-SIZES = {"boolean": 1, "bit": 1 / 8, "unsignedByte": 1, "short": 2, "int": 4, "long": 8, "char": 1, "unicodeChar": 2,
-         "float": 4, "double": 8, "floatComplex": 8, "doubleComplex": 16}  # fmt: skip
+SIZES = {
+    "boolean": 1,
+    "bit": 1 / 8,
+    "unsignedByte": 1,
+    "short": 2,
+    "int": 4,
+    "long": 8,
+    "char": 1,
+    "unicodeChar": 2,
+    "float": 4,
+    "double": 8,
+    "floatComplex": 8,
+    "doubleComplex": 16,
+}
 # The bytes of a row, and of all rows as long as they are not many times the file.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
 # Warnings of astropy about values that it changes: text that is cut off, numbers beyond their type.

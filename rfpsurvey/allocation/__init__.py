@@ -8,6 +8,19 @@ from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, L
 from rfpsurvey.allocation._requirements import Requirement, Shortfall, as_requirements, sentences
 
 __all__ = [
-    "ALLOCATORS", "Allocation", "AllocationAnswer", "AllocationOptions", "AllocationProblem", "Level", "Requirement",
-    "Shortfall", "TargetColumns", "allocate", "as_options", "as_requirements", "assign", "packages", "sentences",
-]  # fmt: skip
+    "ALLOCATORS",
+    "Allocation",
+    "AllocationAnswer",
+    "AllocationOptions",
+    "AllocationProblem",
+    "Level",
+    "Requirement",
+    "Shortfall",
+    "TargetColumns",
+    "allocate",
+    "as_options",
+    "as_requirements",
+    "assign",
+    "packages",
+    "sentences",
+]

@@ -105,16 +105,17 @@ def allocate(
     n = len(points)
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
     columns = TargetColumns(
-        _priorities(priority, n), _labels(kind, n, "kind"), _labels(category, n, "category"),
-        np.asarray(fiber_type, dtype=str) if named else None, _flags(required, n),
-    )  # fmt: skip
+        _priorities(priority, n),
+        _labels(kind, n, "kind"),
+        _labels(category, n, "category"),
+        np.asarray(fiber_type, dtype=str) if named else None,
+        _flags(required, n),
+    )
     if columns.kind is not None:
         for word in np.unique(columns.kind):
             check_choice(str(word), KINDS, "kind of target")
     others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
-    return assign(
-        focal_plane, points, columns, options, to_generator(rng), forbidden=forbidden, avoid=others
-    )  # fmt: skip
+    return assign(focal_plane, points, columns, options, to_generator(rng), forbidden=forbidden, avoid=others)
 
 
 def assign(
@@ -141,9 +142,18 @@ def assign(
         if one.fiber_type:
             check_choice(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     problem = AllocationProblem(
-        focal_plane, xy_mm, _allowed(reach, forbidden, n), rank, classes, columns.kind, columns.category,
-        columns.fiber_type, columns.required, options, rng,
-    )  # fmt: skip
+        focal_plane,
+        xy_mm,
+        _allowed(reach, forbidden, n),
+        rank,
+        classes,
+        columns.kind,
+        columns.category,
+        columns.fiber_type,
+        columns.required,
+        options,
+        rng,
+    )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered))
@@ -151,9 +161,12 @@ def assign(
     found = _finish(problem, answer, n)
     end = perf_counter()
     return Allocation(
-        options.name, **found, in_reach=reach.covered, parked_obstacles=options.parked_obstacles,
+        options.name,
+        **found,
+        in_reach=reach.covered,
+        parked_obstacles=options.parked_obstacles,
         seconds={"reach": middle - begin, "allocation": end - middle},
-    )  # fmt: skip
+    )
 
 
 def _priorities(priority, n):

@@ -131,9 +131,12 @@ class Allocation:
             If this is no focal plane, or one of other positioners.
         """
         return place_arms(
-            focal_plane, self.tips, handedness=self.handedness, fiber_type=self.fiber_type,
+            focal_plane,
+            self.tips,
+            handedness=self.handedness,
+            fiber_type=self.fiber_type,
             parked_obstacles=self.parked_obstacles,
-        )  # fmt: skip
+        )
 
     def __repr__(self):
         n, m = len(self.target_of_positioner), len(self.positioner_of_target)

@@ -77,8 +77,13 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
 
 
 METHODS = {
-    "balanced": balanced, "nearest": nearest, "lamost": lamost, "sdss": sdss, "optimal": optimal, "repair": repair,
-}  # fmt: skip
+    "balanced": balanced,
+    "nearest": nearest,
+    "lamost": lamost,
+    "sdss": sdss,
+    "optimal": optimal,
+    "repair": repair,
+}
 """Name to function from a problem to a choice."""
 
 

@@ -183,4 +183,3 @@ def _asks_for_sky(requirements) -> bool:
 
 def _is_angle(value) -> bool:
     return isinstance(value, u.Quantity) and value.unit.is_equivalent(u.rad)
-

@@ -95,10 +95,12 @@ class Program:
         matrix = csr_array((matrix.data, *short), shape=matrix.shape)
         most = np.append(np.ones(len(self.candidate)), np.full(len(self.short), np.inf))
         found = milp(
-            -goal, constraints=LinearConstraint(matrix, low, high), bounds=Bounds(0, most),
+            -goal,
+            constraints=LinearConstraint(matrix, low, high),
+            bounds=Bounds(0, most),
             integrality=np.full(self.n, int(integral)),
             options={"time_limit": min(left, 1e9), "mip_rel_gap": gap, "presolve": self._may_presolve(matrix)},
-        )  # fmt: skip
+        )
         if integral:
             bound = np.inf if found.mip_dual_bound is None else -found.mip_dual_bound
             return None if found.x is None else np.round(found.x), bound

@@ -107,8 +107,10 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
         integers |= part.integral and part.n_programs > 0
     meta = {
         "model": "integer program" if integers else "linear program" if n_programs else "no search needed",
-        "n_open": int((n_left > 1).sum()), "n_parts": n_parts, "n_programs": n_programs,
-    }  # fmt: skip
+        "n_open": int((n_left > 1).sum()),
+        "n_parts": n_parts,
+        "n_programs": n_programs,
+    }
     return _Found(chosen, values, bounds, complete, meta)
 
 

@@ -79,14 +79,18 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
     columns = {
         "xy": np.concatenate([problem.xy, points]),
         "pairs": Reach(
-            np.concatenate([reach.indptr, reach.indptr[-1] + more]), np.concatenate([reach.owner, own[usable]]),
-            np.concatenate([reach.r2, r2]), len(plane),
+            np.concatenate([reach.indptr, reach.indptr[-1] + more]),
+            np.concatenate([reach.owner, own[usable]]),
+            np.concatenate([reach.r2, r2]),
+            len(plane),
         ),
         "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
         "kind": np.concatenate([problem.kind.astype("U8"), np.full(k, "sky")]),
         "watched": watched if stuck.any() else None,
-        "category": None, "required": None, "fiber_type": None,
-    }  # fmt: skip
+        "category": None,
+        "required": None,
+        "fiber_type": None,
+    }
     if problem.category.strides != (0,):
         # where sky is a category, it is that; else the kind says what it is
         name = "sky" if np.any(problem.category == "sky") else ""

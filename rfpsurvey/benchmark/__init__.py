@@ -6,5 +6,9 @@ from rfpsurvey.benchmark._common import random_tips
 from rfpsurvey.benchmark._probability import benchmark_densities, benchmark_probability
 
 __all__ = [
-    "benchmark_batches", "benchmark_collisions", "benchmark_densities", "benchmark_probability", "random_tips",
-]  # fmt: skip
+    "benchmark_batches",
+    "benchmark_collisions",
+    "benchmark_densities",
+    "benchmark_probability",
+    "random_tips",
+]

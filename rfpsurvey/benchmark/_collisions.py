@@ -120,8 +120,11 @@ def benchmark_collisions(
     cases = [_case(plane, random_tips(plane, rng)) for _ in range(n_configurations)]
     found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
-    rows = [{"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
-            | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])} for m, n in runs]  # fmt: skip
+    rows = [
+        {"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
+        | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])}
+        for m, n in runs
+    ]
     table = QTable({name: [row[name] for row in rows] for name in ("method", "n_points", "device", "time")})
     table["n_points"] = MaskedColumn(table["n_points"], mask=table["n_points"] < 0)
     table["time"] = (1e3 * np.array(table["time"])) * u.ms
@@ -182,10 +185,13 @@ def _errors(truth, found):
         n, missed, spurious = n + len(true), missed + len(true) - len(both), spurious + len(distances) - len(both)
         errors += [abs(distances[k] - true[k]) for k in both]
     return {
-        "n_colliding_true": n, "n_missed": missed, "n_spurious": spurious,
+        "n_colliding_true": n,
+        "n_missed": missed,
+        "n_spurious": spurious,
         "misclassified": (missed + spurious) / n if n else np.nan,
-        "max_error": max(errors, default=np.nan), "mean_error": float(np.mean(errors)) if errors else np.nan,
-    }  # fmt: skip
+        "max_error": max(errors, default=np.nan),
+        "mean_error": float(np.mean(errors)) if errors else np.nan,
+    }
 
 
 def _case(plane, tips) -> Configuration:

@@ -50,11 +50,13 @@ def provenance(instrument, plane):
     """Say what a table was measured on."""
     name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
     return {
-        "instrument": name, "n_positioners": len(plane), "n_neighbor_pairs": len(plane._neighbors),
+        "instrument": name,
+        "n_positioners": len(plane),
+        "n_neighbor_pairs": len(plane._neighbors),
         "min_separation_mm": plane.positioner._separation_mm,
         "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
         "machine": f"{processor()}, {os.cpu_count()} cores",
-    }  # fmt: skip
+    }
 
 
 def processor(cpuinfo="/proc/cpuinfo"):

@@ -22,9 +22,13 @@ from rfpsurvey.probability._targets import make_source
 __all__ = ["benchmark_densities", "benchmark_probability"]
 
 EFFORTS = {
-    "overlap_ratio": [0], "close_pair": [0], "closed_form": [0], "quadrature": [32, 64, 128, 256],
-    "monte_carlo": [16, 64, 256], "conditional": [4, 16, 64],
-}  # fmt: skip
+    "overlap_ratio": [0],
+    "close_pair": [0],
+    "closed_form": [0],
+    "quadrature": [32, 64, 128, 256],
+    "monte_carlo": [16, 64, 256],
+    "conditional": [4, 16, 64],
+}
 
 
 def benchmark_probability(
@@ -105,9 +109,19 @@ def benchmark_probability(
         own = name_of(method), true.estimand, n, np.median(seconds), value.mean()
         rows.append((*own, *_misses(value, true), error.mean(), true.value, true.standard_error))
     names = (
-        "method", "estimand", "effort", "time", "value", "bias", "bias_error", "error", "error_error", "standard_error",
-        "truth", "truth_error",
-    )  # fmt: skip
+        "method",
+        "estimand",
+        "effort",
+        "time",
+        "value",
+        "bias",
+        "bias_error",
+        "error",
+        "error_error",
+        "standard_error",
+        "truth",
+        "truth_error",
+    )
     table = QTable(rows=rows, names=names)
     table["time"] = 1e3 * table["time"] * u.ms
     table.meta.update(provenance(instrument, plane), repeats=repeats)

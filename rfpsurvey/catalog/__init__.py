@@ -8,6 +8,14 @@ from rfpsurvey.catalog._synthetic import synthetic_catalog
 from rfpsurvey.catalog._time import to_time
 
 __all__ = [
-    "UNITS", "Catalog", "Finder", "PartitionedCatalog", "SkyIndex", "as_catalog", "half_chord_squared",
-    "partition_catalog", "synthetic_catalog", "to_time",
-]  # fmt: skip
+    "UNITS",
+    "Catalog",
+    "Finder",
+    "PartitionedCatalog",
+    "SkyIndex",
+    "as_catalog",
+    "half_chord_squared",
+    "partition_catalog",
+    "synthetic_catalog",
+    "to_time",
+]

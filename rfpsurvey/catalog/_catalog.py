@@ -336,9 +336,11 @@ class Catalog:
         lon, lat, motion = lon.copy(), lat.copy(), np.where(known[:, None], motion, np.nan)
         lon[known], lat[known], motion[known] = moved
         coord = SkyCoord(
-            lon * u.rad, lat * u.rad, pm_ra_cosdec=(motion[:, 0] * u.rad / u.yr).to(u.mas / u.yr),
+            lon * u.rad,
+            lat * u.rad,
+            pm_ra_cosdec=(motion[:, 0] * u.rad / u.yr).to(u.mas / u.yr),
             pm_dec=(motion[:, 1] * u.rad / u.yr).to(u.mas / u.yr),
-        )  # fmt: skip
+        )
         return self._take(slice(None), coord=coord, epoch=time)
 
     def within(self, center: SkyCoord, radius: u.Quantity) -> "Catalog":

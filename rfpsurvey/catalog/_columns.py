@@ -43,8 +43,16 @@ ROLES = {
     "x": ("tip_x x_mm x_focal xfocal x_wok xwok fiberassign_x x", ""),
     "y": ("tip_y y_mm y_focal yfocal y_wok ywok fiberassign_y y", ""),
 }
-UNITS = {"ra": u.deg, "dec": u.deg, "lon": u.deg, "lat": u.deg, "pmra": u.mas / u.yr, "pmdec": u.mas / u.yr,
-         "x": u.mm, "y": u.mm}  # fmt: skip
+UNITS = {
+    "ra": u.deg,
+    "dec": u.deg,
+    "lon": u.deg,
+    "lat": u.deg,
+    "pmra": u.mas / u.yr,
+    "pmdec": u.mas / u.yr,
+    "x": u.mm,
+    "y": u.mm,
+}
 # One degree a day: nothing outside of the solar system moves as fast.
 MOST_MOTION = 1.3e9 * u.mas / u.yr
 

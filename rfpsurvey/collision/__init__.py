@@ -8,7 +8,22 @@ from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_clo
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
-    "METHODS", "Arms", "CollisionCounts", "CollisionReport", "Configuration", "Found", "check_plane", "closer_exactly",
-    "count_collisions", "find_collisions", "keep_closer", "lay_out", "make_desk", "make_stage", "near_pairs",
-    "nearest_distance", "place_arms", "touching",
-]  # fmt: skip
+    "METHODS",
+    "Arms",
+    "CollisionCounts",
+    "CollisionReport",
+    "Configuration",
+    "Found",
+    "check_plane",
+    "closer_exactly",
+    "count_collisions",
+    "find_collisions",
+    "keep_closer",
+    "lay_out",
+    "make_desk",
+    "make_stage",
+    "near_pairs",
+    "nearest_distance",
+    "place_arms",
+    "touching",
+]

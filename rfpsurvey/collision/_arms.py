@@ -11,9 +11,18 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
-    "Arms", "arm_angles", "check_arms", "check_plane", "check_tips", "joints_free", "nearest_distance", "place_arms",
-    "stand", "to_sides", "to_tips",
-]  # fmt: skip
+    "Arms",
+    "arm_angles",
+    "check_arms",
+    "check_plane",
+    "check_tips",
+    "joints_free",
+    "nearest_distance",
+    "place_arms",
+    "stand",
+    "to_sides",
+    "to_tips",
+]
 
 
 @dataclass(frozen=True, eq=False)

@@ -159,10 +159,15 @@ def count_collisions(
         times += hits
     counts = np.concatenate(parts)
     return CollisionCounts(
-        counts[:, batch.PAIRS], counts[:, batch.OBSTACLE_PAIRS], counts[:, batch.COLLIDING],
-        counts[:, batch.COLLIDING_ASSIGNED], counts[:, batch.COUNTED], counts[:, batch.ASSIGNED],
-        counts[:, batch.BORDERLINE], times,
-    )  # fmt: skip
+        counts[:, batch.PAIRS],
+        counts[:, batch.OBSTACLE_PAIRS],
+        counts[:, batch.COLLIDING],
+        counts[:, batch.COLLIDING_ASSIGNED],
+        counts[:, batch.COUNTED],
+        counts[:, batch.ASSIGNED],
+        counts[:, batch.BORDERLINE],
+        times,
+    )
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
@@ -264,9 +269,17 @@ def make_stage(plane, angles, parked_obstacles) -> batch.Stage:
     columns = plane._columns
     idle = columns.idle(parked_obstacles)
     return batch.Stage(
-        columns.runs, columns.limits, columns.model, columns.length, *angles, idle.segments, idle.parked,
-        plane._obstacle_pairs, plane._obstacles_mm, columns.clearance,
-    )  # fmt: skip
+        columns.runs,
+        columns.limits,
+        columns.model,
+        columns.length,
+        *angles,
+        idle.segments,
+        idle.parked,
+        plane._obstacle_pairs,
+        plane._obstacles_mm,
+        columns.clearance,
+    )
 
 
 def make_desk(plane) -> batch.Desk:

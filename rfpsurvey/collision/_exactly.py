@@ -24,9 +24,7 @@ def closer_exactly(first, second, separation: float | Fraction) -> bool:
 
 def distance_exactly(first, second) -> float:
     """Return the distance of two segments, rounded once (but for the root), for the floats as they are."""
-    a, b, c, d = (
-        (Fraction(float(e[k])), Fraction(float(e[k + 1]))) for e in (first, second) for k in (0, 2)
-    )  # fmt: skip
+    a, b, c, d = ((Fraction(float(e[k])), Fraction(float(e[k + 1]))) for e in (first, second) for k in (0, 2))
     if _turn(a, b, c) * _turn(a, b, d) < 0 and _turn(c, d, a) * _turn(c, d, b) < 0:
         return 0.0
     return sqrt(min(n / m for n, m in (_squared(a, c, d), _squared(b, c, d), _squared(c, a, b), _squared(d, a, b))))

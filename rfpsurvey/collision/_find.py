@@ -128,7 +128,7 @@ def find_collisions(
     colliding[first] = colliding[second] = colliding[hits[:, 0]] = True
     return CollisionReport(
         pairs, distances[order] << u.mm, hits, gaps << u.mm, colliding, assigned, assigned | parked, n_borderline
-    )  # fmt: skip
+    )
 
 
 def _stand(plane, tips, given, parked_obstacles):

@@ -50,13 +50,33 @@ def make_scorer(plane, stage):
         counts, times = cuda.to_device(np.zeros((m, N_COUNTS), np.int64)), cuda.to_device(np.zeros(n, np.int64))
         launch = (-(-n // gpu.THREADS), m), gpu.THREADS
         gpu.stand[launch](
-            tips, geometry, cuda.to_device(side), g.home_x, g.home_y, idle, stage.model, stage.length, angles, segments,
+            tips,
+            geometry,
+            cuda.to_device(side),
+            g.home_x,
+            g.home_y,
+            idle,
+            stage.model,
+            stage.length,
+            angles,
+            segments,
             far,
-        )  # fmt: skip
+        )
         gpu.count[launch](
-            tips, segments, indptr, neighbor, reject2, limit, limits.band, parked, hurdle_indptr, hurdles,
-            stage.clearance, counts, times,
-        )  # fmt: skip
+            tips,
+            segments,
+            indptr,
+            neighbor,
+            reject2,
+            limit,
+            limits.band,
+            parked,
+            hurdle_indptr,
+            hurdles,
+            stage.clearance,
+            counts,
+            times,
+        )
         return counts.copy_to_host(), times.copy_to_host(), int(far.copy_to_host()[0])
 
     return score

@@ -98,10 +98,12 @@ def compare_allocators(
     software = {name: value for own in names for name, value in tiles[own].provenance["software"].items()}
     table.meta.update(
         made_by="compare_allocators",
-        unmet={name: tiles[name].summary["unmet"] for name in names}, blind_science=blind,
-        instrument=provenance["instrument"]["name"], software=software,
+        unmet={name: tiles[name].summary["unmet"] for name in names},
+        blind_science=blind,
+        instrument=provenance["instrument"]["name"],
+        software=software,
         parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},
-    )  # fmt: skip
+    )
     table["seconds"].unit = u.s
     return table
 

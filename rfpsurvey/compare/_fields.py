@@ -136,11 +136,15 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
         usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
         found.append(
             Plan(
-                summary["n_reachable"], on_kind(tile, "science"), usable, summary["n_colliding_pairs"],
-                np.where(counted, table["in_collision"], np.nan), np.nan if summary["gap"] is None else summary["gap"],
+                summary["n_reachable"],
+                on_kind(tile, "science"),
+                usable,
+                summary["n_colliding_pairs"],
+                np.where(counted, table["in_collision"], np.nan),
+                np.nan if summary["gap"] is None else summary["gap"],
                 times["reach"] + times["allocation"],
             )
-        )  # fmt: skip
+        )
     return found
 
 

@@ -45,18 +45,35 @@ CAUTION = (
 )
 PARTS = {
     "instruments": (
-        "positioners", "field", "footprint", "type", "multiplicity", "reach_0", "reach_1", "reach_2", "reach_3",
+        "positioners",
+        "field",
+        "footprint",
+        "type",
+        "multiplicity",
+        "reach_0",
+        "reach_1",
+        "reach_2",
+        "reach_3",
     ),
     "fibers of a field": (
-        "allocator", "targets", "targets_per_positioner", "assigned", "assigned_part", "usable", "usable_per_area",
+        "allocator",
+        "targets",
+        "targets_per_positioner",
+        "assigned",
+        "assigned_part",
+        "usable",
+        "usable_per_area",
         "usable_per_solid_angle",
     ),
     "collisions": ("allocator", "probability", "low", "high", "pairs_per_positioner", "loss", "gap", "seconds"),
-}  # fmt: skip
+}
 UNITS = {
-    "field": u.deg, "footprint": u.mm**2, "usable_per_area": u.mm**-2, "usable_per_solid_angle": u.deg**-2,
+    "field": u.deg,
+    "footprint": u.mm**2,
+    "usable_per_area": u.mm**-2,
+    "usable_per_solid_angle": u.deg**-2,
     "seconds": u.s,
-}  # fmt: skip
+}
 log = logging.getLogger("rfpsurvey")
 
 
@@ -183,11 +200,15 @@ def compare_instruments(
         software.update(packages(method))
     table.meta.update(
         made_by="compare_instruments",
-        way=way, comparable=f"{COMPARABLE[way]} {CAUTION}", n_fields=len(fields) // len(models), confidence=CONFIDENCE,
-        sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta), software=software,
+        way=way,
+        comparable=f"{COMPARABLE[way]} {CAUTION}",
+        n_fields=len(fields) // len(models),
+        confidence=CONFIDENCE,
+        sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta),
+        software=software,
         instruments={model.name: model._provenance() for model in models},
         parameters={"rng": str(rng), **_record(methods), **{name: str(value) for name, value in others.items()}},
-    )  # fmt: skip
+    )
     if way == "same targets per positioner":
         table.meta["targets_per_positioner"] = float(each)
     elif way == "same density":
@@ -260,7 +281,9 @@ def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan],
         "targets_per_positioner": targets / n / number,
         "assigned": science / n,
         "assigned_part": science / n / number,
-        "probability": value, "low": low, "high": high,
+        "probability": value,
+        "low": low,
+        "high": high,
         "pairs_per_positioner": pairs / counted if counted else np.nan,
         "usable": usable / n,
         "usable_per_area": usable / n / model.focal_plane.footprint.to_value(u.mm**2),
@@ -268,4 +291,4 @@ def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan],
         "loss": 1 - usable / most if most else np.nan,
         "gap": float(np.max([plan.gap for plan in own])),
         "seconds": float(np.median([plan.seconds for plan in own])),
-    }  # fmt: skip
+    }

@@ -159,9 +159,15 @@ def explore_designs(
     if isinstance(n_skies, bool) or not isinstance(n_skies, int | np.integer) or n_skies < 2:
         raise InputError(f"n_skies must be a whole number of at least 2, got {n_skies!r}")
     task = Task(
-        estimand, method, float(to_radian(step, "step")), targets, by_area, int(n_skies),
-        to_scalar(time_limit, u.s, "time_limit", low=0), seed,
-    )  # fmt: skip
+        estimand,
+        method,
+        float(to_radian(step, "step")),
+        targets,
+        by_area,
+        int(n_skies),
+        to_scalar(time_limit, u.s, "time_limit", low=0),
+        seed,
+    )
     designs = to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)
     request["n_designs"] = None if n_designs is None else int(n_designs)

@@ -84,14 +84,21 @@ def repair(lattice: Lattice, skies: Skies) -> Loss:
 
 
 METHODS = {
-    "surrogate": surrogate, "quadrature": quadrature, "conditional": conditional, "optimal": optimal, "repair": repair,
-}  # fmt: skip
+    "surrogate": surrogate,
+    "quadrature": quadrature,
+    "conditional": conditional,
+    "optimal": optimal,
+    "repair": repair,
+}
 """Name to function from a design and its skies to a loss."""
 
 ESTIMANDS = {
-    "surrogate": "independent", "quadrature": "independent", "conditional": "allocated",
-    "optimal": "collision_free", "repair": "collision_free",
-}  # fmt: skip
+    "surrogate": "independent",
+    "quadrature": "independent",
+    "conditional": "allocated",
+    "optimal": "collision_free",
+    "repair": "collision_free",
+}
 
 
 def cheapest(estimand: str, lattice: Lattice) -> str:

@@ -13,14 +13,32 @@ UNITS = {
     **dict.fromkeys(("positioners_per_area", "usable_per_area"), u.cm**-2),
 }
 FIGURES = (
-    "multiplicity", "reach_0", "reach_1", "reach_2", "reach_3", "coverage", "targets", "empty", "assigned", "loss",
-    "loss_error", "usable", "positioners_per_area", "usable_per_area",
-)  # fmt: skip
-ROW = np.dtype([
-    *((name, float) for name in ("l1", "l2", "ratio", "pitch", "clearance", "min_separation")),
-    ("collision_type", np.int64), *((name, float) for name in FIGURES),
-    ("estimand", "U16"), ("method", "U16"), ("n_unproven", np.int64), ("reason", "U80"),
-])  # fmt: skip
+    "multiplicity",
+    "reach_0",
+    "reach_1",
+    "reach_2",
+    "reach_3",
+    "coverage",
+    "targets",
+    "empty",
+    "assigned",
+    "loss",
+    "loss_error",
+    "usable",
+    "positioners_per_area",
+    "usable_per_area",
+)
+ROW = np.dtype(
+    [
+        *((name, float) for name in ("l1", "l2", "ratio", "pitch", "clearance", "min_separation")),
+        ("collision_type", np.int64),
+        *((name, float) for name in FIGURES),
+        ("estimand", "U16"),
+        ("method", "U16"),
+        ("n_unproven", np.int64),
+        ("reason", "U80"),
+    ]
+)
 
 
 def blank(designs: np.ndarray, estimand: str) -> np.ndarray:

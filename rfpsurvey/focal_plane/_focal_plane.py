@@ -357,9 +357,14 @@ class FocalPlane:
             If none or several of ``rings``, ``count`` and ``radius`` alone leave the size open or impossible.
         """
         xy, _ = hexagonal_cells(
-            pitch, rings=rings, count=count, radius=radius, inner_radius=inner_radius, vacant=vacant,
+            pitch,
+            rings=rings,
+            count=count,
+            radius=radius,
+            inner_radius=inner_radius,
+            vacant=vacant,
             rows_along=rows_along,
-        )  # fmt: skip
+        )
         return cls(xy * u.mm, positioner, **columns)
 
     @classmethod

@@ -6,6 +6,6 @@ from rfpsurvey.instrument._instrument import (
     as_instrument,
     available_instruments,
     every_instrument,
-)  # fmt: skip
+)
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]

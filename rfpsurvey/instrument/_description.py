@@ -60,12 +60,15 @@ def build(content: dict, folder: Path) -> dict:
     focal_plane = _layout(Positioner(**options), get, folder)
     maps = {
         t: RadialMap(
-            m["form"], tuple(m["coefficients"]), max_angle=get("optics.max_angle"),
+            m["form"],
+            tuple(m["coefficients"]),
+            max_angle=get("optics.max_angle"),
             radius=m["radius"] * u.mm if "radius" in m else None,
-            unit_tangent=m.get("unit_tangent", 1.0), factor=get("optics.factor", 1.0),
+            unit_tangent=m.get("unit_tangent", 1.0),
+            factor=get("optics.factor", 1.0),
         )
         for t, m in get("optics.radial_map", {}).items()
-    }  # fmt: skip
+    }
     distortion = maps.get("any") if "any" in maps else maps or None
     return {
         "name": content["name"],

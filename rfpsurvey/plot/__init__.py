@@ -13,7 +13,19 @@ from rfpsurvey.plot._sky import plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
 
 __all__ = [
-    "draw_instruments", "draw_reproduction", "draw_survey", "plot_allocators", "plot_collision_map",
-    "plot_completeness", "plot_coverage", "plot_designs", "plot_focal_plane", "plot_instruments", "plot_probability",
-    "plot_probability_accuracy", "plot_residuals", "plot_speed_accuracy", "plot_tiling",
-]  # fmt: skip
+    "draw_instruments",
+    "draw_reproduction",
+    "draw_survey",
+    "plot_allocators",
+    "plot_collision_map",
+    "plot_completeness",
+    "plot_coverage",
+    "plot_designs",
+    "plot_focal_plane",
+    "plot_instruments",
+    "plot_probability",
+    "plot_probability_accuracy",
+    "plot_residuals",
+    "plot_speed_accuracy",
+    "plot_tiling",
+]

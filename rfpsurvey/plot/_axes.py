@@ -16,9 +16,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
-    "add_circles", "check_columns", "focal_plane_axes", "labeled", "legend_below", "limits_of", "named_plane",
-    "new_axes", "points_per_unit", "spacing_of", "values_of",
-]  # fmt: skip
+    "add_circles",
+    "check_columns",
+    "focal_plane_axes",
+    "labeled",
+    "legend_below",
+    "limits_of",
+    "named_plane",
+    "new_axes",
+    "points_per_unit",
+    "spacing_of",
+    "values_of",
+]
 
 WIDTH = 7.0  # inches: a page
 PAD = 0.08  # inches around everything
@@ -119,9 +128,16 @@ def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: obje
     points = 3.2 * rcParams["font.size"] + 4  # ticks, their labels and that of the axis
     below = ax.transAxes + ScaledTranslation(0, -points / 72, ax.figure.dpi_scale_trans)
     ax.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), bbox_transform=below, borderaxespad=0,
-        ncols=min(columns, len(handles)), fontsize="small", frameon=False, **options,
-    )  # fmt: skip
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0),
+        bbox_transform=below,
+        borderaxespad=0,
+        ncols=min(columns, len(handles)),
+        fontsize="small",
+        frameon=False,
+        **options,
+    )
 
 
 def check_columns(table: QTable, columns: set[str], maker: str | None = None) -> None:

@@ -15,12 +15,18 @@ if TYPE_CHECKING:
 __all__ = ["plot_designs"]
 
 LABELS = {
-    "l1": "central arm", "l2": "eccentric arm", "ratio": "ratio of the arms (eccentric over central)",
-    "clearance": "clearance", "min_separation": "minimum separation D",
-    "multiplicity": "patrol area over area per positioner", "loss": "fraction of fibers lost to collisions",
-    "coverage": "fraction of the focal plane in reach", "usable": "fibers on targets per positioner",
-    "usable_per_area": "fibers on targets per area", "positioners_per_area": "positioners per area",
-}  # fmt: skip
+    "l1": "central arm",
+    "l2": "eccentric arm",
+    "ratio": "ratio of the arms (eccentric over central)",
+    "clearance": "clearance",
+    "min_separation": "minimum separation D",
+    "multiplicity": "patrol area over area per positioner",
+    "loss": "fraction of fibers lost to collisions",
+    "coverage": "fraction of the focal plane in reach",
+    "usable": "fibers on targets per positioner",
+    "usable_per_area": "fibers on targets per area",
+    "positioners_per_area": "positioners per area",
+}
 
 
 def plot_designs(
@@ -102,8 +108,17 @@ def plot_designs(
         ax.scatter(across[rows & front], up[rows & front], c=values[rows & front], **{**marker, **look})
         if few:
             face = points.cmap(points.norm(level))
-            handles.append(Line2D([], [], linestyle="none", color=face, markeredgecolor="0.35", **marker,
-                                  label=f"{_label(table, color, short=True)} {level:g}"))  # fmt: skip
+            handles.append(
+                Line2D(
+                    [],
+                    [],
+                    linestyle="none",
+                    color=face,
+                    markeredgecolor="0.35",
+                    **marker,
+                    label=f"{_label(table, color, short=True)} {level:g}",
+                )
+            )
     if {x, y} == set(objectives):
         order = np.flatnonzero(front)[np.argsort(across[front], kind="stable")]
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)

@@ -121,5 +121,6 @@ def _draw_targets(ax, scene, targets):
     """Draw small crosses below arms and dots, and return their legend entry."""
     points = to_points_mm(targets, "targets")
     size = min(max(0.35 * spacing_of(scene.centers, scene.outer) * points_per_unit(ax), 1.5), 5.0)
-    return ax.scatter(*points.T, s=size**2, marker="+", color=OUTLINE, linewidths=0.5, alpha=0.6, zorder=2.2,
-                      label="target")  # fmt: skip
+    return ax.scatter(
+        *points.T, s=size**2, marker="+", color=OUTLINE, linewidths=0.5, alpha=0.6, zorder=2.2, label="target"
+    )

@@ -94,9 +94,14 @@ def _surrogate(tables):
     table = tables["surrogate"]
     figure, (ax,) = _figure(size=(6, 4))
     ax.errorbar(
-        table["quadrature"], np.asarray(table["surrogate"] - table["quadrature"]), table["quadrature_error"], fmt="o",
-        color=ARM, ms=3, lw=0.6,
-    )  # fmt: skip
+        table["quadrature"],
+        np.asarray(table["surrogate"] - table["quadrature"]),
+        table["quadrature_error"],
+        fmt="o",
+        color=ARM,
+        ms=3,
+        lw=0.6,
+    )
     ax.axhline(0, color="0.6", lw=0.8)
     ax.set_xlabel("collision probability (quadrature)")
     ax.set_ylabel("surrogate - quadrature")
@@ -180,7 +185,10 @@ def _speed(tables):
 
 
 FIGURES = {
-    "small": {"small": _small}, "large": {"large": _large}, "fit": {"surrogate": _surrogate},
+    "small": {"small": _small},
+    "large": {"large": _large},
+    "fit": {"surrogate": _surrogate},
     "poisson": {"poisson": _poisson, "poisson_disc": _poisson_disc},
-    "intervals": {"intervals": _intervals, "one_sky": _one_sky}, "speed": {"speed": _speed},
-}  # fmt: skip
+    "intervals": {"intervals": _intervals, "one_sky": _one_sky},
+    "speed": {"speed": _speed},
+}

@@ -64,11 +64,17 @@ def _of_tile(tile):
     title = f"{tile.provenance['instrument']['name']}: {counts}"
     return Scene(
         title,
-        centers, *(np.broadcast_to(geometry[f"{e}_radius_mm"], len(table)) for e in ("inner", "outer")), elbows, tips,
-        np.hstack([starts, ends]), geometry["min_separation_mm"] / 2, np.asarray(table["status"]),
-        np.asarray(table["in_collision"]), np.array(geometry["obstacles_mm"]).reshape(-1, 3),
+        centers,
+        *(np.broadcast_to(geometry[f"{e}_radius_mm"], len(table)) for e in ("inner", "outer")),
+        elbows,
+        tips,
+        np.hstack([starts, ends]),
+        geometry["min_separation_mm"] / 2,
+        np.asarray(table["status"]),
+        np.asarray(table["in_collision"]),
+        np.array(geometry["obstacles_mm"]).reshape(-1, 3),
         {group: np.asarray(table[group]) for group in GROUPS},
-    )  # fmt: skip
+    )
 
 
 def _of_plane(thing):
@@ -83,10 +89,18 @@ def _of_plane(thing):
     spectrograph = plane.spectrograph if plane.spectrograph.ndim == 1 else plane.spectrograph[:, 0]
     return Scene(
         f"{name}{n} positioners" + (f", {obstacles} obstacles" if obstacles else ""),
-        plane._xy_mm, plane._inner_mm, plane._outer_mm, posed.elbow, posed.tip, posed.segments,
-        plane.positioner._separation_mm / 2, status, np.zeros(n, bool), plane._obstacles_mm,
+        plane._xy_mm,
+        plane._inner_mm,
+        plane._outer_mm,
+        posed.elbow,
+        posed.tip,
+        posed.segments,
+        plane.positioner._separation_mm / 2,
+        status,
+        np.zeros(n, bool),
+        plane._obstacles_mm,
         {"spectrograph": spectrograph, "fiber_type": plane.fiber_type},
-    )  # fmt: skip
+    )
 
 
 def visible_part(scene: Scene, ax) -> Scene:

@@ -74,9 +74,11 @@ def plot_speed_accuracy(
         ax.set_ylabel(label)
     n = int(np.max(table["n_colliding_true"], initial=0))
     _state(
-        axes[0], table, f"{n} colliding pairs",
+        axes[0],
+        table,
+        f"{n} colliding pairs",
         "labels: points per arm; bars: standard errors\narrows: none misclassified, less than one pair",
-    )  # fmt: skip
+    )
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
     for ax, own in zip(axes, labels, strict=True):

@@ -3,18 +3,54 @@
 import numpy as np
 
 __all__ = [
-    "ARM", "COLLISION", "DIVERGING", "FADED", "FAINT", "GROUP_COLORS", "HATCH", "IDLE", "LEVELS", "MARKERS", "OBSTACLE",
-    "OUTLINE", "PATROL", "RISK", "SEQUENTIAL", "SERIES", "light_scale",
-]  # fmt: skip
+    "ARM",
+    "COLLISION",
+    "DIVERGING",
+    "FADED",
+    "FAINT",
+    "GROUP_COLORS",
+    "HATCH",
+    "IDLE",
+    "LEVELS",
+    "MARKERS",
+    "OBSTACLE",
+    "OUTLINE",
+    "PATROL",
+    "RISK",
+    "SEQUENTIAL",
+    "SERIES",
+    "light_scale",
+]
 
 # the palette of Okabe and Ito, which color-blind people can tell apart
 PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#8A8A8A", "#D55E00", "#444444"
 SERIES = ("#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
 GROUP_COLORS = (
-    "#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#555555", "#F0E442",
-    "#F2B58A", "#5E3C99", "#8C5A00", "#8FD9C0", "#8E3B6B", "#B9E1F7", "#C4C4C4", "#8A8300",
-    "#8B1A1A", "#9DB7E8", "#FFD9A0", "#004D38", "#F3D0E4", "#1D3F6E", "#000000", "#C8D96F",
-)  # fmt: skip
+    "#D55E00",
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#CC79A7",
+    "#56B4E9",
+    "#555555",
+    "#F0E442",
+    "#F2B58A",
+    "#5E3C99",
+    "#8C5A00",
+    "#8FD9C0",
+    "#8E3B6B",
+    "#B9E1F7",
+    "#C4C4C4",
+    "#8A8300",
+    "#8B1A1A",
+    "#9DB7E8",
+    "#FFD9A0",
+    "#004D38",
+    "#F3D0E4",
+    "#1D3F6E",
+    "#000000",
+    "#C8D96F",
+)
 """Fills of groups: the palette, then lighter or darker versions of its colors."""
 FADED, FAINT = "#A8A8A8", "#8A8A8A26"
 """Dots of positioners without a target, and the ground below dots: a translucent gray, faint on any page."""

@@ -9,6 +9,16 @@ from rfpsurvey.probability._run import Progress, rate_interval
 from rfpsurvey.probability._surrogate import make_surrogate, surrogate_probability
 
 __all__ = [
-    "ESTIMANDS", "METHODS", "Estimate", "PolynomialFit", "ProbabilityQuestion", "Progress", "collision_probability",
-    "find_method", "fit_polynomial", "make_surrogate", "rate_interval", "surrogate_probability",
-]  # fmt: skip
+    "ESTIMANDS",
+    "METHODS",
+    "Estimate",
+    "PolynomialFit",
+    "ProbabilityQuestion",
+    "Progress",
+    "collision_probability",
+    "find_method",
+    "fit_polynomial",
+    "make_surrogate",
+    "rate_interval",
+    "surrogate_probability",
+]

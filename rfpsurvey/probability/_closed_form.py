@@ -36,9 +36,11 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
     distance = np.hypot(*(plane._xy_mm[i] - plane._xy_mm[j]).T)
     shared = (
-        _lens(outer[i], outer[j], distance) - _lens(outer[i], inner[j], distance)
-        - _lens(inner[i], outer[j], distance) + _lens(inner[i], inner[j], distance)
-    )  # fmt: skip
+        _lens(outer[i], outer[j], distance)
+        - _lens(outer[i], inner[j], distance)
+        - _lens(inner[i], outer[j], distance)
+        + _lens(inner[i], inner[j], distance)
+    )
     reach = distance if variant == "corrected" else _pitch(plane)
     swept = d * (l2[i] + d) * np.maximum(0.0, (l1[i] + l2[i] - reach / 2) / (l2[i] / 2))
     risk = np.zeros(len(plane))

@@ -188,10 +188,18 @@ def collision_probability(
             name = cheapest("allocated", allocator, source)
             answer, _ = find_method(name)
     question = Question(
-        plane, source, allocator, "uniform" if density is None else density, variant, bool(parked_obstacles),
-        most_entries, _precision(name, precision, max_iterations, confidence, interval, stop), to_spawner(rng),
-        executor, progress,
-    )  # fmt: skip
+        plane,
+        source,
+        allocator,
+        "uniform" if density is None else density,
+        variant,
+        bool(parked_obstacles),
+        most_entries,
+        _precision(name, precision, max_iterations, confidence, interval, stop),
+        to_spawner(rng),
+        executor,
+        progress,
+    )
     nothing_can_touch = len(plane._neighbors) == len(plane._obstacle_pairs) == 0
     found = _zero(plane, source) if nothing_can_touch and name in MOST else answer(question)
     wanted = question.precision.standard_error

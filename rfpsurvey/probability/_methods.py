@@ -55,9 +55,13 @@ def _formula(function, question: Question) -> dict:
     value = float(per_positioner[used].mean())
     nothing = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
     return {
-        "value": value, "value_assigned": value, **nothing, "n": 0,
-        "per_positioner": np.where(used, per_positioner, np.nan), "meta": meta,
-    }  # fmt: skip
+        "value": value,
+        "value_assigned": value,
+        **nothing,
+        "n": 0,
+        "per_positioner": np.where(used, per_positioner, np.nan),
+        "meta": meta,
+    }
 
 
 def _simulated(name: str, question: Question) -> dict:
@@ -82,12 +86,17 @@ def _simulated(name: str, question: Question) -> dict:
             given=given,
         )
     return {
-        **_of_tally(tally, found), "n": len(tally.pairs), "met": found["met"],
+        **_of_tally(tally, found),
+        "n": len(tally.pairs),
+        "met": found["met"],
         "meta": {
-            **source.describe(), "allocator": name_of(question.allocator), "design_effect": found["design_effect"],
-            "trials": tally.trials, **_reason(found),
+            **source.describe(),
+            "allocator": name_of(question.allocator),
+            "design_effect": found["design_effect"],
+            "trials": tally.trials,
+            **_reason(found),
         },
-    }  # fmt: skip
+    }
 
 
 def _integrated(question: Question) -> dict:
@@ -117,8 +126,9 @@ def _of_tally(tally, found) -> dict:
     return {
         **{k: found[k] for k in ("value", "low", "high", "standard_error", "n_effective")},
         "value_assigned": float(assigned.mean()) if len(assigned) else np.nan,
-        "pairs_per_positioner": float(tally.pair_rates.mean()), "per_positioner": tally.per_positioner,
-    }  # fmt: skip
+        "pairs_per_positioner": float(tally.pair_rates.mean()),
+        "per_positioner": tally.per_positioner,
+    }
 
 
 METHODS = {
@@ -132,9 +142,13 @@ METHODS = {
 """Name to function of a `Question`."""
 
 ESTIMANDS = {
-    "overlap_ratio": "independent", "closed_form": "independent", "close_pair": "independent",
-    "quadrature": "independent", "monte_carlo": "allocated", "conditional": "allocated",
-}  # fmt: skip
+    "overlap_ratio": "independent",
+    "closed_form": "independent",
+    "close_pair": "independent",
+    "quadrature": "independent",
+    "monte_carlo": "allocated",
+    "conditional": "allocated",
+}
 
 
 SHORT = 2.0

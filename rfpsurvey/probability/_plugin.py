@@ -98,9 +98,14 @@ def _ask(plugin: Plugin, question: Question) -> dict:
         realize = Simulation(plane, source, question.allocator, question.parked_obstacles).realize
         about = {**source.describe(), "allocator": name_of(question.allocator)}
     view = ProbabilityQuestion(
-        plane, question.parked_obstacles, precision.standard_error, precision.max_iterations, precision.confidence,
-        question.rng, realize,
-    )  # fmt: skip
+        plane,
+        question.parked_obstacles,
+        precision.standard_error,
+        precision.max_iterations,
+        precision.confidence,
+        question.rng,
+        realize,
+    )
     with plugin.answering():
         found = _checked(question, plugin.value(view))
     meta = {**about, **found.pop("meta"), **({"software": plugin.software} if plugin.package else {})}
@@ -132,9 +137,14 @@ def _checked(question: Question, given: object) -> dict:
         else:  # no number of trials has such an error
             low, high = max(value - width * error, 0.0), min(value + width * error, 1.0)
     usual = {
-        "value_assigned": value, "low": low, "high": high, "standard_error": error, "n": 0, "n_effective": n_effective,
+        "value_assigned": value,
+        "low": low,
+        "high": high,
+        "standard_error": error,
+        "n": 0,
+        "n_effective": n_effective,
         "pairs_per_positioner": np.nan,
-    }  # fmt: skip
+    }
     found = {**usual, **answer, "per_positioner": risk, "meta": dict(meta)}
     low, high = found["low"], found["high"]
     if np.isnan(low) != np.isnan(high) or low > value + SLACK or high < value - SLACK:

@@ -79,9 +79,16 @@ class Quadrature:
         obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
         risk, chance_of = np.empty(len(own)), np.empty(len(pairs))
         queues.expect(
-            pairs, plane._columns.geometry_of(own), self._stage.limits, obstacles, self._stage.obstacles,
-            self._stage.clearance, hall, risk, chance_of,
-        )  # fmt: skip
+            pairs,
+            plane._columns.geometry_of(own),
+            self._stage.limits,
+            obstacles,
+            self._stage.obstacles,
+            self._stage.clearance,
+            hall,
+            risk,
+            chance_of,
+        )
         # a pair of which both move is there for its other positioner, too
         return float(risk[0]), float(chance_of @ np.where(moving[1:], 0.5, 1.0))
 
@@ -175,7 +182,14 @@ def integrate(
     per_positioner = np.full(len(first), np.nan)
     per_positioner[used] = risks.mean(axis=0)
     return {
-        "value": p, "low": low, "high": high, "standard_error": error, "n": n_points, "n_effective": trials,
-        "pairs_per_positioner": float(pairs.mean(axis=0) @ share), "per_positioner": per_positioner[number],
-        "met": met, "n_environments": len(used),
-    }  # fmt: skip
+        "value": p,
+        "low": low,
+        "high": high,
+        "standard_error": error,
+        "n": n_points,
+        "n_effective": trials,
+        "pairs_per_positioner": float(pairs.mean(axis=0) @ share),
+        "per_positioner": per_positioner[number],
+        "met": met,
+        "n_environments": len(used),
+    }

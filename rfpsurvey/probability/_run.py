@@ -159,9 +159,15 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
         half = max(half, half_width(wilson(0.0, n, normal)))
     reason = {"no_interval": TOO_FEW} if np.isnan(low) else {}
     return {
-        "value": p, "low": low, "high": high, "standard_error": error, "n_effective": number,
-        "half_width": half, "design_effect": tally.trials / number, **reason,
-    }  # fmt: skip
+        "value": p,
+        "low": low,
+        "high": high,
+        "standard_error": error,
+        "n_effective": number,
+        "half_width": half,
+        "design_effect": tally.trials / number,
+        **reason,
+    }
 
 
 def _of_one_sky(tally, plane, p, scatter, confidence, *, single):

@@ -104,9 +104,21 @@ class Simulation:
             most = int(numbers.max())
             room, hall = make_room(self.plane, most, self.source.grid_cells), make_hall(n, most)
             simulate.queue_and_expect(
-                rng, numbers, self._most, self.source.sky, self._array, room, self.plane._neighbors, self._stage, hall,
-                risk, chance_of, sums, times, counted,
-            )  # fmt: skip
+                rng,
+                numbers,
+                self._most,
+                self.source.sky,
+                self._array,
+                room,
+                self.plane._neighbors,
+                self._stage,
+                hall,
+                risk,
+                chance_of,
+                sums,
+                times,
+                counted,
+            )
         else:
             for own in sums:
                 indptr, segments = self._lay_out(rng, thin=True)

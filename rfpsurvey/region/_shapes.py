@@ -8,9 +8,20 @@ import numpy as np
 from rfpsurvey._units import to_lonlat
 
 __all__ = [
-    "angle", "arc", "box_area", "box_contains", "box_distance", "edges_cross", "from_lonlat", "polygon_area",
-    "polygon_contains", "polygon_distance", "to_dec", "to_ra", "turned_area",
-]  # fmt: skip
+    "angle",
+    "arc",
+    "box_area",
+    "box_contains",
+    "box_distance",
+    "edges_cross",
+    "from_lonlat",
+    "polygon_area",
+    "polygon_contains",
+    "polygon_distance",
+    "to_dec",
+    "to_ra",
+    "turned_area",
+]
 
 # Rows times edges that are looked at together.
 CHUNK = 2_000_000

@@ -5,6 +5,18 @@ from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_aims, til
 from rfpsurvey.report._write import MADE_BY, PAGES, check_report, write_report
 
 __all__ = [
-    "MADE_BY", "PAGES", "Facts", "Page", "Picture", "Rows", "Section", "Text", "check_report", "estimate_facts",
-    "survey_facts", "tile_aims", "tile_facts", "write_report",
-]  # fmt: skip
+    "MADE_BY",
+    "PAGES",
+    "Facts",
+    "Page",
+    "Picture",
+    "Rows",
+    "Section",
+    "Text",
+    "check_report",
+    "estimate_facts",
+    "survey_facts",
+    "tile_aims",
+    "tile_facts",
+    "write_report",
+]

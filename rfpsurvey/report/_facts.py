@@ -54,13 +54,20 @@ def survey_facts(survey: Survey) -> dict:
     """Return the counts and rates of a survey, and what became of the targets."""
     s = survey.summary
     facts = {
-        "tiles": s["n_tiles"], "  rounds": s["n_rounds"], "targets wanted": s["n_targets"],
-        "visits wanted": s["n_visits_wanted"], "  observed": s["n_visits_observed"], "completeness": s["completeness"],
-        "  targets complete": s["completeness_targets"], "fibers assigned": s["n_assigned"],
-        "  to science": s["n_science"], "  fraction of all": s["fiber_use"],
-        "positioners in collision": s["n_colliding"], "  collision rate": s["collision_rate"],
+        "tiles": s["n_tiles"],
+        "  rounds": s["n_rounds"],
+        "targets wanted": s["n_targets"],
+        "visits wanted": s["n_visits_wanted"],
+        "  observed": s["n_visits_observed"],
+        "completeness": s["completeness"],
+        "  targets complete": s["completeness_targets"],
+        "fibers assigned": s["n_assigned"],
+        "  to science": s["n_science"],
+        "  fraction of all": s["fiber_use"],
+        "positioners in collision": s["n_colliding"],
+        "  collision rate": s["collision_rate"],
         "requirements not met, all tiles": s["n_unmet"],
-    }  # fmt: skip
+    }
     if not s["n_unmet"]:
         del facts["requirements not met, all tiles"]
     return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}

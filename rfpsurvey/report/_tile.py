@@ -12,13 +12,35 @@ from rfpsurvey.tile import Tile
 __all__ = ["page_of_tile"]
 
 COLUMNS = (
-    "id", "colliding_with", "clearance", "status", "target_id", "kind", "fiber_type", "spectrograph", "ra", "dec",
-    "x", "y", "theta", "phi",
-)  # fmt: skip
+    "id",
+    "colliding_with",
+    "clearance",
+    "status",
+    "target_id",
+    "kind",
+    "fiber_type",
+    "spectrograph",
+    "ra",
+    "dec",
+    "x",
+    "y",
+    "theta",
+    "phi",
+)
 ASSIGNMENTS = (
-    "id", "target_id", "kind", "fiber_type", "spectrograph", "ra", "dec", "tip_x", "tip_y", "theta", "phi",
+    "id",
+    "target_id",
+    "kind",
+    "fiber_type",
+    "spectrograph",
+    "ra",
+    "dec",
+    "tip_x",
+    "tip_y",
+    "theta",
+    "phi",
     "in_collision",
-)  # fmt: skip
+)
 VARYING = ("kind", "fiber_type", "spectrograph")
 """Columns of the assignments that are shown if they have more than one value."""
 NARROW = 25

@@ -31,9 +31,12 @@ from rfpsurvey.tiling import Tiling
 __all__ = ["MADE_BY", "PAGES", "check_report", "write_report"]
 
 PAGES: dict[type, Callable[..., Page]] = {
-    Tile: page_of_tile, Survey: page_of_survey, Tiling: page_of_tiling, Estimate: page_of_estimate,
+    Tile: page_of_tile,
+    Survey: page_of_survey,
+    Tiling: page_of_tiling,
+    Estimate: page_of_estimate,
     Table: page_of_table,
-}  # fmt: skip
+}
 """Type of a result to function of the result, and the name of the file with all of it -> page."""
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),

@@ -39,7 +39,8 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         expected = np.sqrt(early["iterations"] / good["iterations"])
         claims.append(
             Claim(
-                "intervals", f"confidence intervals stop more stably than the convergence criterion ({scene})",
+                "intervals",
+                f"confidence intervals stop more stably than the convergence criterion ({scene})",
                 "stated",
                 f"root mean square error over the one asked for: {good['error_ratio']:.2f} by the interval, "
                 f"{early['error_ratio']:.2f} by convergence, with {good['iterations']:.0f} and "
@@ -49,20 +50,20 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 REPRODUCED if good["error_ratio"] < min(1.1, early["error_ratio"]) else NOT_REPRODUCED,
                 "running mean that moves by less than the precision three times in a row",
             )
-        )  # fmt: skip
+        )
         naive, single = rows["interval", "wilson_naive"], rows["interval", "wilson_iterations"]
         claims.append(
             Claim(
-                "intervals", f"Wilson's interval of the simulations has the confidence 0.95 ({scene})", "0.95",
+                "intervals",
+                f"Wilson's interval of the simulations has the confidence 0.95 ({scene})",
+                "0.95",
                 f"{naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner a trial; "
                 f"{single['coverage']:.3f} +- {single['coverage_error']:.3f} with every iteration a trial; "
                 f"{good['coverage']:.3f} +- {good['coverage_error']:.3f} with the effective number",
-                REPRODUCED
-                if min(abs(r["coverage"] - CONFIDENCE) for r in (naive, single)) < 0.015
-                else NOT_REPRODUCED,
+                REPRODUCED if min(abs(r["coverage"] - CONFIDENCE) for r in (naive, single)) < 0.015 else NOT_REPRODUCED,
                 "n is the number of iterations, or that of positioners times iterations: the text allows either",
             )
-        )  # fmt: skip
+        )
     return {"intervals": table, "one_sky": one_sky(settings)}, claims
 
 
@@ -79,9 +80,18 @@ def coverage(settings: Settings, repeats: int | None = None) -> QTable:
     ]
     rows = [row for rows in each(lambda job: _repeat(*job, repeats, settings), jobs, settings) for row in rows]
     names = (
-        "scene", "method", "stop", "interval", "truth", "coverage", "coverage_error", "half_width", "error_ratio",
-        "iterations", "repeats",
-    )  # fmt: skip
+        "scene",
+        "method",
+        "stop",
+        "interval",
+        "truth",
+        "coverage",
+        "coverage_error",
+        "half_width",
+        "error_ratio",
+        "iterations",
+        "repeats",
+    )
     return QTable(rows=rows, names=names)
 
 
@@ -110,10 +120,21 @@ def _repeat(scene, method, stop, repeats, settings):
             widths[kind] += (own["high"] - own["low"]) / 2 / repeats
     ratio = float(np.sqrt(np.mean(np.square(errors)))) / precisions[method]
     return [
-        (scene, method, stop, kind, truth, held[kind] / repeats, _binomial(held[kind] / repeats, repeats), widths[kind],
-         ratio, float(np.mean(iterations)), repeats)
+        (
+            scene,
+            method,
+            stop,
+            kind,
+            truth,
+            held[kind] / repeats,
+            _binomial(held[kind] / repeats, repeats),
+            widths[kind],
+            ratio,
+            float(np.mean(iterations)),
+            repeats,
+        )
         for kind in kinds
-    ]  # fmt: skip
+    ]
 
 
 def _binomial(p, n):

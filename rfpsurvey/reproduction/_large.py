@@ -82,31 +82,39 @@ def _of_differences(table, differences):
             readings += f", those with the closed form {' or '.join(variants)}"
         claims.append(
             Claim(
-                "large", f"{what} of simulation minus formula, both normalized", f"{paper:.3f}",
+                "large",
+                f"{what} of simulation minus formula, both normalized",
+                f"{paper:.3f}",
                 f"{ours[k]:.3f} +- {errors[k]:.3f} in the closest reading, {ours.min():.3f} to {ours.max():.3f} in "
                 f"all; {readings}",
                 verdict(paper, ours[k], errors[k]),
                 f"{row['targets'].replace('_', ' ')}, {row['scaling']}, closed form {row['closed_form']}; the error is "
                 "that of another draw of the designs",
             )
-        )  # fmt: skip
+        )
     correlation = np.corrcoef(table["closed_form_corrected"], table["covered"])[0, 1]
     some = np.asarray(table["closed_form_corrected"]) > 0
     factor = np.asarray(table["covered"])[some] / np.asarray(table["closed_form_corrected"])[some]
     claims.append(
         Claim(
-            "large", "formula and simulation are highly correlated", "figure",
+            "large",
+            "formula and simulation are highly correlated",
+            "figure",
             f"correlation {correlation:.3f}; the simulation is {factor.min():.1f} to {factor.max():.1f} times the "
-            "formula", REPRODUCED if correlation > 0.9 else NOT_REPRODUCED, "covered",
+            "formula",
+            REPRODUCED if correlation > 0.9 else NOT_REPRODUCED,
+            "covered",
         )
-    )  # fmt: skip
+    )
     values, errors = (np.array([table[f"{way}{name}"] for way in WAYS]) for name in ("", "_error"))
     edge = values[0] / values[1]
     clear = np.abs(edge - 1) > 3 * edge * np.hypot(*(errors / values))
     other = np.corrcoef(table["closed_form_corrected"], table["range_200"])[0, 1]
     claims.append(
         Claim(
-            "large", "a short range of targets distorts the simulation", "named as a cause",
+            "large",
+            "a short range of targets distorts the simulation",
+            "named as a cause",
             f"range 200 gives {edge.min():.2f} to {edge.max():.2f} of the value for a covered plane, beyond 3 errors "
             f"in {clear.sum()} of {len(clear)} designs; but the correlation with the formula is {other:.3f} with range "
             f"200 and {correlation:.3f} covered",
@@ -114,7 +122,7 @@ def _of_differences(table, differences):
             "the distortion alone: that it causes the discrepancy of formula and simulation is not reproduced; "
             "positioners without targets count where arms are equal, and not where they are not",
         )
-    )  # fmt: skip
+    )
     return claims
 
 
@@ -146,7 +154,9 @@ def _of_plain(plain):
         gain = (row["plain_standard_error"] / row["conditional_standard_error"]) ** 2 * row["plain_n"]
         claims.append(
             Claim(
-                "large", f"{row['plain_n']} iterations are a proper number ({row['design']})", "6000 are proper",
+                "large",
+                f"{row['plain_n']} iterations are a proper number ({row['design']})",
+                "6000 are proper",
                 f"{row['plain_value']:.4f} +- {row['plain_standard_error']:.4f}, a 95 % interval of "
                 f"+- {100 * width:.1f} %; conditional "
                 f"{row['conditional_value']:.4f} +- {row['conditional_standard_error']:.4f} with "
@@ -155,7 +165,7 @@ def _of_plain(plain):
                 f"targets cover the plane; proper: a 95 % interval within {100 * PROPER:g} % of the value, which "
                 "agrees with the conditional one within 3 combined errors; the paper states no precision",
             )
-        )  # fmt: skip
+        )
     return claims
 
 
@@ -171,18 +181,25 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
         rows.append((way, low, middle, high, *np.mean([s.coefficients for s in splits], axis=0)))
         claims.append(
             Claim(
-                "fit", "the polynomial has R^2 = 0.934 on the test set", "0.934",
+                "fit",
+                "the polynomial has R^2 = 0.934 on the test set",
+                "0.934",
                 f"{middle:.3f} ({low:.3f} to {high:.3f} in 95 % of the splits)",
-                REPRODUCED if low <= 0.934 <= high else NOT_REPRODUCED, f"{way.replace('_', ' ')}, a quarter held back",
+                REPRODUCED if low <= 0.934 <= high else NOT_REPRODUCED,
+                f"{way.replace('_', ' ')}, a quarter held back",
             )
-        )  # fmt: skip
+        )
     names = ["targets", "r2_low", "r2_median", "r2_high", *"abcdefghij"]
     claims.append(
         Claim(
-            "fit", "coefficients of the polynomial", "table", "see fit.ecsv", UNDECIDED,
+            "fit",
+            "coefficients of the polynomial",
+            "table",
+            "see fit.ecsv",
+            UNDECIDED,
             "the paper does not say how it scaled its variables and its probabilities",
         )
-    )  # fmt: skip
+    )
     return {"fit": QTable(rows=rows, names=names), "surrogate": _surrogate(settings)}, claims
 
 

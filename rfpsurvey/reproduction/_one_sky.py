@@ -15,8 +15,10 @@ __all__ = ["one_sky"]
 
 # arms, pitch and half of the minimum separation (mm)
 ARMS = {
-    "LAMOST": (8.25, 8.25, 25.6, 2.25), "SDSS-V": (7.4, 15.0, 22.4, 2.5391), "MOONS": (8.0, 17.0, 25.058, 2.0),
-}  # fmt: skip
+    "LAMOST": (8.25, 8.25, 25.6, 2.25),
+    "SDSS-V": (7.4, 15.0, 22.4, 2.5391),
+    "MOONS": (8.0, 17.0, 25.058, 2.0),
+}
 RINGS = (1, 2, 3, 4, 5, 6, 12)
 PER_POSITIONER = (4.0, 1.0)
 CLUSTERED = {
@@ -45,9 +47,19 @@ def one_sky(settings: Settings) -> QTable:
     jobs += [(*plane, 4.0, sky) for sky, planes in CLUSTERED.items() for plane in planes]
     rows = each(lambda job: _row(*job, settings), jobs, settings)
     names = (
-        "arms", "positioners", "targets_per_positioner", "sky", "truth", "scatter", "estimated_scatter", "coverage",
-        "coverage_error", "half_width", "with_interval", "skies",
-    )  # fmt: skip
+        "arms",
+        "positioners",
+        "targets_per_positioner",
+        "sky",
+        "truth",
+        "scatter",
+        "estimated_scatter",
+        "coverage",
+        "coverage_error",
+        "half_width",
+        "with_interval",
+        "skies",
+    )
     return QTable(rows=rows, names=names)
 
 
@@ -77,9 +89,19 @@ def _row(arms, rings, number, sky, settings):
     error, half_width = float(np.sqrt(np.mean(errors[some] ** 2))), float(np.mean((high - low)[some]) / 2)
     held_error = float(np.sqrt(max(held * (1 - held), 1 / n) / n))
     return (
-        arms, len(plane), number, sky, truth, float(values.std()), error, held, held_error, half_width, n / len(found),
+        arms,
+        len(plane),
+        number,
+        sky,
+        truth,
+        float(values.std()),
+        error,
+        held,
+        held_error,
+        half_width,
+        n / len(found),
         skies,
-    )  # fmt: skip
+    )
 
 
 def _clustered(n_targets, radius, size, scale):

@@ -168,10 +168,13 @@ def _of_reading(name, table):
     result = REPRODUCED if {"means", "mean of the drops"} & set(agree) else partly
     values = "; ".join(f"{value:+.2f} % +- {e:.2f} % ({way})" for way, (value, e) in ways.items())
     return Claim(
-        "poisson", "uniform targets collide 2.6 % more than Poisson ones", "2.6 %",
+        "poisson",
+        "uniform targets collide 2.6 % more than Poisson ones",
+        "2.6 %",
         f"{values}; lower in {np.count_nonzero(drop > 0)} of {len(part)} designs",
-        result, name + (f"; agrees: {', '.join(agree)}" if agree else ""),
-    )  # fmt: skip
+        result,
+        name + (f"; agrees: {', '.join(agree)}" if agree else ""),
+    )
 
 
 def _mean(values, errors):

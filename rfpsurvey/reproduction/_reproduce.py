@@ -24,13 +24,22 @@ from rfpsurvey.reproduction._speed import speed
 __all__ = ["EXPERIMENTS", "TABLES", "reproduce"]
 
 EXPERIMENTS: dict[str, Callable] = {
-    "small": small, "large": large, "poisson": poisson, "fit": fit, "intervals": intervals, "speed": speed,
-}  # fmt: skip
+    "small": small,
+    "large": large,
+    "poisson": poisson,
+    "fit": fit,
+    "intervals": intervals,
+    "speed": speed,
+}
 """Name to function of `Settings` -> (tables by name, claims)."""
 TABLES = {
-    "small": ("small",), "large": ("large", "large_differences", "large_plain"), "poisson": ("poisson", "poisson_disc"),
-    "fit": ("fit", "surrogate"), "intervals": ("intervals", "one_sky"), "speed": ("speed",),
-}  # fmt: skip
+    "small": ("small",),
+    "large": ("large", "large_differences", "large_plain"),
+    "poisson": ("poisson", "poisson_disc"),
+    "fit": ("fit", "surrogate"),
+    "intervals": ("intervals", "one_sky"),
+    "speed": ("speed",),
+}
 """Name to the tables that the experiment writes."""
 
 
@@ -142,6 +151,9 @@ def _write_claims(folder: Path, claims: list[Claim], settings: Settings) -> None
 
 def _provenance(settings):
     return {
-        "quick": settings.quick, "seed": settings.seed, "rfpsurvey": version("rfpsurvey"), "numpy": version("numpy"),
+        "quick": settings.quick,
+        "seed": settings.seed,
+        "rfpsurvey": version("rfpsurvey"),
+        "numpy": version("numpy"),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-    }  # fmt: skip
+    }

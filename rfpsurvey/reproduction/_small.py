@@ -45,12 +45,14 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         holds = (steps > -3 * errors).all() and high > RAPIDLY * low
         claims.append(
             Claim(
-                "small", f"the probability {words}", "figure",
+                "small",
+                f"the probability {words}",
+                "figure",
                 f"{part['value'][0]:.4f} to {part['value'][-1]:.4f}, a factor of {high / low:.1f}",
                 REPRODUCED if holds else NOT_REPRODUCED,
                 f"19 positioners, central arm {L1} mm; rapidly: by a factor of {RAPIDLY:g} or more, no step against it",
             )
-        )  # fmt: skip
+        )
     for name in scans:
         part = table[table["scan"] == name]
         away = _normalized(part["closed_form"]) - _normalized(part["value"])
@@ -58,7 +60,9 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         factor = np.asarray(part["value"] / np.where(part["closed_form"] > 0, part["closed_form"], np.nan))
         claims.append(
             Claim(
-                "small", f"formula and simulation yield comparable outcomes ({name})", "figure, normalized",
+                "small",
+                f"formula and simulation yield comparable outcomes ({name})",
+                "figure, normalized",
                 f"normalized: up to {gap:.3f} apart; in absolute terms the formula is low by a factor "
                 f"of {np.nanmin(factor):.1f} to {np.nanmax(factor):.1f}"
                 + (f", and 0 for {n_zero} of {len(part)} designs" if n_zero else ""),
@@ -66,7 +70,7 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 f"both curves scaled to 0 and 1; comparable: within {COMPARABLE:g}"
                 + (", which this scan barely meets" if 0.8 * COMPARABLE < gap < COMPARABLE else ""),
             )
-        )  # fmt: skip
+        )
     table.meta["n_positioners"] = len(plane_of(L1, 1.0, PITCH, SMALL["rings"]))
     return {"small": table}, claims
 

@@ -16,9 +16,14 @@ FAR_LESS = 1.0
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     """Return times of all methods of finding collisions for LAMOST, and what the paper says about two of them."""
     table = benchmark_collisions(
-        "lamost", methods=["exact", "sampled", "sweep", "scipy"], n_configurations=settings.pick(3, 1),
-        repeats=settings.pick(10, 1), seconds=settings.pick(3, 0), rng=settings.seed, progress=settings.progress,
-    )  # fmt: skip
+        "lamost",
+        methods=["exact", "sampled", "sweep", "scipy"],
+        n_configurations=settings.pick(3, 1),
+        repeats=settings.pick(10, 1),
+        seconds=settings.pick(3, 0),
+        rng=settings.seed,
+        progress=settings.progress,
+    )
 
     def row(method, n_points=-1):
         return table[(table["method"] == method) & (np.ma.filled(table["n_points"], -1) == n_points)][0]
@@ -28,22 +33,29 @@ def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     missed, count, error = sampled["n_missed"], sampled["n_colliding_true"], sampled["max_error"].to_value("mm")
     claims = [
         Claim(
-            "speed", "arms of 64 segments take 0.15 % of the time of swept areas", "0.15 %", f"{ratio:.2g} %",
+            "speed",
+            "arms of 64 segments take 0.15 % of the time of swept areas",
+            "0.15 %",
+            f"{ratio:.2g} %",
             UNDECIDED if ratio <= FAR_LESS else NOT_REPRODUCED,
             "both our own on one core, and pairs that cannot touch are skipped; the paper compares a GPU with a "
             "machine that it does not describe, so that the agreement of the two numbers proves little",
         ),
         Claim(
-            "speed", "collisions of 4000 positioners take 0.45 s", "0.45 s on an RTX 4090D",
+            "speed",
+            "collisions of 4000 positioners take 0.45 s",
+            "0.45 s on an RTX 4090D",
             f"{sampled['time'].to_value('ms'):.2g} ms with 65 points, {exact['time'].to_value('ms'):.2g} ms exactly",
             REPRODUCED if sampled["time"].to_value("s") <= 0.45 else NOT_REPRODUCED,
             "at most that; on one core of this machine, and pairs that cannot touch are skipped",
         ),
         Claim(
-            "speed", "the accuracy of arms of 64 segments satisfies the requirements", "stated",
+            "speed",
+            "the accuracy of arms of 64 segments satisfies the requirements",
+            "stated",
             f"{missed} of {count} pairs missed, distances up to {error:.2g} mm too long",
             REPRODUCED if missed == 0 else NOT_REPRODUCED,
             "LAMOST's arms against rational arithmetic; no pair may be missed: the paper states no requirement",
         ),
-    ]  # fmt: skip
+    ]
     return {"speed": table}, claims

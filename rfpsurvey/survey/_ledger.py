@@ -7,9 +7,14 @@ from rfpsurvey.survey._source import Field
 __all__ = ["OUTCOMES", "Ledger"]
 
 OUTCOMES = (
-    "not wanted", "observed", "partly observed", "collided out", "competed out", "reachable by no positioner",
+    "not wanted",
+    "observed",
+    "partly observed",
+    "collided out",
+    "competed out",
+    "reachable by no positioner",
     "on no tile",
-)  # fmt: skip
+)
 NOT_WANTED, OBSERVED, PARTLY, COLLIDED, COMPETED, UNREACHABLE, NO_TILE = range(len(OUTCOMES))
 SEEN, REACHED, LOST = 1, 2, 4
 # Priorities that are counted apart; where there are more, ranges of them.

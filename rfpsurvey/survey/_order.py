@@ -12,9 +12,16 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
     """Return a number for each tile such that no two tiles near each other (in a group) have the same one."""
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
-        index.vectors, index.key, index.n_zones, index.order.astype(np.int64), reach_rad,
-        half_chord_squared(reach_rad), np.asarray(group, dtype=np.int64), smallest, number,
-    )  # fmt: skip
+        index.vectors,
+        index.key,
+        index.n_zones,
+        index.order.astype(np.int64),
+        reach_rad,
+        half_chord_squared(reach_rad),
+        np.asarray(group, dtype=np.int64),
+        smallest,
+        number,
+    )
     return number
 
 

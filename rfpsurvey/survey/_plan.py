@@ -144,11 +144,17 @@ def plan_survey(
             warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     request = make_request(
-        source, as_tiling(tiling), instrument, asked.for_instrument(instrument),
-        visits=visits, passes=passes, seed=to_seed(rng),
-        order=check_choice(order, ORDERS, "order"), epoch=None if epoch is None else str(epoch),
+        source,
+        as_tiling(tiling),
+        instrument,
+        asked.for_instrument(instrument),
+        visits=visits,
+        passes=passes,
+        seed=to_seed(rng),
+        order=check_choice(order, ORDERS, "order"),
+        epoch=None if epoch is None else str(epoch),
         lost_in_collision=bool(lost_in_collision),
-    )  # fmt: skip
+    )
     _warn_of_lacks(request)
     survey = run(request, folder, executor, progress, resume=resume)
     if request.visits.any() and not survey.summary["n_visits_observed"]:
@@ -173,4 +179,3 @@ def _warn_of_lacks(request) -> None:
             hint = "; sky_separation would find blank sky" if what == "sky" else ""
             text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint}"
             warnings.warn(text, RfpsurveyWarning, stacklevel=3)
-

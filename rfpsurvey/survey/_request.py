@@ -86,17 +86,25 @@ class Request:
     def parameters(self) -> dict:
         """What a result records."""
         return {
-            **self.options.record, "passes": self.passes, "order": self.order, "epoch": self.epoch, "rng": self.seed,
-            "lost_in_collision": self.lost_in_collision, "radius_deg": float(np.rad2deg(self.radius_rad)),
-        }  # fmt: skip
+            **self.options.record,
+            "passes": self.passes,
+            "order": self.order,
+            "epoch": self.epoch,
+            "rng": self.seed,
+            "lost_in_collision": self.lost_in_collision,
+            "radius_deg": float(np.rad2deg(self.radius_rad)),
+        }
 
     @cached_property
     def provenance(self) -> dict:
         """Versions, instrument, catalog and parameters."""
         found = {
-            "software": self.software, "instrument": self.instrument._provenance(), "catalog": dict(self.source.meta),
-            "tiling": dict(self.tiling.summary), "parameters": self.parameters,
-        }  # fmt: skip
+            "software": self.software,
+            "instrument": self.instrument._provenance(),
+            "catalog": dict(self.source.meta),
+            "tiling": dict(self.tiling.summary),
+            "parameters": self.parameters,
+        }
         return json.loads(json.dumps(found, default=str))  # what every file can hold
 
     def check_text(self) -> None:
@@ -159,4 +167,3 @@ def make_request(
         wanted = source.to_slots(wanted)
     wanted = np.ones(len(source), dtype=np.uint8) if wanted is None else wanted
     return Request(source, tiling, place, passes, instrument, options, wanted, **others)
-

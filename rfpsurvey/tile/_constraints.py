@@ -29,9 +29,10 @@ def add_keep_out(instrument: Instrument, plane: TangentPlane, keep_out: SkyCoord
     focal_plane = instrument.focal_plane
     obstacles = np.vstack([focal_plane._obstacles_mm, circles]) * u.mm
     return replace(
-        instrument, focal_plane=replace(focal_plane, obstacles=obstacles),
+        instrument,
+        focal_plane=replace(focal_plane, obstacles=obstacles),
         plate_scale=None if instrument.distortion else instrument.plate_scale,
-    )  # fmt: skip
+    )
 
 
 def find_required(known: np.ndarray, ids: np.ndarray, required) -> np.ndarray:

@@ -170,9 +170,19 @@ def plan_tile(
     row_of[plan.positioner] = np.arange(len(plan.positioner))
     sky_deg = np.rad2deg([plan.lon_rad, plan.lat_rad])
     return build_tile(
-        instrument, plan.id, sky_deg, row_of, allocation.fiber_type, plan.arms, plan.report, summary, parameters,
-        catalog.meta, kind=plan.kind, software=packages(options),
-    )  # fmt: skip
+        instrument,
+        plan.id,
+        sky_deg,
+        row_of,
+        allocation.fiber_type,
+        plan.arms,
+        plan.report,
+        summary,
+        parameters,
+        catalog.meta,
+        kind=plan.kind,
+        software=packages(options),
+    )
 
 
 def _known(value):

@@ -22,9 +22,15 @@ from rfpsurvey.tile._model import model_sentence
 __all__ = ["Tile", "build_tile", "versions"]
 
 MUST_HAVE = (
-    "summary.n_positioners", "summary.n_assigned", "summary.n_colliding", "summary.collision_rate", "summary.seconds",
-    "provenance.instrument.name", "provenance.parameters.allocator", "provenance.catalog",
-)  # fmt: skip
+    "summary.n_positioners",
+    "summary.n_assigned",
+    "summary.n_colliding",
+    "summary.collision_rate",
+    "summary.seconds",
+    "provenance.instrument.name",
+    "provenance.parameters.allocator",
+    "provenance.catalog",
+)
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 
 
@@ -194,9 +200,12 @@ def build_tile(
     names = np.array([str(i) for i in plane.id])
     status = np.full(n, "idle", dtype="U12")
     for flag, word in (
-        (posed.parked, "parked"), (plane.disabled, "disabled"), (plane._is_stuck, "stuck"), (has_target, "assigned"),
+        (posed.parked, "parked"),
+        (plane.disabled, "disabled"),
+        (plane._is_stuck, "stuck"),
+        (has_target, "assigned"),
         (posed.clipped, "out_of_reach"),
-    ):  # fmt: skip
+    ):
         status[flag] = word
     table = QTable({"id": plane.id})
     table["spectrograph"] = _spectrograph(plane, fiber_type)

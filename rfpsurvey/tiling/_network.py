@@ -183,9 +183,12 @@ def _flow(problem: Problem, cells: _Cells, centers: np.ndarray):
     )
     capacity = np.concatenate([cells.supply, np.full(len(centers), float(problem.fibers))])
     found = linprog(
-        cost - UNASSIGNED, A_ub=limits, b_ub=capacity, bounds=np.column_stack([0 * ones, cells.count[cell]]),
+        cost - UNASSIGNED,
+        A_ub=limits,
+        b_ub=capacity,
+        bounds=np.column_stack([0 * ones, cells.count[cell]]),
         method="highs",
-    )  # fmt: skip
+    )
     amount = found.x
     used = amount > 1e-6
     return cell[used], tile[used], amount[used], found.fun + UNASSIGNED * cells.supply.sum()

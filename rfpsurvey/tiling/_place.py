@@ -145,8 +145,14 @@ def place_tiles(
         "radius_deg": float(np.rad2deg(radius_rad)),
     }
     if isinstance(field, Region):
-        given = {"n_tiles": n_tiles, "completeness": completeness, "visits": visits, "allocator": allocator,
-                 "fibers": fibers, "min_separation": min_separation}  # fmt: skip
+        given = {
+            "n_tiles": n_tiles,
+            "completeness": completeness,
+            "visits": visits,
+            "allocator": allocator,
+            "fibers": fibers,
+            "min_separation": min_separation,
+        }
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
     if not isinstance(field, Catalog | PartitionedCatalog | SkyCoord | Table):
         raise InputError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
@@ -183,13 +189,17 @@ def place_tiles(
         limit = "" if n_tiles is None or len(ledger.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
         warnings.warn(
             f"{len(ledger.rows)} tiles reach a completeness of {ledger.completeness:.4f}, not {completeness:g}{limit}",
-            RfpsurveyWarning, stacklevel=2,
-        )  # fmt: skip
+            RfpsurveyWarning,
+            stacklevel=2,
+        )
     if not ledger.rows:
         warnings.warn("no tile serves any target", RfpsurveyWarning, stacklevel=2)
     centers_, number, n_targets, n_new, so_far = zip(*ledger.rows, strict=True) if ledger.rows else [()] * 5
-    columns = {"n_targets": np.array(n_targets, dtype=np.int64), "n_new": np.array(n_new, dtype=np.int64),
-               "completeness": np.array(so_far, dtype=float)}  # fmt: skip
+    columns = {
+        "n_targets": np.array(n_targets, dtype=np.int64),
+        "n_new": np.array(n_new, dtype=np.int64),
+        "completeness": np.array(so_far, dtype=float),
+    }
     return _build(np.reshape(centers_, (-1, 3)), number, position_angle, summary, columns)
 
 
@@ -205,8 +215,9 @@ def _place_on_region(region, method, radius_rad, passes, allowed, exclude, posit
     if quality["covering_fraction"] < 1:
         warnings.warn(
             f"the centers that may be cover {quality['covering_fraction']:.4f} of the region",
-            RfpsurveyWarning, stacklevel=3,
-        )  # fmt: skip
+            RfpsurveyWarning,
+            stacklevel=3,
+        )
     number = np.repeat(np.arange(passes) + 1, [len(one) for one in found])
     return _build(np.vstack(found), number, position_angle, summary, {})
 
@@ -258,11 +269,16 @@ def _build(vectors, number, position_angle, summary, columns):
     """Return the tiling."""
     n = len(vectors)
     ra, dec = to_ra_dec(vectors)
-    table = QTable({
-        "tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg,
-        "position_angle": np.full(n, position_angle.to_value(u.deg)) * u.deg, "pass": np.array(number, dtype=np.int64),
-        **columns,
-    })  # fmt: skip
+    table = QTable(
+        {
+            "tile": np.arange(n),
+            "ra": ra * u.deg,
+            "dec": dec * u.deg,
+            "position_angle": np.full(n, position_angle.to_value(u.deg)) * u.deg,
+            "pass": np.array(number, dtype=np.int64),
+            **columns,
+        }
+    )
     summary.update(n_tiles=n, passes=int(table["pass"].max(initial=0)) if n else 0)
     table.meta.update(method=summary["method"], summary=summary)
     log.info("placed %d tiles: %s", n, summary)

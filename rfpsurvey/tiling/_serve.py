@@ -93,9 +93,15 @@ class FocalPlaneFibers:
     """
 
     def __init__(
-        self, instrument: Instrument, options: AllocationOptions, catalog: Catalog, index: SkyIndex, fibers: int,
-        position_angle: u.Quantity, rng: np.random.Generator,
-    ):  # fmt: skip
+        self,
+        instrument: Instrument,
+        options: AllocationOptions,
+        catalog: Catalog,
+        index: SkyIndex,
+        fibers: int,
+        position_angle: u.Quantity,
+        rng: np.random.Generator,
+    ):
         self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
         self.position_angle, self.rng = position_angle, rng
         columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}

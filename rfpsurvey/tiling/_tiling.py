@@ -303,8 +303,9 @@ def _refuse_twins(tile, angles, number, table):
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
     columns = [angles["ra"], angles["dec"], angles["position_angle"]]
-    key = np.column_stack([place_of(*columns[:2]), np.rint(columns[2] * 1e8) % round(360e8), number,
-                           np.broadcast_to(program, len(tile))])  # fmt: skip
+    key = np.column_stack(
+        [place_of(*columns[:2]), np.rint(columns[2] * 1e8) % round(360e8), number, np.broadcast_to(program, len(tile))]
+    )
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     first = first[inverse.reshape(-1)]
     twin = np.flatnonzero(first != np.arange(len(tile)))
