@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms
-from rfpsurvey._units import to_mm, to_points_mm, to_radian, to_scalar
+from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian, to_scalar
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["HANDEDNESS", "Positioner"]
@@ -113,69 +113,39 @@ class Positioner:
         for value in angles:
             if value is not None:
                 to_scalar(value, u.rad, "arm_angle")
-        if self.home is not None and not self._joints_allowed(*self._home_rad[:, None])[0]:
+        if self.home is not None and not self.numbers.joints_allowed(*self.numbers.home[:, None])[0]:
             raise InputError(f"home must lie within the joint limits, got {self.home}")
 
     @cached_property
-    def _l1(self) -> float:
-        return float(to_mm(self.central_arm, "central_arm"))
-
-    @cached_property
-    def _l2(self) -> float:
-        return float(to_mm(self.eccentric_arm, "eccentric_arm"))
-
-    @cached_property
-    def _clearance_mm(self) -> float:
-        return float(to_mm(self.clearance, "clearance"))
-
-    @cached_property
-    def _arm_length_mm(self) -> float | None:
-        return None if self.arm_length is None else float(to_mm(self.arm_length, "arm_length"))
+    def numbers(self) -> "PositionerNumbers":
+        """The geometry as plain numbers in mm and radians, see `PositionerNumbers`."""
+        return PositionerNumbers(self)
 
     def _geometry(self, n: int) -> arms.Geometry:
         """Columns of n positioners about the origin, for the kernels."""
-        zero, l1, l2 = np.zeros(n), np.full(n, self._l1), np.full(n, self._l2)
-        home = self._home_rad[0]
+        zero, l1, l2 = np.zeros(n), np.full(n, self.numbers.central_arm), np.full(n, self.numbers.eccentric_arm)
+        home = self.numbers.home[0]
         return arms.Geometry(zero, zero, l1, l2, float(np.cos(home)), float(np.sin(home)))
-
-    @cached_property
-    def _home_rad(self) -> np.ndarray:
-        if self.home is not None:
-            return to_radian(self.home, "home")
-        home = np.array([0.0, np.pi])
-        for k, limits in enumerate((self.theta_range, self.phi_range)):
-            if limits is not None and not _allowed(home[k : k + 1], *to_radian(limits, "limits"))[0]:
-                ends = to_radian(limits, "limits")
-                home[k] = ends[np.argmin(np.abs(np.mod(ends - home[k] + np.pi, 2 * np.pi) - np.pi))]
-        return home
-
-    @cached_property
-    def _separation_mm(self) -> float:
-        if self.displacement is None:
-            moved = (self._l1 + self._l2) * np.sin(2 * float(to_radian(self.step, "step")))
-        else:
-            moved = float(to_mm(self.displacement, "displacement"))
-        return moved + 2 * self._clearance_mm
 
     @property
     def equal_arms(self) -> bool:
         """Whether both arms have the same length (to 1e-9 mm), so that the fiber reaches the center."""
-        return abs(self._l1 - self._l2) < arms.EQUAL_ARMS
+        return abs(self.numbers.central_arm - self.numbers.eccentric_arm) < arms.EQUAL_ARMS
 
     @property
     def inner_radius(self) -> u.Quantity:
         """Inner radius of the patrol area, the difference of the arm lengths."""
-        return (0.0 if self.equal_arms else abs(self._l1 - self._l2)) * u.mm
+        return (0.0 if self.equal_arms else abs(self.numbers.central_arm - self.numbers.eccentric_arm)) * u.mm
 
     @property
     def outer_radius(self) -> u.Quantity:
         """Outer radius of the patrol area, the sum of the arm lengths."""
-        return (self._l1 + self._l2) * u.mm
+        return (self.numbers.central_arm + self.numbers.eccentric_arm) * u.mm
 
     @property
     def min_separation(self) -> u.Quantity:
         """Distance D below which two arms collide: displacement within a step plus twice the clearance."""
-        return self._separation_mm * u.mm
+        return self.numbers.separation * u.mm
 
     def inverse(self, xy: u.Quantity, handedness: str | None = None) -> tuple[u.Quantity, u.Quantity]:
         """Return the joint angles that bring the fiber to points relative to the center.
@@ -245,39 +215,87 @@ class Positioner:
         arms.solve(points, self._geometry(n), np.full(n, side), theta, phi)
         r = np.hypot(*points.T)
         # rounding: a point made from the joint angles at full stretch is in reach
-        slack = 1e-12 * (self._l1 + self._l2)
+        slack = 1e-12 * (self.numbers.central_arm + self.numbers.eccentric_arm)
         inner, outer = self.inner_radius.value, self.outer_radius.value
         ok = (r >= inner - slack) & (r <= outer + slack)
-        return theta, phi, ok & self._joints_allowed(theta, phi)
+        return theta, phi, ok & self.numbers.joints_allowed(theta, phi)
 
-    def _joints_allowed(self, theta, phi):
-        """Mark joint angles (radians) inside the joint limits."""
-        limits = []
-        for value, name in ((self.theta_range, "theta_range"), (self.phi_range, "phi_range")):
+
+class PositionerNumbers:
+    """The geometry of a positioner as plain numbers in mm and radians.
+
+    Parameters
+    ----------
+    positioner : Positioner
+        The positioner.
+
+    Attributes
+    ----------
+    central_arm, eccentric_arm : float
+        Arm lengths, mm.
+    clearance : float
+        Radius that an arm keeps free, mm.
+    separation : float
+        Distance below which two arms collide, mm.
+    arm_length : float or None
+        Length of the colliding segment, if it is not that from elbow to fiber, mm.
+    home : ndarray of float, shape (2,)
+        theta and phi of a positioner at home.
+    joints_free : bool
+        Whether the joint limits leave the whole patrol area in reach with the usual elbow.
+    """
+
+    def __init__(self, positioner: Positioner):
+        self.positioner = positioner
+        self.central_arm = float(to_mm(positioner.central_arm, "central_arm"))
+        self.eccentric_arm = float(to_mm(positioner.eccentric_arm, "eccentric_arm"))
+        self.clearance = float(to_mm(positioner.clearance, "clearance"))
+        length = positioner.arm_length
+        self.arm_length = None if length is None else float(to_mm(length, "arm_length"))
+        if positioner.displacement is None:
+            moved = (self.central_arm + self.eccentric_arm) * np.sin(2 * float(to_radian(positioner.step, "step")))
+        else:
+            moved = float(to_mm(positioner.displacement, "displacement"))
+        self.separation = moved + 2 * self.clearance
+
+    @cached_property
+    def home(self) -> np.ndarray:
+        if self.positioner.home is not None:
+            return locked(to_radian(self.positioner.home, "home"))
+        home = np.array([0.0, np.pi])
+        for k, limits in enumerate((self.positioner.theta_range, self.positioner.phi_range)):
+            if limits is not None and not _allowed(home[k : k + 1], *to_radian(limits, "limits"))[0]:
+                ends = to_radian(limits, "limits")
+                home[k] = ends[np.argmin(np.abs(np.mod(ends - home[k] + np.pi, 2 * np.pi) - np.pi))]
+        return locked(home)
+
+    def joints_allowed(self, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Mark joint angles inside the joint limits."""
+        limits, positioner = [], self.positioner
+        for value, name in ((positioner.theta_range, "theta_range"), (positioner.phi_range, "phi_range")):
             limits += [-np.inf, np.inf] if value is None else list(to_radian(value, name))
         return _allowed(theta, *limits[:2]) & _allowed(phi, *limits[2:])
 
     @cached_property
-    def _joints_free(self) -> bool:
-        """Whether the joint limits leave the whole patrol area in reach, with the usual elbow."""
-        return self._joints_free_for(-1.0 if self.handedness == "left" else 1.0)
+    def joints_free(self) -> bool:
+        return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
-    def _joints_free_for(self, side: float) -> bool:
-        """Whether the joint limits leave the whole patrol area in reach with an elbow, +1 right or -1 left."""
-        theta, phi = self.theta_range, self.phi_range
+    def joints_free_for(self, side: float) -> bool:
+        """Return whether the joint limits leave the whole patrol area in reach with an elbow, +1 right or -1 left."""
+        theta, phi = self.positioner.theta_range, self.positioner.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
             return False
         low, high = (-180 * u.deg, 0 * u.deg) if side < 0 else (0 * u.deg, 180 * u.deg)
         return phi is None or bool(phi[0] <= low and phi[1] >= high)
 
-    def _arm_angle_rad(self, fiber_types: tuple[str, ...]) -> np.ndarray:
-        """Angle of the colliding segment from the fiber, for each fiber type."""
-        if isinstance(self.arm_angle, dict):
-            for name in self.arm_angle:
+    def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
+        """Return the angle of the colliding segment from the fiber, for each fiber type."""
+        given = self.positioner.arm_angle
+        if isinstance(given, dict):
+            for name in given:
                 check_choice(name, fiber_types, "fiber type of arm_angle")
-            return np.array([float(to_radian(self.arm_angle.get(t, 0 * u.deg), "arm_angle")) for t in fiber_types])
-        angle = 0.0 if self.arm_angle is None else float(to_radian(self.arm_angle, "arm_angle"))
-        return np.full(len(fiber_types), angle)
+            return np.array([float(to_radian(given.get(t, 0 * u.deg), "arm_angle")) for t in fiber_types])
+        return np.full(len(fiber_types), 0.0 if given is None else float(to_radian(given, "arm_angle")))
 
 
 def _allowed(angle, low, high):

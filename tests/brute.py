@@ -22,7 +22,7 @@ def options_of(plane, xy, fiber_type, both, forbidden=()):
             if (i, t) in forbidden:
                 continue
             for elbow in elbows:
-                angles = plane.positioner.inverse((xy[t] - plane._xy_mm[i])[None] * MM, elbow)
+                angles = plane.positioner.inverse((xy[t] - plane.arrays.xy[i])[None] * MM, elbow)
                 if np.isfinite(angles[0][0]):
                     mine.append((int(t), elbow))
         found.append(mine)
@@ -51,13 +51,13 @@ def conflicts_of(plane, bodies):
 
     Two idle arms, and an idle arm at an obstacle, are nobody's fault.
     """
-    separation, clearance = plane.positioner._separation_mm, plane.positioner._clearance_mm
+    separation, clearance = plane.positioner.numbers.separation, plane.positioner.numbers.clearance
     pairs, barred = set(), set()
     for i, j in combinations(range(len(bodies)), 2):
         for (k, a), (m, b) in product(enumerate(bodies[i]), enumerate(bodies[j])):
             if (k or m) and a is not None and b is not None and a.distance(b) < separation:
                 pairs.add(((i, k), (j, m)))
-    for x, y, r in plane._obstacles_mm.tolist():
+    for x, y, r in plane.arrays.obstacles.tolist():
         for i, mine in enumerate(bodies):
             for k, a in enumerate(mine):
                 if k and a is not None and a.distance(Point(x, y)) < r + clearance:

@@ -36,7 +36,7 @@ def with_troubles(plane):
         plane,
         stuck=stuck * u.deg,
         disabled=np.arange(n) % 11 == 5,
-        eccentric_arm=(plane._l2_mm - np.where(np.arange(n) % 2, 0.5, 0)) * MM,
+        eccentric_arm=(plane.arrays.eccentric_arm - np.where(np.arange(n) % 2, 0.5, 0)) * MM,
         obstacles=[[11.2, 6.5, 2], [-40, 1, 3], [30, -20, 1]] * MM,
     )
 
@@ -65,13 +65,13 @@ SCENES = {
 
 def random_tips(plane, rng, part=1.0):
     """Tips in mm, uniform in each patrol area, within the joint limits; some at the very center; NaN for none."""
-    inner, outer, n = plane._inner_mm, plane._outer_mm, len(plane)
+    inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     r = np.maximum(np.sqrt(rng.uniform(inner**2, outer**2)) * (1 - 1e-12), inner)
     r[(inner == 0) & (rng.random(n) < 0.05)] = 0
     alpha = rng.uniform(0, 2 * np.pi, n)
-    tips = plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+    tips = plane.arrays.xy + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
     tips[rng.random(n) > part] = np.nan
-    if not plane.positioner._joints_free:
+    if not plane.positioner.numbers.joints_free:
         reach = np.diag(plane.reachable(np.nan_to_num(tips, nan=1e6) * MM).toarray())
         tips[~reach] = np.nan
     return tips * MM

@@ -34,7 +34,7 @@ def reaches(plane, xy):
 def test_balanced_is_the_rule_as_written(name, xy):
     plane = PLANES[name]
     allocation = rs.allocate(plane, xy * MM, allocator="balanced")
-    owner = balanced_owner(xy, plane._xy_mm, reaches(plane, xy))
+    owner = balanced_owner(xy, plane.arrays.xy, reaches(plane, xy))
     indptr, queue = allocation.queues
     for i in range(len(plane)):
         mine = [t for t in range(len(xy)) if owner[t] == i]
@@ -47,7 +47,7 @@ def test_lamost_is_the_rule_as_written(name, xy, n_classes, random):
     plane = PLANES[name]
     priority = [random.randrange(n_classes) for _ in xy]
     allocation = rs.allocate(plane, xy * MM, allocator="lamost", priority=priority)
-    expected = lamost_target(xy, plane._xy_mm, reaches(plane, xy), priority)
+    expected = lamost_target(xy, plane.arrays.xy, reaches(plane, xy), priority)
     assert allocation.target_of_positioner.tolist() == expected
 
 
@@ -145,7 +145,7 @@ def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch,
     assert area / cell == pytest.approx(multiplicity, abs=7e-5)
     # a torus of targets: every positioner of a wide lattice is an interior one
     plane = rs.FocalPlane.hexagonal(unit, rings=40, pitch=pitch * MM)
-    half = np.abs(plane._xy_mm).max() + unit.outer_radius.value
+    half = np.abs(plane.arrays.xy).max() + unit.outer_radius.value
     alone, seen, total = 0, 0, 0
     for _ in range(10):
         n = rng.poisson(per_cell * (2 * half) ** 2 / cell)

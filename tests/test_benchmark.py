@@ -88,7 +88,7 @@ def test_joint_limits_are_kept(rng):
     plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=25.6 * u.mm)
     tips = random_tips(plane, rng)
     assert np.isfinite(tips).all()
-    assert (np.hypot(*(tips - plane._xy_mm).T) < 2 * 8.25 * np.cos(np.deg2rad(30)) + 1e-9).all()
+    assert (np.hypot(*(tips - plane.arrays.xy).T) < 2 * 8.25 * np.cos(np.deg2rad(30)) + 1e-9).all()
     assert len(rs.benchmark_batches(plane, sizes=[1], workers=[1], repeats=1)) == 1
 
 

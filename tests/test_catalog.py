@@ -130,7 +130,7 @@ def test_write_then_read(tmp_path, suffix):
 def test_any_frame_will_do(frame):
     coord = SkyCoord([10, 20] * DEG, [30, 40] * DEG)
     catalog = rs.Catalog(coord.transform_to(frame))
-    np.testing.assert_allclose(catalog._vectors, coord.cartesian.xyz.value.T, atol=1e-14)
+    np.testing.assert_allclose(catalog.arrays.vectors, coord.cartesian.xyz.value.T, atol=1e-14)
 
 
 def test_galactic_columns():

@@ -129,7 +129,7 @@ def test_parked_equal_arms_stand_in_the_way():
 def test_idle_unequal_arms_give_way():
     plane = sdss_like(rings=1)
     tips = np.full((7, 2), np.nan)
-    tips[3] = plane._xy_mm[3] + [15, 0]
+    tips[3] = plane.arrays.xy[3] + [15, 0]
     report = rs.find_collisions(plane, tips * MM)
     assert len(report.pairs) == 0
     assert report.counted.sum() == 1
@@ -143,14 +143,14 @@ def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():
     stuck[4] = [180, 0]  # stretched toward the central positioner
     plane = replace(base, stuck=stuck * u.deg)
     tips = np.full((7, 2), np.nan)
-    tips[3] = base._xy_mm[3] + [20, 0]
+    tips[3] = base.arrays.xy[3] + [20, 0]
     report = rs.find_collisions(plane, tips * MM)
     assert report.pairs.tolist() == [[3, 4]]
     assert report.counted.tolist() == [False] * 3 + [True] + [False] * 3
     assert report.rate == 1
     arms = place_arms(replace(base, disabled=np.arange(7) == 4), tips * MM)
     assert arms.present.tolist() == [False] * 3 + [True, True] + [False] * 2
-    home_tip, home_elbow = tip_and_elbow(base._xy_mm[4], 7.4, 15, 0, np.pi)
+    home_tip, home_elbow = tip_and_elbow(base.arrays.xy[4], 7.4, 15, 0, np.pi)
     np.testing.assert_allclose(arms.segments[4], [home_elbow.real, home_elbow.imag, home_tip.real, home_tip.imag])
 
 
@@ -171,7 +171,7 @@ def test_poses_and_tips_and_allocations_say_the_same(rng):
     by_pose = rs.find_collisions(plane, theta=theta * u.deg, phi=phi * u.deg)
     tips = [
         (lambda tip: (tip.real, tip.imag))(tip_and_elbow(c, 7.4, 15, t, p)[0])
-        for c, t, p in zip(plane._xy_mm, np.deg2rad(theta), np.deg2rad(phi), strict=True)
+        for c, t, p in zip(plane.arrays.xy, np.deg2rad(theta), np.deg2rad(phi), strict=True)
     ]
     by_tip = rs.find_collisions(plane, tips * MM)
     assert len(by_pose.pairs) > 3

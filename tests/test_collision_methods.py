@@ -32,7 +32,7 @@ def test_all_methods_find_a_clear_collision_and_nothing_else(method):
     """Two stretched arms head on; a third far from both."""
     plane = sdss_like(rings=1)
     tips = np.full((7, 2), np.nan)
-    tips[2], tips[3], tips[4] = plane._xy_mm[2] - [15, 0], plane._xy_mm[3] + [10, 0], plane._xy_mm[4] - [11, 1]
+    tips[2], tips[3], tips[4] = plane.arrays.xy[2] - [15, 0], plane.arrays.xy[3] + [10, 0], plane.arrays.xy[4] - [11, 1]
     report = rs.find_collisions(plane, tips * MM, method=method)
     assert report.pairs.tolist() == [[3, 4]]
     assert report.in_collision.tolist() == [False, False, False, True, True, False, False]
@@ -224,7 +224,7 @@ def test_the_same_scene_in_other_units_and_far_away(rng):
 def test_single_precision_moves_arms_by_less_than_a_micrometer_except_at_full_stretch(rng):
     plane = sdss_like(6)
     tips = random_tips(plane, rng)
-    r = np.hypot(*(tips.value - plane._xy_mm).T)
+    r = np.hypot(*(tips.value - plane.arrays.xy).T)
     inside = (r > 7.7) & (r < 22.3)
     tips[~inside] = np.nan * MM
     rough = place_arms(plane, tips.astype(np.float32))
@@ -338,7 +338,7 @@ def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     unit = rs.Positioner(8 * MM, 8 * MM, 1 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=40 * MM)
     assert plane.collision_type == 1
-    assert len(plane._neighbors) == 0
+    assert len(plane.arrays.neighbors) == 0
     tips = plane.xy + [12, 3] * MM
     expected = rs.find_collisions(plane, tips)
     monkeypatch.setattr("rfpsurvey.collision._find.stand", None)

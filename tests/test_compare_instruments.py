@@ -17,6 +17,7 @@ from shapely.ops import unary_union
 
 import rfpsurvey as rs
 from rfpsurvey.compare._fields import synthetic_fields
+from rfpsurvey.pipeline import project_field
 from rfpsurvey.plot import draw_instruments
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.probability._intervals import quantile, wilson
@@ -161,7 +162,7 @@ def test_the_footprint_holds_as_many_targets_as_asked_though_optics_distort(name
     model = rs.Instrument.preset(name)
     each = 1e5 / len(model.focal_plane)
     (field,) = synthetic_fields("uniform", [model], None, each, None, 1, 3)
-    xy = model.projection(field.center)._project(field.catalog._vectors, model._needs(None, len(field.catalog)))
+    xy = project_field(model, model.projection(field.center).plain, field.catalog.arrays.vectors)[0]
     hull = MultiPoint(model.focal_plane.xy.value).convex_hull
     inside = contains_xy(hull, *xy.T).sum()
     assert inside == pytest.approx(1e5, rel=0.008)  # three standard errors

@@ -44,7 +44,7 @@ def test_counts_are_those_of_single_configurations(name, rng):
 )
 def test_draws_are_configurations_of_the_queues(plane, rng):
     """The same uniform numbers, taken through the public path of one configuration at a time."""
-    edge = np.abs(plane._xy_mm).max()
+    edge = np.abs(plane.arrays.xy).max()
     xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
     types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
     allocation = rs.allocate(plane, xy * MM, fiber_type=types)
@@ -64,7 +64,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
             allocation,
             target_of_positioner=target,
             tips=tips * MM,
-            handedness=np.where(plane._sides(tips) < 0, "left", "right"),
+            handedness=np.where(plane.arrays.sides(tips) < 0, "left", "right"),
             fiber_type=np.where(used & (types is not None), types[target] if types is not None else "", ""),
         )
         reports.append(rs.find_collisions(plane, drawn))

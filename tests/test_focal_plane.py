@@ -23,7 +23,7 @@ def brute_force(plane, xy):
     return np.array(
         [
             [in_annulus(t, c, l1, l2) for t in xy]
-            for c, l1, l2 in zip(plane._xy_mm, plane._l1_mm, plane._l2_mm, strict=True)
+            for c, l1, l2 in zip(plane.arrays.xy, plane.arrays.central_arm, plane.arrays.eccentric_arm, strict=True)
         ]
     ).reshape(len(plane), len(xy))
 

@@ -17,7 +17,7 @@ def dense(plane, *, ring):
     """Adjacency of the nearest ring or of all neighbors, that of the neighbors beyond, and the projection that removes
     the profile, as matrices."""
     n = len(plane)
-    everyone, apart = np.zeros((n, n)), np.hypot(*(plane._xy_mm[:, None] - plane._xy_mm[None]).transpose(2, 0, 1))
+    everyone, apart = np.zeros((n, n)), np.hypot(*(plane.arrays.xy[:, None] - plane.arrays.xy[None]).transpose(2, 0, 1))
     first, second = plane.neighbor_pairs().T
     everyone[first, second] = everyone[second, first] = 1
     design = np.column_stack([np.ones(n), everyone.sum(axis=1)])

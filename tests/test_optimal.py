@@ -18,7 +18,7 @@ def random_case(seed, *, quotas):
     rng = np.random.default_rng(seed)
     plane = random_plane(rng)
     m = int(rng.integers(1, 10))
-    xy = plane._xy_mm[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
+    xy = plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
     options = {"priority": rng.integers(0, rng.integers(1, 4), m).astype(float)}
     if plane.fiber_types != ("",):
         options["fiber_type"] = rng.choice(["", *plane.fiber_types], m)
@@ -100,7 +100,7 @@ def test_no_plan_is_better(method, chunk, quotas):
             bodies = bodies_of(plane, xy, choices, options.get("fiber_type"), options["parked_obstacles"])
             pairs, barred = conflicts_of(plane, bodies)
         value = judge(plane, xy, options)
-        r2 = ((xy[None] - plane._xy_mm[:, None]) ** 2).sum(axis=2)
+        r2 = ((xy[None] - plane.arrays.xy[:, None]) ** 2).sum(axis=2)
         weight = 0.0 if collide else 1.0
         best = best_plan(
             choices,

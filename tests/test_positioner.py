@@ -82,9 +82,9 @@ def test_joint_limits_hold_up_to_whole_turns():
 
 
 def test_home_is_folded_or_as_near_as_the_joints_allow():
-    assert robot()._home_rad.tolist() == [0, np.pi]
+    assert robot().numbers.home.tolist() == [0, np.pi]
     limited = robot(theta_range=[20, 300] * u.deg, phi_range=[-150, 140] * u.deg)
-    np.testing.assert_allclose(np.rad2deg(limited._home_rad), [20, -150])
+    np.testing.assert_allclose(np.rad2deg(limited.numbers.home), [20, -150])
     with pytest.raises(rs.InputError, match=r"theta and phi must have the shape \(n,\), got \(2,\) and \(3,\)"):
         robot().forward([1, 2] * u.deg, [1, 2, 3] * u.deg)
 

@@ -19,7 +19,7 @@ def crowded_case(seed):
     rng = np.random.default_rng([seed, 14])
     plane = random_plane(rng)
     m = int(rng.integers(20, 60))
-    xy = plane._xy_mm[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
+    xy = plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
     options = {"parked_obstacles": bool(rng.random() < 0.5)}
     # few targets of the first classes, and many of the last
     options["priority"] = -np.floor(rng.random(m) ** 0.3 * rng.integers(1, 5))
@@ -74,7 +74,7 @@ def test_flow_of_few_candidates_is_that_of_all(monkeypatch, chunk):
         case = crowded_case(seed)
         few, every = both_ways(monkeypatch, case, "sdss")
         assert few.levels == every.levels, seed
-        cost = [np.nansum((plan.tips.to_value(MM) - case[0]._xy_mm) ** 2) for plan in (few, every)]
+        cost = [np.nansum((plan.tips.to_value(MM) - case[0].arrays.xy) ** 2) for plan in (few, every)]
         assert cost[0] == pytest.approx(cost[1], rel=ROUNDING), seed
         assert few.meta["n_candidates"] <= every.meta["n_candidates"], seed
 
@@ -104,11 +104,11 @@ def test_rules_in_a_crowd_are_the_rules_as_written(seed):
     xy = np.concatenate([rng.uniform(-36, 36, (150, 2)), 4.0 * rng.integers(-9, 9, (60, 2))])
     priority = rng.integers(0, 3, len(xy)).tolist()
     can = plane.reachable(xy * MM).toarray()
-    assert (can.sum(axis=1) > plane._n_sharing + 1).all()
+    assert (can.sum(axis=1) > plane.arrays.n_sharing + 1).all()
     plan = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
-    assert plan.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
+    assert plan.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
     plan = rs.allocate(plane, xy * MM, allocator="lamost", priority=priority)
-    assert plan.target_of_positioner.tolist() == lamost_target(xy, plane._xy_mm, can, priority)
+    assert plan.target_of_positioner.tolist() == lamost_target(xy, plane.arrays.xy, can, priority)
 
 
 def test_two_hundred_thousand_targets_in_a_field_of_unequal_arms_are_planned_with_a_proof():

@@ -151,7 +151,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
 )
 def test_what_rules_lose_to_collisions_in_crowded_fields_is_won_back(real_data, file, name, center, least):
     catalog = rs.Catalog.read(real_data(file))
-    center = catalog._middle if center is None else SkyCoord(*center, unit="deg")
+    center = catalog.mean_direction if center is None else SkyCoord(*center, unit="deg")
     table = rs.compare_allocators(catalog, name, center, allocators=["lamost", "repair", "optimal"])
     rule, mended, best = table
     assert best["gap"] == 0

@@ -1,3 +1,5 @@
+from functools import partial
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from astropy_healpix import HEALPix
 
 import rfpsurvey as rs
 from rfpsurvey import _healpix
+from rfpsurvey.region import circle_around, distance_to, is_inside
 
 DEG = u.deg
 
@@ -110,9 +113,9 @@ def test_distances_and_the_circle_around(text):
     points = everywhere(300_000)
     xyz = points.cartesian.xyz.value.T
     inside = region.contains(points)
-    center, radius = region._circle()
+    center, radius = circle_around(region)
     assert (2 * np.arcsin(np.minimum(np.linalg.norm(xyz[inside] - center, axis=1) / 2, 1)) <= radius + 1e-9).all()
-    distance = region._distance(xyz[:2000])
+    distance = distance_to(region, xyz[:2000])
     near = 2 * np.arcsin(np.minimum(cKDTree(xyz[inside]).query(xyz[:2000])[0] / 2, 1))
     assert (distance <= near + 1e-9).all()
     assert (distance >= near - np.deg2rad(1.5)).all()
@@ -126,8 +129,8 @@ def test_samples_are_the_pixels_inside():
     # the edges of the octant run through centers
     shapes = [rs.Region.parse(text) for name, text in REGIONS.items() if name != "octant"]
     for region in (*shapes, rs.Region.healpix([3, 700], 8), rs.Region.healpix([5], 256)):
-        near = _healpix.centers(64, _healpix.pixels_near(64, region._distance, 0.0))
-        assert region._contains(near).sum() == region.contains(centers).sum()
+        near = _healpix.centers(64, _healpix.pixels_near(64, partial(distance_to, region), 0.0))
+        assert is_inside(region, near).sum() == region.contains(centers).sum()
 
 
 @pytest.mark.parametrize(

@@ -191,7 +191,7 @@ def test_a_focal_plane_from_fits_has_text_ids(small, tmp_path):
 def test_a_tile_does_not_make_every_unit_stuck(small):
     """Its columns theta and phi were taken for those of stuck units."""
     tile = rs.plan_tile(few(), small, CENTER)
-    assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner)._usable.all()
+    assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner).arrays.usable.all()
 
 
 @pytest.mark.filterwarnings("ignore:without proper motions the epoch changes nothing")

@@ -44,10 +44,10 @@ def test_nearest_is_the_closest_pair_first(name, scene):
     plane, (xy, priority, kind) = PLANES[name], scene
     can = plane.reachable(xy * MM).toarray()
     found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
-    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
+    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
     can &= np.array(kind) == "science"
     found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority, kind=kind)
-    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
+    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
 
 
 def test_nearest_is_the_closest_pair_first_in_a_crowd(rng):
@@ -56,7 +56,7 @@ def test_nearest_is_the_closest_pair_first_in_a_crowd(rng):
     fiber = rng.choice(["A", "B", ""], 250)
     can = plane.reachable(xy * MM, fiber).toarray()
     found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority, fiber_type=fiber)
-    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane._xy_mm, can, priority)
+    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
     assert found.n_assigned == 37
 
 
@@ -66,7 +66,7 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
     ``column(i, t)`` is the spectrograph in which positioner i observes target t.
     """
     science = [k == "science" for k in kind]
-    target_of = lamost_target(xy, plane._xy_mm, can & science, priority)
+    target_of = lamost_target(xy, plane.arrays.xy, can & science, priority)
     locked = set()
     for one in requirements:
         if one.minimum == 0:
@@ -80,7 +80,7 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
             importance = [(t >= 0, priority[t] if t >= 0 else 0, i) for i, t in enumerate(target_of)]
             for _, _, i in sorted(importance):
                 free = [
-                    (squared_apart(xy[t], plane._xy_mm[i]), t)
+                    (squared_apart(xy[t], plane.arrays.xy[i]), t)
                     for t in range(len(xy))
                     if can[i, t] and wanted[t] and t not in target_of and place in (None, column(i, t))
                 ]
@@ -191,7 +191,7 @@ def test_rules_take_nothing_but_science(method, name, scene):
 @pytest.mark.parametrize("method", ["sdss", "optimal", "repair"])
 def test_what_is_not_science_fills_idle_positioners_only(method):
     plane = lamost_like(rings=1)
-    xy = np.concatenate([plane._xy_mm + [9, 0], plane._xy_mm[:5] + [-9, 0]])
+    xy = np.concatenate([plane.arrays.xy + [9, 0], plane.arrays.xy[:5] + [-9, 0]])
     kind = ["sky", "standard", "sky", "sky", "sky", "sky", "standard"] + ["science"] * 5
     found = rs.allocate(plane, xy * MM, allocator=method, kind=kind, priority=[9] * 7 + [0] * 5)
     assert sorted(found.target_of_positioner) == [5, 6, 7, 8, 9, 10, 11]
@@ -202,7 +202,7 @@ def crowd(name, n, seed):
     """A plane with many targets, some of them far away from any positioner."""
     rng = np.random.default_rng(seed)
     plane = {"lamost": lambda: lamost_like(rings=12), "sdss": lambda: sdss_like(rings=11)}[name]()
-    half = np.abs(plane._xy_mm).max() * 1.1
+    half = np.abs(plane.arrays.xy).max() * 1.1
     return plane, rng.uniform(-half, half, (n, 2)), rng
 
 
@@ -262,7 +262,7 @@ def test_sdss_counts_science_before_classes_if_asked(name):
 def test_sdss_has_the_least_sum_of_squared_distances_of_all_maximum_matchings(make, n, rng):
     plane = make(rings=4)
     xy = rng.uniform(-120, 120, (n, 2))
-    r2 = ((xy[None] - plane._xy_mm[:, None]) ** 2).sum(axis=2)
+    r2 = ((xy[None] - plane.arrays.xy[:, None]) ** 2).sum(axis=2)
     can = plane.reachable(xy * MM).toarray()
     cost = np.where(can, r2 - 1e7, 0.0)
     rows, columns = linear_sum_assignment(cost)
@@ -277,7 +277,7 @@ def test_sdss_has_the_least_sum_of_squared_distances_of_all_maximum_matchings(ma
 @pytest.mark.parametrize("make", [lamost_like, sdss_like])
 def test_repair_and_optimal_stay_below_a_matching_class_by_class(make, n, rng):
     plane = make(rings=6)
-    half = np.abs(plane._xy_mm).max()
+    half = np.abs(plane.arrays.xy).max()
     xy, priority = rng.uniform(-half, half, (n, 2)), rng.integers(0, 2, n)
     can = plane.reachable(xy * MM)
     top, both = matched(can[:, np.flatnonzero(priority == 1)]), matched(can)

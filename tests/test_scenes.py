@@ -24,14 +24,14 @@ def test_arms_and_collisions_are_those_of_slow_geometry(name, rng):
         np.testing.assert_array_equal(posed.assigned, assigned)
         np.testing.assert_array_equal(posed.parked, counted & ~assigned)
         turn = np.exp(1j * np.array([posed.theta, posed.theta + posed.phi]))
-        tip = plane._xy_mm @ [1, 1j] + plane._l1_mm * turn[0] + plane._l2_mm * turn[1]
+        tip = plane.arrays.xy @ [1, 1j] + plane.arrays.central_arm * turn[0] + plane.arrays.eccentric_arm * turn[1]
         np.testing.assert_allclose(posed.tip @ [1, 1j], tip, atol=1e-6)  # idle arms have angles, too
         np.testing.assert_array_equal(posed.present, [arm is not None for arm in expected])
         for segment, arm in zip(posed.segments, expected, strict=True):
             if arm is not None:
                 np.testing.assert_allclose(segment, [arm[0].real, arm[0].imag, arm[1].real, arm[1].imag], atol=2e-7)
-        equal = posed.parked & (plane.positioner._home_rad[1] == np.pi)
-        np.testing.assert_array_equal(posed.tip[equal], plane._xy_mm[equal])  # to the last digit
+        equal = posed.parked & (plane.positioner.numbers.home[1] == np.pi)
+        np.testing.assert_array_equal(posed.tip[equal], plane.arrays.xy[equal])  # to the last digit
         pairs, hits = collisions_of(plane, expected)
         again = {k: v for k, v in options.items() if k != "handedness"}
         for report in (
@@ -59,13 +59,13 @@ def test_tips_of_units_that_take_none_do_not_matter(rng):
     plane, _ = SCENES["troubles"]
     tips = random_tips(plane, rng)
     before = rs.find_collisions(plane, tips)
-    tips[~plane._usable] += 500 * MM
+    tips[~plane.arrays.usable] += 500 * MM
     after = rs.find_collisions(plane, tips)
     np.testing.assert_array_equal(after.pairs, before.pairs)
-    counts = [rs.count_collisions(plane, t[None]) for t in (tips, np.where(plane._usable[:, None], tips, np.nan))]
+    counts = [rs.count_collisions(plane, t[None]) for t in (tips, np.where(plane.arrays.usable[:, None], tips, np.nan))]
     assert counts[0].n_pairs == counts[1].n_pairs == [len(before.pairs)]
     turned = rs.find_collisions(plane, theta=np.zeros(len(plane)) * u.rad, phi=np.zeros(len(plane)) * u.rad)
-    np.testing.assert_array_equal(turned.assigned, plane._usable)
+    np.testing.assert_array_equal(turned.assigned, plane.arrays.usable)
 
 
 def test_arms_of_another_focal_plane_are_refused():
@@ -85,10 +85,10 @@ def test_runs_are_the_neighbors_and_nothing_else(seed):
     n = int(rng.integers(1, 40))
     xy = np.unique(rng.integers(0, 12, (n, 2)), axis=0) * rng.choice([9.0, 15.0, 25.0])
     plane = rs.FocalPlane(xy * MM, unit)
-    runs = [(i + k, j + k) for i, j, length in plane._columns.runs.tolist() for k in range(length)]
+    runs = [(i + k, j + k) for i, j, length in plane.arrays.runs.tolist() for k in range(length)]
     apart = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
     expected = [(i, j) for i in range(len(xy)) for j in range(i + 1, len(xy)) if apart[i, j] < 36 + 1e-9]
-    assert sorted(runs) == expected == [tuple(p) for p in plane._neighbors.tolist()]
+    assert sorted(runs) == expected == [tuple(p) for p in plane.arrays.neighbors.tolist()]
 
 
 @given(st.floats(0.1, 50), st.floats(0.1, 50), st.floats(0, 1e6))

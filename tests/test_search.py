@@ -25,7 +25,7 @@ def dense_plane(rings=16):
 def sparse_targets(plane, seed):
     rng = np.random.default_rng(seed)
     m = int(len(plane) * rng.uniform(0.4, 1.2))
-    return plane._xy_mm[rng.integers(len(plane), size=m)] + rng.normal(size=(m, 2)) * rng.choice([3, 6]), rng
+    return plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.normal(size=(m, 2)) * rng.choice([3, 6]), rng
 
 
 @pytest.mark.parametrize("seed", [324, 5, 11])
@@ -249,7 +249,7 @@ def test_classes_after_required_targets_may_be_larger_than_in_a_matching():
     """A matching has the best classes only if it keeps as many required targets; 23 passed for the most that can be."""
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 3 * MM), rings=7, pitch=18 * MM)
     n, rng = len(plane), np.random.default_rng(2)
-    xy = plane._xy_mm[rng.integers(n, size=2 * n)] + rng.uniform(-12, 12, (2 * n, 2))
+    xy = plane.arrays.xy[rng.integers(n, size=2 * n)] + rng.uniform(-12, 12, (2 * n, 2))
     options = {"priority": rng.integers(0, 4, 2 * n), "required": rng.random(2 * n) < 0.5}
     found = flat.allocate(plane, xy * MM, allocator="optimal", parked_obstacles=False, **options)
     assert found.levels[-1].value == found.levels[-1].bound == 27

@@ -67,12 +67,12 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
     )
     check_columns(found, xy)
     own, rows = blank_of(found)
-    stuck = plane._is_stuck[own]
+    stuck = plane.arrays.is_stuck[own]
     assert len(own) >= 10
     tree = cKDTree(xy[np.isfinite(xy[:, 0])])
     points = found.xy[rows].to_value(MM)
     assert tree.query(points)[0].min() >= separation
-    r = np.hypot(*(points - plane._xy_mm[own]).T)
+    r = np.hypot(*(points - plane.arrays.xy[own]).T)
     l1 = np.full(37, plane.positioner.central_arm.value)
     l2 = plane.positioner.eccentric_arm.value if plane.eccentric_arm is None else plane.eccentric_arm.value
     inner, outer = (np.abs(l1 - l2) * np.ones(37))[own], (l1 + l2)[own]
@@ -122,12 +122,12 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
     sees = set(blank_of(found)[0].tolist())
     grid = np.stack(np.meshgrid(*2 * [np.arange(-16.4, 16.5, 0.4)]), axis=-1).reshape(-1, 2)
     grid = grid[np.hypot(*grid.T) < 16.4]
-    part = np.array([(cKDTree(xy).query(grid + c)[0] > separation).mean() for c in plane._xy_mm])
+    part = np.array([(cKDTree(xy).query(grid + c)[0] > separation).mean() for c in plane.arrays.xy])
     assert all(i in sees for i in np.flatnonzero(part > 0.06))
     assert not any(
         i in sees
         for i in np.flatnonzero(part == 0)
-        if (cKDTree(xy).query(grid + plane._xy_mm[i])[0].max() < separation - 0.3)
+        if (cKDTree(xy).query(grid + plane.arrays.xy[i])[0].max() < separation - 0.3)
     )
     assert 37 >= len(sees) >= (part > 0.06).sum() > 0 or separation > 10
 

@@ -59,7 +59,7 @@ def test_counts():
 
 def test_poisson_disc_keeps_its_distance():
     catalog = sky("poisson_disc", (359.99, 89), rng=2)
-    chord = cKDTree(catalog._vectors).query(catalog._vectors, k=2)[0][:, 1]
+    chord = cKDTree(catalog.arrays.vectors).query(catalog.arrays.vectors, k=2)[0][:, 1]
     assert np.rad2deg(2 * np.arcsin(chord.min() / 2)) >= 0.05
     full = sky("poisson_disc", (0, 0), radius=1, n_targets=None, rng=3)
     # random sequential addition jams at 0.547 of the area; discs on the rim stick out a little
@@ -75,8 +75,11 @@ def test_clusters_have_their_size():
     for k in range(10):
         catalog = sky("clustered", (40, 20), rng=k, cluster_size=8.0)
         inner = catalog.coord.separation(SkyCoord(40, 20, unit="deg")) < 4.5 * DEG
-        tree = cKDTree(catalog._vectors)
-        near = tree.query_ball_point(catalog._vectors[inner], 2 * np.sin(np.deg2rad(0.1) / 2), return_length=True) - 1
+        tree = cKDTree(catalog.arrays.vectors)
+        near = (
+            tree.query_ball_point(catalog.arrays.vectors[inner], 2 * np.sin(np.deg2rad(0.1) / 2), return_length=True)
+            - 1
+        )
         excess.append(near.mean() - 60 * np.pi * 0.1**2)
     expected = 8 * (1 - np.exp(-(0.1**2) / (4 * 0.05**2)))
     assert np.mean(excess) == pytest.approx(expected, rel=0.08)
@@ -89,8 +92,8 @@ def test_rng_decides(kind):
         sky(kind, (0, 0), rng=np.random.default_rng(7)),
         sky(kind, (0, 0), rng=8),
     )
-    np.testing.assert_array_equal(first._vectors, second._vectors)
-    assert len(first) != len(third) or not np.array_equal(first._vectors, third._vectors)
+    np.testing.assert_array_equal(first.arrays.vectors, second.arrays.vectors)
+    assert len(first) != len(third) or not np.array_equal(first.arrays.vectors, third.arrays.vectors)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from astropy_healpix import HEALPix
 from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
+from rfpsurvey.region import border_of, circle_around, distance_to, is_inside
 from rfpsurvey.tiling import as_tiling
 from rfpsurvey.tiling._covering import dither, hexagonal, lattice, spiral, widest_gap
 
@@ -183,7 +184,7 @@ def test_a_spiral_covers_the_whole_sky():
     points /= np.linalg.norm(points, axis=1)[:, None]
     for radius in (1.6, 20, 80):
         tiling = rs.place_tiles(rs.Region.whole_sky(), radius=radius * DEG, method="spiral")
-        assert np.rad2deg(angles(points, tiling._vectors).max()) <= radius
+        assert np.rad2deg(angles(points, tiling.vectors).max()) <= radius
         assert tiling.summary["covering_fraction"] == 1
 
 
@@ -204,18 +205,18 @@ SHAPES = [
 def test_every_pass_covers_the_region(method, text):
     region = rs.Region.parse(text)
     tiling = rs.place_tiles(region, radius=2 * DEG, method=method, passes=2)
-    center, reach = region._circle()
+    center, reach = circle_around(region)
     points = cap_points(
         (np.rad2deg(np.arctan2(center[1], center[0])), np.rad2deg(np.arcsin(center[2]))), reach, 100_000
     )
-    points = np.vstack([points[region._contains(points)], region._border() if region.kind != "cap" else center[None]])
+    points = np.vstack([points[is_inside(region, points)], border_of(region) if region.kind != "cap" else center[None]])
     for number in (1, 2):
-        tiles = tiling._vectors[tiling.table["pass"] == number]
+        tiles = tiling.vectors[tiling.table["pass"] == number]
         assert np.rad2deg(angles(points, tiles).max()) <= 2 * (1 + 1e-9)
     # no tile is for nothing
-    assert np.rad2deg(region._distance(tiling._vectors).max()) <= 2
+    assert np.rad2deg(distance_to(region, tiling.vectors).max()) <= 2
     assert tiling.summary["covering_fraction"] == 1
-    first, second = (tiling._vectors[tiling.table["pass"] == number] for number in (1, 2))
+    first, second = (tiling.vectors[tiling.table["pass"] == number] for number in (1, 2))
     assert angles(first, second).min() > 1e-3
 
 
@@ -223,7 +224,7 @@ def test_every_pass_covers_the_region(method, text):
 def test_pixels_are_covered_to_their_edges(method):
     tiling = rs.place_tiles(rs.Region.healpix([270, 300], 8), radius=2 * DEG, method=method)
     fine = HEALPix(8 * 32, order="nested").healpix_to_xyz((np.array([[270], [300]]) * 32**2 + np.arange(32**2)).ravel())
-    assert np.rad2deg(angles(np.transpose(fine), tiling._vectors).max()) <= 2
+    assert np.rad2deg(angles(np.transpose(fine), tiling.vectors).max()) <= 2
 
 
 def test_a_polygon_may_be_closed():
@@ -245,8 +246,8 @@ def test_what_is_excluded_needs_no_tile():
     region, hole = rs.Region.parse("cap 95 23 8"), rs.Region.parse("cap 95 23 4")
     tiling = rs.place_tiles(region, radius=1 * DEG, exclude=hole)
     points = cap_points((95, 23), np.deg2rad(8))
-    points = points[~hole._contains(points)]
-    assert np.rad2deg(angles(points, tiling._vectors).max()) <= 1
+    points = points[~is_inside(hole, points)]
+    assert np.rad2deg(angles(points, tiling.vectors).max()) <= 1
     # those in the middle and in the first ring about it lie inside with all they cover
     assert len(tiling) == len(rs.place_tiles(region, radius=1 * DEG)) - 7
     with pytest.raises(rs.InputError, match="nothing is left"):
@@ -257,12 +258,12 @@ def test_centers_restrict_coverings():
     region = rs.Region.parse("cap 95 23 5")
     stars = rs.synthetic_catalog("poisson", SkyCoord(95 * DEG, 23 * DEG), 8 * DEG, density=2 / DEG**2, rng=1).coord
     tiling = rs.place_tiles(region, radius=2.5 * DEG, centers=stars)
-    assert angles(tiling._vectors, stars.cartesian.xyz.value.T).max() < 1e-9
+    assert angles(tiling.vectors, stars.cartesian.xyz.value.T).max() < 1e-9
     assert tiling.summary["covering_fraction"] == 1
     with pytest.warns(rs.RfpsurveyWarning, match="the centers that may be cover 0.[0-9]+ of the region"):
         poor = rs.place_tiles(region, radius=2.5 * DEG, centers=stars[:2])
     points = cap_points((95, 23), np.deg2rad(5))
-    share = np.mean(angles(points, poor._vectors) <= np.deg2rad(2.5))
+    share = np.mean(angles(points, poor.vectors) <= np.deg2rad(2.5))
     assert poor.summary["covering_fraction"] == pytest.approx(share, abs=0.01)
 
 

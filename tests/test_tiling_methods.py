@@ -106,7 +106,7 @@ def test_mean_shift_rests_at_the_mean():
     catalog = sky(n=300, radius=0.8, kind="clustered", cluster_scale=0.3 * DEG, cluster_size=20)
     tiling = rs.place_tiles(catalog, radius=2 * DEG, fibers=10_000, method="mean_shift")
     assert len(tiling) == 1
-    mean = catalog._middle
+    mean = catalog.mean_direction
     assert tiling.coord[0].separation(mean) < 0.005 * DEG
 
 
@@ -126,7 +126,7 @@ def test_density_gradient_rests_on_the_hill(rng):
 
 def fewest(catalog, radius):
     """Fewest circles that hold all targets: exhaustive over circles through two targets, and those about one."""
-    vectors = catalog._vectors
+    vectors = catalog.arrays.vectors
     centers = [*vectors]
     for a, b in combinations(vectors, 2):
         middle = (a + b) / np.linalg.norm(a + b)

@@ -31,9 +31,9 @@ def test_searches_never_lose_and_sometimes_gain(search):
     gains = []
     for seed in range(40):
         catalog = sky(n=25, radius=2, seed=seed)
-        index = SkyIndex(catalog._vectors)
+        index = SkyIndex(catalog.arrays.vectors)
         ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, Fibers(25, None, None)))
-        begin = catalog._vectors[0]
+        begin = catalog.arrays.vectors[0]
         end = search(ledger, begin)
         assert np.linalg.norm(end) == pytest.approx(1)
         gains.append(np.diff(index.sum_near(np.array([begin, end]), np.deg2rad(1), ledger.weight))[0])
@@ -98,7 +98,7 @@ def test_network_flow_is_the_best_assignment(rng):
 def test_tiles_move_to_what_they_are_given(rng):
     """Every target in a field at the end, from centers that are a bit off, and one that is of no use where it is."""
     clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
-    vectors = np.vstack([c._vectors for c in clusters])
+    vectors = np.vstack([c.arrays.vectors for c in clusters])
     problem = Problem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, Fibers(25, None, None))
     cells = _Cells(problem)
     begin = SkyCoord([10.6, 13.4, 40] * DEG, [5, 5.4, -30] * DEG).cartesian.xyz.value.T
@@ -111,7 +111,7 @@ def test_tiles_move_to_what_they_are_given(rng):
 
 def test_chances_are_the_tiles_to_come():
     catalog = sky(n=100, radius=2)
-    index, seen = SkyIndex(catalog._vectors), []
+    index, seen = SkyIndex(catalog.arrays.vectors), []
 
     def serve(center, near, ledger):
         seen.append((center, ledger.chances.copy()))

@@ -191,7 +191,7 @@ def targets_and_center(path, center, model, seed, column, unit, frame):
     if field is None and len(targets) == 0:
         field = parse_center(DEFAULT_CENTER)
     elif field is None:
-        field = targets._middle
+        field = targets.mean_direction
     return targets, field
 
 

@@ -131,7 +131,7 @@ def assign(
     """Assign targets in mm to positioners; the columns are those of a catalog, and are not checked again."""
     begin = perf_counter()
     n = len(xy_mm)
-    reach = focal_plane._reach(xy_mm, columns.fiber_type)
+    reach = focal_plane.arrays.reach(xy_mm, columns.fiber_type)
     middle = perf_counter()
     classes, rank = _classes(columns.priority, n)
     if columns.kind is not None:
@@ -250,10 +250,10 @@ def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) 
     same = same and np.array_equal(start.in_reach, in_reach)
     same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given], points, equal_nan=True)
     if same:
-        own = np.flatnonzero((start.target_of_positioner >= 0) & plane._usable)
-        r = np.hypot(*(start.tips.to_value(u.mm)[own] - plane._xy_mm[own]).T)
-        slack = plane._columns.reach_slack
-        same = not ((r > plane._outer_mm[own] + slack) | (r < plane._inner_mm[own] - slack)).any()
+        own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
+        r = np.hypot(*(start.tips.to_value(u.mm)[own] - plane.arrays.xy[own]).T)
+        slack = plane.arrays.reach_slack
+        same = not ((r > plane.arrays.outer_radius[own] + slack) | (r < plane.arrays.inner_radius[own] - slack)).any()
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
     target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)
@@ -284,7 +284,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     return {
         "target_of_positioner": target_of,
         "positioner_of_target": positioner_of,
-        "handedness": elbow_names(plane._sides(tips)) if elbows is None else elbows,
+        "handedness": elbow_names(plane.arrays.sides(tips)) if elbows is None else elbows,
         "tips": tips << u.mm,
         "fiber_type": types,
         "xy": points << u.mm,

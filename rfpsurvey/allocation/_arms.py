@@ -15,14 +15,14 @@ def place_segments(
 
     ``idle`` lists the rows that stand for the idle arm of each positioner, whose target is -1.
     """
-    plane, columns = problem.focal_plane, problem.focal_plane._columns
+    plane, columns = problem.focal_plane, problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))
     real = np.ones(len(own), dtype=bool)
     if idle is not None:
         real[idle] = False
     points[real] = problem.xy[target[real]]
     arms.place(points, columns.geometry_of(own), side, segments)
-    angle = plane.positioner._arm_angle_rad(plane.fiber_types)[problem.fiber_of(own, target)]
+    angle = plane.positioner.numbers.arm_angles(plane.fiber_types)[problem.fiber_of(own, target)]
     cosine, sine = np.cos(angle), np.sin(angle)
     if idle is not None:
         segments[:, idle] = columns.idle(problem.parked_obstacles).segments

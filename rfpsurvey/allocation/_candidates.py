@@ -50,7 +50,7 @@ class Candidates:
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
-        free = replaceable(self.preselection, o.own, o.target, o.rank, plane._n_sharing, n_elbows)
+        free = replaceable(self.preselection, o.own, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
         pairs = self.pairs[:, ~free[self.pairs].any(axis=0)]
         return _assemble(self.problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, pairs)
 
@@ -104,14 +104,14 @@ def _list(problem, reach, both):
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
-    side = plane._sides(problem.xy[target], own)
+    side = plane.arrays.sides(problem.xy[target], own)
     if both and plane.positioner.handedness == "both":
         allowed = {s: joints_allow(plane, own, problem.xy[target], s) for s in (1.0, -1.0)}
         columns = [(own[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
         own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     n = len(plane)
     watched = np.full(n, -1) if problem.watched is None else problem.watched
-    columns = (own, np.arange(n)), (target, watched), (side, plane._sides(plane._xy_mm)), (r2, np.zeros(n))
+    columns = (own, np.arange(n)), (target, watched), (side, plane.arrays.sides(plane.arrays.xy)), (r2, np.zeros(n))
     own, target, side, r2 = (np.concatenate(parts) for parts in columns)
     order = np.argsort(own, kind="stable")  # the idle arms come last
     start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=n))])
@@ -120,7 +120,7 @@ def _list(problem, reach, both):
 
 def _touches_obstacle(plane, start, segments):
     """Mark candidates whose arm touches an obstacle."""
-    pairs = plane._obstacle_pairs
+    pairs = plane.arrays.obstacle_pairs
     size = start[pairs[:, 0] + 1] - start[pairs[:, 0]]
     first = np.repeat(start[pairs[:, 0]] - np.concatenate([[0], np.cumsum(size)[:-1]]), size)
     rows = np.column_stack([first + np.arange(size.sum()), np.repeat(pairs[:, 1], size)]).astype(np.int64)
@@ -131,7 +131,7 @@ def _touches_obstacle(plane, start, segments):
 
 def _conflicts(plane, start, segments):
     """Pairs of candidates that collide, shape (2, m); what rounding could decide is settled exactly."""
-    columns, pairs = plane._columns, plane._neighbors
+    columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)
     halve(segments, halves)
     size = np.diff(start)

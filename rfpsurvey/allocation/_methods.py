@@ -104,7 +104,7 @@ def _best(problem, reach):
     one of its first candidates, as many as there are such positioners and one more; the others are left out.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
-    indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane._n_sharing + 1))])
+    indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
     target, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
     count = np.empty(reach.n_positioners, dtype=np.int64)
     kernels.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, indptr, count, target, r2)
@@ -123,7 +123,7 @@ def _fill_quotas(problem, target_of, owner_of):
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used
-    locked = ~plane._usable
+    locked = ~plane.arrays.usable
     for one in problem.requirements:
         groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
         if not groups:

@@ -48,9 +48,9 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
         own = np.flatnonzero(target_of >= 0)
         own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
         # what stuck fibers look at cannot be given up
-        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane._usable[own]))]
+        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane.arrays.usable[own]))]
         extra = own[most:]
-        target_of[extra[problem.focal_plane._usable[extra]]] = -1
+        target_of[extra[problem.focal_plane.arrays.usable[extra]]] = -1
     return target_of
 
 

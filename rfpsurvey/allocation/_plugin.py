@@ -92,7 +92,7 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
     able = np.isin(target_of[own] * n + own, pairs.target * n + pairs.owner)
     if not able.all():
         first = own[~able][0]
-        idle = not problem.focal_plane._usable[first]
+        idle = not problem.focal_plane.arrays.usable[first]
         why = "it is disabled or stuck" if idle else "it is out of reach, forbidden, or needs another fiber"
         raise InputError(f"positioner {first} (by row) cannot observe target {target_of[first]}: {why}")
     return target_of
@@ -107,7 +107,7 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
             f"elbows must be 'right' or 'left' for each positioner with a target, shape ({len(plane)},), got {elbows!r}"
         )
     tips = np.vstack([problem.xy, [np.nan, np.nan]])[target_of]
-    side, both = plane._sides(tips), plane.positioner.handedness == "both"
+    side, both = plane.arrays.sides(tips), plane.positioner.handedness == "both"
     side[own] = np.where(names[own] == "left", -1.0, 1.0)
     allowed = np.full(len(own), both) | (names[own] == plane.positioner.handedness)
     for one in (1.0, -1.0):

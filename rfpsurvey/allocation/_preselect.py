@@ -47,7 +47,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
         Targets that are kept in any case, -1 for none.
     """
     plane, reach = problem.focal_plane, problem.pairs
-    n, n_rivals = reach.n_positioners, plane._n_sharing
+    n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
     n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
     count = np.bincount(reach.owner, minlength=n)
     if not (count > np.maximum(n_rivals + 1, n_best + n_spread)).any():
@@ -127,7 +127,7 @@ def _codes(problem):
 def _without_obstacles(problem, reach, crowded):
     """Return the pairs of which at least one arm touches no obstacle; only ``crowded`` positioners are looked at."""
     plane = problem.focal_plane
-    pairs = plane._obstacle_pairs
+    pairs = plane.arrays.obstacle_pairs
     pairs = pairs[crowded[pairs[:, 0]]]
     if len(pairs) == 0:
         return reach
@@ -145,7 +145,7 @@ def _without_obstacles(problem, reach, crowded):
         offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
         test = np.column_stack([index, pairs[np.repeat(first[own], size) + offset, 1]])
         both = plane.positioner.handedness == "both"
-        for side in (1.0, -1.0) if both else (plane._sides(points[:1], own[:1])[0],):
+        for side in (1.0, -1.0) if both else (plane.arrays.sides(points[:1], own[:1])[0],):
             hit = np.zeros(len(part), dtype=bool)
             segments = place_segments(problem, own, target[begin : begin + BATCH], np.full(len(part), side))
             hit[touching(plane, segments, test)[0][:, 0]] = True

@@ -220,7 +220,7 @@ class AllocationProblem:
 
     def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Index of the fiber type with which positioners look at targets."""
-        first = self.focal_plane._first_index[own]
+        first = self.focal_plane.arrays.first_index[own]
         if not self.several_fiber_types:
             return first
         code = self._fiber_index[target]
@@ -280,7 +280,7 @@ class AllocationProblem:
         """Say what may be wrong: a name that no target has, or more than there are positioners."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
-            asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane._usable.sum())
+            asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
             return f"all requirements ask for {asked} fibers, and there are {there}" if asked > there and enough else ""
         if group.requirement.what in KINDS:
             return ""

@@ -29,27 +29,38 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     """Return positions at least ``separation`` (mm) from all points, for fibers of the given types ("": any)."""
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
-    cx, cy = plane._xy_mm.T.copy()
+    cx, cy = plane.arrays.xy.T.copy()
+    radii = plane.arrays.inner_radius, plane.arrays.outer_radius
     # a van der Corput sequence: the first points are spread like all of them
     k = np.arange(N_TRIALS)
     fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
     parts = []
     for name in fiber_types:
         able = np.array([name == "" or name in row.split("+") for row in plane.fiber_type.tolist()])
-        own = np.flatnonzero(able & plane._usable)
+        own = np.flatnonzero(able & plane.arrays.usable)
         room = len(own) * N_KEPT
         out = np.empty(room, dtype=np.int64), np.empty(room), np.empty(room)
         n = gaps.find_gaps(
-            own, cx, cy, plane._inner_mm, plane._outer_mm, fraction, N_KEPT, separation, x, y, grid, *out
+            own,
+            cx,
+            cy,
+            *radii,
+            fraction,
+            N_KEPT,
+            separation,
+            x,
+            y,
+            grid,
+            *out,
         )
         own, px, py = (column[:n] for column in out)
         spots = np.column_stack([px, py])
-        if not plane.positioner._joints_free:
-            keep = joints_allow(plane, own, spots, plane._sides(spots, own))
+        if not plane.positioner.numbers.joints_free:
+            keep = joints_allow(plane, own, spots, plane.arrays.sides(spots, own))
             own, spots = own[keep], spots[keep]
         # where a stuck fiber is, is known of the first one of its positioner
-        fixed = np.flatnonzero(plane._is_stuck & ((name == "") | (plane._first_type == name)))
-        seen = plane._columns.idle(False).segments[2:, fixed].T
+        fixed = np.flatnonzero(plane.arrays.is_stuck & ((name == "") | (plane.arrays.first_type == name)))
+        seen = plane.arrays.idle(False).segments[2:, fixed].T
         clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
         parts += [(own, spots, name, False), (fixed[clear], seen[clear], name, True)]
     taken, columns = np.zeros(len(plane), dtype=bool), []
@@ -72,7 +83,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
     k = len(own)
     reach = problem.pairs
     usable = ~stuck
-    r2 = ((points - plane._xy_mm[own]) ** 2).sum(axis=1)[usable]
+    r2 = ((points - plane.arrays.xy[own]) ** 2).sum(axis=1)[usable]
     more = np.cumsum(usable)
     watched = np.full(len(plane), -1)
     watched[own[stuck]] = n + np.flatnonzero(stuck)
@@ -104,8 +115,8 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
 
 def _bin(plane, x, y, separation):
     """Targets sorted into cells: x0, y0, size, nx, ny, start, order."""
-    margin = plane._outer_mm[:, None] + separation
-    low, high = (plane._xy_mm - margin).min(axis=0), (plane._xy_mm + margin).max(axis=0)
+    margin = plane.arrays.outer_radius[:, None] + separation
+    low, high = (plane.arrays.xy - margin).min(axis=0), (plane.arrays.xy + margin).max(axis=0)
     size = max(separation, float(np.sqrt(np.prod(high - low) / max(len(x), 1))), float((high - low).max()) / 4096)
     nx, ny = (int(n) for n in (high - low) // size + 1)
     start, order = np.zeros(nx * ny + 1, dtype=np.int64), np.empty(len(x), dtype=np.int64)

@@ -26,7 +26,7 @@ __all__ = ["benchmark_collisions"]
 
 def every_pair(case: Configuration) -> Found:
     """Look at all neighbors in a plain loop, by the exact distance, without a broad phase."""
-    first, second = case.plane._neighbors.T.copy()
+    first, second = case.plane.arrays.neighbors.T.copy()
     squared = np.empty(len(first))
     reference.all_pairs(case.segments, first, second, squared)
     return keep_closer(case, first, second, np.sqrt(squared))
@@ -162,7 +162,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
 
 def _true_pairs(case):
     """Colliding pairs and their distances in rational arithmetic on the floats as they are; all pairs are looked at."""
-    separation = case.plane._columns.separation
+    separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]
     longest = np.hypot(*(ends[2:] - ends[:2])).max(initial=0.0)

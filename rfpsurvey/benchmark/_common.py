@@ -16,12 +16,12 @@ __all__ = ["check_positive", "has_gpu", "processor", "provenance", "random_tips"
 
 def random_tips(plane, rng):
     """One target a positioner, uniform in what it reaches, in mm; NaN if nothing was found in a hundred attempts."""
-    inner, outer, n = plane._inner_mm, plane._outer_mm, len(plane)
+    inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
     for _ in range(100):
         r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
         alpha = rng.uniform(0, 2 * np.pi, n)
-        drawn = plane._xy_mm + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+        drawn = plane.arrays.xy + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
         tips[wanting] = drawn[wanting]
         wanting = place_arms(plane, tips * u.mm, clip=True).clipped
         if not wanting.any():
@@ -52,8 +52,8 @@ def provenance(instrument, plane):
     return {
         "instrument": name,
         "n_positioners": len(plane),
-        "n_neighbor_pairs": len(plane._neighbors),
-        "min_separation_mm": plane.positioner._separation_mm,
+        "n_neighbor_pairs": len(plane.arrays.neighbors),
+        "min_separation_mm": plane.positioner.numbers.separation,
         "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
         "machine": f"{processor()}, {os.cpu_count()} cores",
     }

@@ -13,10 +13,9 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import _io
-from rfpsurvey._kernels import sky
-from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_vectors, to_visits
+from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
-from rfpsurvey.catalog._index import half_chord_squared
+from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
@@ -157,21 +156,14 @@ class Catalog:
         return Catalog(**{**values, **changes})
 
     @cached_property
-    def _has_twins(self) -> bool:
-        """Whether two targets have the same id."""
-        if self.id.dtype.kind == "i" and (self.id[1:] > self.id[:-1]).all():
-            return False
-        return len(np.unique(self.id)) < len(self)
-
-    @cached_property
-    def _vectors(self) -> np.ndarray:
-        """Unit vectors, ICRS, shape (n, 3): made once, used by every tile."""
-        return to_vectors(self.coord)
+    def arrays(self) -> CatalogArrays:
+        """The catalog as plain arrays that cannot be written to, see `CatalogArrays`; made once, used by every tile."""
+        return CatalogArrays(self)
 
     @property
-    def _middle(self) -> SkyCoord:
+    def mean_direction(self) -> SkyCoord:
         """Mean direction of the targets."""
-        x, y, z = self._vectors.mean(axis=0)
+        x, y, z = self.arrays.vectors.mean(axis=0)
         return SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
 
     @classmethod
@@ -363,27 +355,4 @@ class Catalog:
         InputError
             If the center is not one direction, or the radius not one angle of at least 0.
         """
-        return self._take(self._within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))
-
-    def _near(self, center: SkyCoord, radius_rad: float, time: object) -> "Catalog":
-        """Return the targets that may be inside a circle at another epoch."""
-        if not self.has_proper_motion or self.epoch is None:
-            return self
-        # a little more than the way: the positions are compared in double precision
-        margin = self._farthest_rad(time) * (1 + 1e-9) + 1e-12
-        return self._take(self._within(center, radius_rad + margin))
-
-    def _farthest_rad(self, time: object) -> float:
-        """How far the fastest target moves on the sky, at most."""
-        if not self.has_proper_motion or self.epoch is None:
-            return 0.0
-        icrs = self.coord.icrs
-        speed = np.nan_to_num(np.hypot(icrs.pm_ra_cosdec, icrs.pm_dec).to_value(u.rad / u.yr))
-        years = np.abs((to_time(time, "epoch").tdb - self.epoch.tdb).to_value(u.yr))
-        return float(np.max(speed * years, initial=0.0))
-
-    def _within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
-        """Row numbers of the targets inside a circle."""
-        mask = np.empty(len(self), dtype=bool)
-        sky.within(self._vectors, to_vectors(center, "center", one=True)[0], half_chord_squared(radius_rad), mask)
-        return np.flatnonzero(mask)
+        return self._take(self.arrays.rows_within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))

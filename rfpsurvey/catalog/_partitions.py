@@ -1,8 +1,6 @@
 """Catalogs in many Parquet files, one for each HEALPix pixel, that are read where they are needed (HATS)."""
 
-import hashlib
 import os
-import re
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,36 +12,17 @@ from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
-from rfpsurvey._readers import content_of, import_parquet, read_parquet, sentence
+from rfpsurvey._readers import content_of, import_parquet
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.catalog._columns import Finder
-from rfpsurvey.catalog._digest import add_stored_columns
+from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
-PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
 PROPERTIES = ("hats.properties", "properties")
-ROLES = (
-    "id",
-    "ra",
-    "dec",
-    "lon",
-    "lat",
-    "pmra",
-    "pmdec",
-    "epoch",
-    "priority",
-    "kind",
-    "category",
-    "fiber_type",
-    "visits",
-)
-INDEX_ORDER = 29
 ROWS_PER_PART = 20_000
 MOST_ORDER = 13
 MOST_PROPERTIES = 2**20
-SLACK_RAD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,88 +83,34 @@ class PartitionedCatalog:
             raise InputError(f"kept_rows must be a whole number of at least 1, got {kept!r}")
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
-        if not self._files:
+        if not self.parts.files:
             files = "files such as Norder=5/Dir=0/Npix=77.parquet"
             raise InputError(f"{self.folder} is a folder without partitions, {files}")
         given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
         said = given.pop("nrows", None)
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
-        self._refuse_overlaps()
-        self._names, self._rows  # noqa: B018  (raise where columns are missing)
+        self.parts.refuse_overlaps()
+        self.parts.names, self.parts.rows  # noqa: B018  (raise where columns are missing)
         if said is not None and said != str(len(self)):
             text = f"{self.folder}: the catalog must have {said} rows, as its properties say, but {len(self)} are there"
             warnings.warn(text, RfpsurveyWarning, stacklevel=3)
 
     @cached_property
-    def _files(self) -> list[tuple[int, int, Path]]:
-        """Order, pixel and file of each partition, as they follow each other on the sky."""
-        found = []
-        for path in sorted(self.folder.rglob("*")):
-            match = PART.search(path.relative_to(self.folder).as_posix())
-            if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
-                found.append((int(match[1]), int(match[2]), path))
-        if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in found):
-            raise InputError(f"{self.folder}: a partition has an impossible order or pixel")
-        return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
-
-    def _refuse_overlaps(self):
-        """Raise an error where a pixel lies inside another: its targets would be there twice."""
-        orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self._files], strict=True))
-        begin = pixels << 2 * (INDEX_ORDER - orders)
-        end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
-        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files of one pixel
-        bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
-        if len(bad):
-            one, other = (self._files[k] for k in (bad[0], bad[0] + 1))
-            raise InputError(
-                f"{self.folder}: partitions must not overlap, but Norder={one[0]}/Npix={one[1]} and "
-                f"Norder={other[0]}/Npix={other[1]} do"
-            )
-
-    @cached_property
-    def _rows(self) -> np.ndarray:
-        """First row of each partition, and the number of all rows."""
-        parquet, counts, columns = import_parquet(), [], None
-        for *_, path in self._files:
-            about = _try(path, lambda path=path: parquet.read_metadata(path))
-            counts.append(about.num_rows)
-            names = set(about.schema.names)
-            if columns is not None and names != columns:
-                strange = ", ".join(sorted(names ^ columns))
-                raise InputError(f"{path}: all partitions must have the same columns, but {strange} differs")
-            columns = names
-        return np.concatenate([[0], np.cumsum(counts)])
-
-    @cached_property
-    def _names(self) -> list[str]:
-        """Columns to read."""
-        path = self._files[0][2]
-        schema = _try(path, lambda: import_parquet().read_schema(path))
-        find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.columns), {})
-        names = [find.name_of(role) for role in ROLES]
-        needed = ("ra", "dec") if self.frame.lower() in ("icrs", "fk5", "fk4", "fk4noeterms") else ("lon", "lat")
-        missing = [role for role in needed if names[ROLES.index(role)] is None]
-        if missing:
-            raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
-        return list(dict.fromkeys(name for name in names if name is not None))
-
-    @cached_property
-    def _circles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Circles about the partitions: unit vectors and radii (radians)."""
-        vectors = np.array([_healpix.centers(2**order, [pixel])[0] for order, pixel, _ in self._files])
-        return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self._files])
+    def parts(self) -> Partitions:
+        """The partitions one by one, see `Partitions`."""
+        return Partitions(self)
 
     def __len__(self):
-        return int(self._rows[-1])
+        return int(self.parts.rows[-1])
 
     def __repr__(self):
-        return f"<PartitionedCatalog of {len(self)} targets in {len(self._files)} partitions>"
+        return f"<PartitionedCatalog of {len(self)} targets in {len(self.parts.files)} partitions>"
 
     @property
     def meta(self) -> dict:
         """Where the catalog comes from."""
-        return {"folder": self.folder.name, "n_partitions": len(self._files)}
+        return {"folder": self.folder.name, "n_partitions": len(self.parts.files)}
 
     def read(self) -> Catalog:
         """Return the whole catalog, its rows in the order of the partitions; it must fit into memory.
@@ -200,68 +125,12 @@ class PartitionedCatalog:
         InputError
             If a file cannot be read, or holds values that no `Catalog` may have.
         """
-        tables = [self._table(k, self._names) for k in range(len(self._files))]
+        tables = [self.parts.table(k, self.parts.names) for k in range(len(self.parts.files))]
         try:
-            merged = Table({name: _joined([table[name] for table in tables]) for name in self._names})
+            merged = Table({name: _joined([table[name] for table in tables]) for name in self.parts.names})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{self.folder}: columns must have one type in all partitions: {error}") from None
-        return self._catalog(merged, self.folder)
-
-    def _near(self, center: np.ndarray, radius_rad: float) -> np.ndarray:
-        """Return the partitions that a circle may touch."""
-        vectors, radii = self._circles
-        half_chord = 0.5 * np.linalg.norm(vectors - center, axis=1)
-        return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
-
-    def _part(self, k: int) -> Catalog:
-        """Return the targets of a partition; without an id of their own, they are numbered by the rows of all."""
-        path = self._files[k][2]
-        catalog = self._catalog(self._table(k, self._names), path)
-        n = int(self._rows[k + 1] - self._rows[k])
-        if len(catalog) < n:
-            raise InputError(f"{path}: {n - len(catalog)} of {n} rows have no finite coordinates; leave them out")
-        middles, radii = self._circles
-        chord = np.linalg.norm(catalog._vectors - middles[k], axis=1).max(initial=0.0)
-        if 2 * np.arcsin(min(chord / 2, 1.0)) > radii[k] + SLACK_RAD:
-            raise InputError(f"{path}: targets lie outside the pixel, which must be that of nested order and ICRS")
-        if k and catalog.id.dtype.kind != self._id_kind:
-            raise InputError(f"{path}: ids must be integers in all partitions, or text in all")
-        return catalog
-
-    @cached_property
-    def _id_kind(self) -> str:
-        return self._part(0).id.dtype.kind
-
-    def _column(self, name: str) -> np.ndarray | None:
-        """Return one column of all targets."""
-        if name != "id" and getattr(self._part(0), name) is None:
-            return None
-        return np.concatenate([getattr(self._part(k), name) for k in range(len(self._files))])
-
-    def _table(self, k: int, names: list[str]) -> Table:
-        table = read_parquet(self._files[k][2], names)
-        if self._has_no_id:
-            table["id"] = np.arange(self._rows[k], self._rows[k + 1])
-        return table
-
-    def _digest(self) -> str:
-        """Return a digest of the files: of the stored bytes of the columns that are read, and of nothing else."""
-        found = hashlib.sha256(repr((sorted(self.columns.items()), sorted(self.units.items()), self.frame)).encode())
-        for order, pixel, path in self._files:
-            found.update(f"{order}/{pixel}".encode())
-            _try(path, lambda path=path: add_stored_columns(found, path, self._names))
-        return found.hexdigest()[:16]
-
-    @cached_property
-    def _has_no_id(self) -> bool:
-        find = Finder(Table(names=self._names, dtype=["f8"] * len(self._names)), dict(self.columns), {})
-        return find.name_of("id") is None
-
-    def _catalog(self, table, path) -> Catalog:
-        try:
-            return Catalog._from_table(table, self.columns, self.units, self.frame, assume_units=True)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+        return self.parts.to_catalog(merged, self.folder)
 
 
 def partition_catalog(
@@ -305,7 +174,7 @@ def partition_catalog(
 
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target, got none")
-    vectors = catalog._vectors
+    vectors = catalog.arrays.vectors
     if order is None:
         order = next((k for k in range(MOST_ORDER) if _mean_rows(vectors, k) <= ROWS_PER_PART), MOST_ORDER)
     if isinstance(order, bool) or not (isinstance(order, int | np.integer) and 0 <= order <= MOST_ORDER):
@@ -374,11 +243,3 @@ def _properties(folder: Path) -> dict[str, str]:
                 if sign and key.strip() in ("hats_col_ra", "hats_col_dec", "hats_nrows"):
                     found[key.strip().removeprefix("hats_").removeprefix("col_")] = value.strip()
     return found
-
-
-def _try(path, read):
-    """Read, or say which file cannot be read."""
-    try:
-        return read()
-    except Exception as error:  # pyarrow raises what it likes
-        raise InputError(f"{path} cannot be read: {sentence(error)}") from error

@@ -64,7 +64,7 @@ def place_arms(
     With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
     """
     check_plane(focal_plane)
-    n, columns = len(focal_plane), focal_plane._columns
+    n, columns = len(focal_plane), focal_plane.arrays
     idle = columns.idle(parked_obstacles)
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("give either tips, or both theta and phi")
@@ -74,7 +74,7 @@ def place_arms(
         angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
         segments = np.empty((4, n))
         arms.pose(*angles, columns.geometry, segments)
-        assigned = np.isfinite(segments[2]) & focal_plane._usable
+        assigned = np.isfinite(segments[2]) & focal_plane.arrays.usable
         arms.fill_idle(assigned, idle.segments, segments)
         clipped = np.zeros(n, dtype=bool)
     else:
@@ -94,7 +94,7 @@ def stand(plane, points, side, parked_obstacles, *, clip=False):
     """Elbows and tips (4, n), idle arms where they stand, with flags: assigned, and short of the target (clipped)."""
     assigned, clipped = check_tips(plane, points, side, clip=clip)
     segments = place_tips(plane, points, side, clipped)
-    arms.fill_idle(assigned, plane._columns.idle(parked_obstacles).segments, segments)
+    arms.fill_idle(assigned, plane.arrays.idle(parked_obstacles).segments, segments)
     return segments, assigned, clipped
 
 
@@ -109,7 +109,7 @@ def check_arms(plane, posed):
     """Refuse arms that do not stand at these positioners."""
     if len(posed.segments) != len(plane):
         raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
-    away = np.hypot(*(posed.elbow - plane._xy_mm).T) > plane._l1_mm * (1 + 1e-9) + arms.EQUAL_ARMS
+    away = np.hypot(*(posed.elbow - plane.arrays.xy).T) > plane.arrays.central_arm * (1 + 1e-9) + arms.EQUAL_ARMS
     if away.any():
         raise InputError(
             f"the arms are those of another focal plane: {int(away.sum())} elbows are farther than the central arm is "
@@ -129,17 +129,17 @@ def check_tips(plane, points, side, *, clip=False):
     """Mark positioners that take a target, and those that cannot get there; the latter are errors unless ``clip``."""
     n = len(plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
-    if arms.check(points, plane._columns.geometry, plane._columns.bounds, assigned, far) and not clip:
+    if arms.check(points, plane.arrays.geometry, plane.arrays.bounds, assigned, far) and not clip:
         k = int(np.flatnonzero(far)[0])
         raise InputError(
             f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
-            f"{np.hypot(*(points[k] - plane._xy_mm[k])):.7g} mm from its center, "
-            f"must be {plane._inner_mm[k]:.4f} to {plane._outer_mm[k]:.4f} mm"
+            f"{np.hypot(*(points[k] - plane.arrays.xy[k])):.7g} mm from its center, "
+            f"must be {plane.arrays.inner_radius[k]:.4f} to {plane.arrays.outer_radius[k]:.4f} mm"
         )
     if not joints_free(plane, side):
         theta, phi = np.empty(n), np.empty(n)
-        arms.solve(points, plane._columns.geometry, side, theta, phi)
-        barred = assigned & ~far & ~plane.positioner._joints_allowed(theta, phi)
+        arms.solve(points, plane.arrays.geometry, side, theta, phi)
+        barred = assigned & ~far & ~plane.positioner.numbers.joints_allowed(theta, phi)
         if barred.any() and not clip:
             first = plane.id[np.flatnonzero(barred)[0]]
             raise InputError(
@@ -151,12 +151,12 @@ def check_tips(plane, points, side, *, clip=False):
 
 def joints_free(plane, side):
     """Say whether the joint limits leave the whole patrol areas in reach with these elbows."""
-    return all(plane.positioner._joints_free_for(s) for s in {side.min(), side.max()})
+    return all(plane.positioner.numbers.joints_free_for(s) for s in {side.min(), side.max()})
 
 
 def place_tips(plane, points, side, clipped):
     """Elbows and tips, shape (4, n); those that are out of reach stretch toward their point."""
-    geometry, bounds = plane._columns.geometry, plane._columns.bounds
+    geometry, bounds = plane.arrays.geometry, plane.arrays.bounds
     segments = np.empty((4, len(plane)))
     arms.place(points, geometry, side, segments)
     if clipped.any():
@@ -164,7 +164,7 @@ def place_tips(plane, points, side, clipped):
         arms.solve(points, geometry, side, *angles)
         arms.pose(*angles, geometry, posed)
         # a pose that only the joint limits forbid reaches its point
-        r2 = ((points - plane._xy_mm) ** 2).sum(axis=1)
+        r2 = ((points - plane.arrays.xy) ** 2).sum(axis=1)
         far = clipped & ((r2 < bounds.low) | (r2 > bounds.high))
         segments[2:, far] = posed[2:, far]
     return segments
@@ -173,7 +173,7 @@ def place_tips(plane, points, side, clipped):
 def to_sides(plane, points, handedness):
     """Turn elbow names into +1 (right) and -1 (left); None: those of the focal plane."""
     if handedness is None:
-        return plane._sides(points)
+        return plane.arrays.sides(points)
     n = len(plane)
     names = np.full(n, handedness) if isinstance(handedness, str) else np.asarray(handedness, dtype=str)
     if names.shape != (n,):
@@ -187,16 +187,16 @@ def to_sides(plane, points, handedness):
 def arm_angles(plane, fiber_type):
     """Cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
     if fiber_type is None:
-        return plane._columns.angles
+        return plane.arrays.angles
     types = np.asarray(fiber_type, dtype=str)
     if types.shape != (len(plane),):
         raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
     if plane.fiber_types == ("",) and (types != "").any():
         raise InputError(f"the positioners have no fiber types, got the fiber type {str(types[types != ''][0])!r}")
-    types = np.where(types == "", plane._first_type, types)
+    types = np.where(types == "", plane.arrays.first_type, types)
     for name in np.unique(types):
         check_choice(str(name), plane.fiber_types, "fiber type")
-    return plane._columns.angles_of(types)
+    return plane.arrays.angles_of(types)
 
 
 def nearest_distance(posed: Arms) -> np.ndarray:

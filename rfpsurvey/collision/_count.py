@@ -178,7 +178,7 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
         raise InputError(f"tips must be an Allocation or a Quantity of shape (m, {len(plane)}, 2), got {kind}")
     stage = make_stage(plane, arm_angles(plane, fiber_type), parked_obstacles)
     side = None
-    if handedness is not None or plane.positioner._joints_free:
+    if handedness is not None or plane.positioner.numbers.joints_free:
         side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
     step, make_scorer = SCORERS[method]
     starts = range(0, len(tips), step)
@@ -203,7 +203,7 @@ def _processor(plane, stage):
 def _on_processor(plane, stage, points, side):
     """Return counts, times, and the number of tips that are out of reach."""
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-    columns = plane._columns
+    columns = plane.arrays
     far = batch.count_tips(points, columns.geometry, columns.bounds, side, stage, make_desk(plane), counts, times)
     return counts, times, far
 
@@ -232,7 +232,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
     indptr, entries = lay_out(plane, allocation)
-    stage = make_stage(plane, plane._columns.angles, allocation.parked_obstacles)
+    stage = make_stage(plane, plane.arrays.angles, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
     idle = stage.idle.copy()
     arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
@@ -251,22 +251,22 @@ def lay_out(plane, allocation):
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
-    segments, geometry = np.empty((4, len(own))), plane._columns.geometry_of(own)
+    segments, geometry = np.empty((4, len(own))), plane.arrays.geometry_of(own)
     far = np.empty(len(own), dtype=bool)
-    if arms.check(points, geometry, plane._columns.bounds_of(own), np.empty_like(far), far):
+    if arms.check(points, geometry, plane.arrays.bounds_of(own), np.empty_like(far), far):
         raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
-    arms.place(points, geometry, plane._sides(points, own), segments)
-    types = plane._first_type[own]
+    arms.place(points, geometry, plane.arrays.sides(points, own), segments)
+    types = plane.arrays.first_type[own]
     if allocation.target_fiber_type is not None:
         wanted = allocation.target_fiber_type[target]
         types = np.where(wanted == "", types, wanted)
-    arms.shape(segments, plane._columns.model, plane._columns.length, *plane._columns.angles_of(types))
+    arms.shape(segments, plane.arrays.model, plane.arrays.length, *plane.arrays.angles_of(types))
     return indptr, segments
 
 
 def make_stage(plane, angles, parked_obstacles) -> batch.Stage:
     """Return what all configurations share."""
-    columns = plane._columns
+    columns = plane.arrays
     idle = columns.idle(parked_obstacles)
     return batch.Stage(
         columns.runs,
@@ -276,17 +276,17 @@ def make_stage(plane, angles, parked_obstacles) -> batch.Stage:
         *angles,
         idle.segments,
         idle.parked,
-        plane._obstacle_pairs,
-        plane._obstacles_mm,
+        plane.arrays.obstacle_pairs,
+        plane.arrays.obstacles,
         columns.clearance,
     )
 
 
 def make_desk(plane) -> batch.Desk:
     """Scratch for one configuration."""
-    n, room, m = len(plane), len(plane._neighbors), len(plane._obstacle_pairs)
+    n, room, m = len(plane), len(plane.arrays.neighbors), len(plane.arrays.obstacle_pairs)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
-    mask = np.empty(plane._columns.longest_run, dtype=np.bool_)
+    mask = np.empty(plane.arrays.longest_run, dtype=np.bool_)
     pairs = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
     return batch.Desk(
         np.empty((4, n)), np.empty((4, n)), *flags, mask, *pairs, np.empty((m, 2), dtype=np.int64), np.empty(m)
@@ -297,7 +297,7 @@ def _sides_of_chunk(plane, points, side, start):
     """Elbows of a chunk: one row for all configurations, unless the joint limits have a say."""
     if side is not None and joints_free(plane, side):
         return side
-    rows = [plane._sides(p) if side is None else side[0] for p in points]
+    rows = [plane.arrays.sides(p) if side is None else side[0] for p in points]
     for c, (tips, row) in enumerate(zip(points, rows, strict=True)):
         _check(plane, tips, row, start + c)
     return np.array(rows)

@@ -115,13 +115,13 @@ def find_collisions(
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles
     segments, assigned, parked, poses = _stand(focal_plane, tips, given, parked_obstacles)
-    quiet = len(focal_plane._columns.runs) == 0
+    quiet = len(focal_plane.arrays.runs) == 0
     first, second, distances, n_borderline = (
         NOTHING if quiet else find(Configuration(focal_plane, segments, int(n_points), poses))
     )
     order = np.argsort(first * len(focal_plane) + second)
     pairs = np.column_stack([first[order], second[order]])
-    hits, gaps, n_edge = touching(focal_plane, segments, focal_plane._obstacle_pairs)
+    hits, gaps, n_edge = touching(focal_plane, segments, focal_plane.arrays.obstacle_pairs)
     if n_borderline is not None:
         n_borderline += n_edge
     colliding = np.zeros(len(focal_plane), dtype=bool)
@@ -142,10 +142,10 @@ def _stand(plane, tips, given, parked_obstacles):
         if posed is tips:
             check_arms(plane, posed)
         return np.ascontiguousarray(posed.segments.T), posed.assigned, posed.parked, lambda: posed
-    columns = plane._columns
+    columns = plane.arrays
     points = to_tips(tips, len(plane))
     side, angles = to_sides(plane, points, given["handedness"]), arm_angles(plane, given["fiber_type"])
-    if len(columns.runs) or len(plane._obstacle_pairs):
+    if len(columns.runs) or len(plane.arrays.obstacle_pairs):
         segments, assigned, _ = stand(plane, points, side, parked_obstacles)
         arms.shape(segments, columns.model, columns.length, *angles)
     else:  # nothing can collide, wherever the arms stand
@@ -155,11 +155,11 @@ def _stand(plane, tips, given, parked_obstacles):
 
 def touching(plane, segments, pairs):
     """Which of the pairs (segment, obstacle) touch, distances to the edge, and how many were borderline."""
-    circles, clearance = plane._obstacles_mm, plane._columns.clearance
+    circles, clearance = plane.arrays.obstacles, plane.arrays.clearance
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:
         return hits, distances, 0
-    slack = plane._columns.obstacle_slack
+    slack = plane.arrays.obstacle_slack
     n = collisions.colliding_obstacles(segments, pairs, circles, clearance, slack, hits, distances)
     hits, distances = hits[:n], distances[:n]
     radius = circles[hits[:, 1], 2]

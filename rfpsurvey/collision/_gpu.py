@@ -34,7 +34,7 @@ def find_pairs(segments, pairs, limits):
 def make_scorer(plane, stage):
     """Return a function (points, side) -> (counts, times, tips out of reach), with all that stays on the device."""
     _require_device()
-    n, limits, columns = len(plane), stage.limits, plane._columns
+    n, limits, columns = len(plane), stage.limits, plane.arrays
     g, bounds = columns.geometry, columns.bounds
     geometry = cuda.to_device(np.array([g.cx, g.cy, g.l1, g.l2, bounds.low, bounds.high]))
     idle, angles = cuda.to_device(stage.idle), cuda.to_device(np.array([stage.cosine, stage.sine]))

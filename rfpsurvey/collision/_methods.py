@@ -37,7 +37,7 @@ class Found(NamedTuple):
 
 def exact(case: Configuration) -> Found:
     """Distances with a proven error; pairs within it of the limit are settled in rational arithmetic."""
-    columns = case.plane._columns
+    columns = case.plane.arrays
     halves, mask, first, second = _scratch(case)
     squared = np.empty(len(first))
     n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, mask, first, second, squared)
@@ -55,21 +55,21 @@ def sampled(case: Configuration) -> Found:
 def sweep(case: Configuration) -> Found:
     """Least distance of the areas that the arms sweep from home to their poses, joints moving together."""
     plane, posed = case.plane, case.poses()
-    pairs = plane._neighbors[posed.present[plane._neighbors].all(axis=1)]
+    pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
     first, second = pairs.T.copy()
     poses = np.empty((case.n_points, *case.segments.shape))
     # the joints turn the short way round; idle arms stand at home all the time
-    start = np.repeat(plane.positioner._home_rad[:, None], len(plane), axis=1)
+    start = np.repeat(plane.positioner.numbers.home[:, None], len(plane), axis=1)
     move = np.array([posed.theta - start[0], posed.phi - start[1]])
     move -= 2 * np.pi * np.round(move / (2 * np.pi))
     angles = _capsule_angles(posed)
     for pose, part in zip(poses[:-1], np.linspace(0, 1, case.n_points), strict=False):
-        arms.pose(*(start + part * move), plane._columns.geometry, pose)
-        arms.shape(pose, plane._columns.model, plane._columns.length, *angles)
+        arms.pose(*(start + part * move), plane.arrays.geometry, pose)
+        arms.shape(pose, plane.arrays.model, plane.arrays.length, *angles)
     poses[-1] = case.segments
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
-    limits = plane._columns.limits
+    limits = plane.arrays.limits
     near = squared < limits.separation**2 + limits.band  # none is missed
     return Found(first[near], second[near], np.sqrt(squared[near]))
 
@@ -92,7 +92,7 @@ def cuda(case: Configuration) -> Found:
     """Distances as in ``exact``, made by a GPU."""
     from rfpsurvey.collision import _gpu
 
-    return _settle(case, *_gpu.find_pairs(case.segments, case.plane._neighbors, case.plane._columns.limits))
+    return _settle(case, *_gpu.find_pairs(case.segments, case.plane.arrays.neighbors, case.plane.arrays.limits))
 
 
 METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
@@ -102,28 +102,28 @@ METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
     """Return the neighbors that the broad phase does not reject."""
     halves, mask, first, second = _scratch(case)
-    n = collisions.near_pairs(halves, case.plane._columns.runs, case.plane._columns.limits, mask, first, second)
+    n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, mask, first, second)
     return first[:n], second[:n]
 
 
 def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, distances: np.ndarray) -> Found:
     """Return the pairs closer than the safe distance."""
-    near = distances < case.plane._columns.separation
+    near = distances < case.plane.arrays.separation
     return Found(first[near], second[near], distances[near])
 
 
 def _scratch(case):
     """Halves of the segments, and room for marks and for all pairs."""
-    room = len(case.plane._neighbors)
+    room = len(case.plane.arrays.neighbors)
     halves = np.empty_like(case.segments)
     collisions.halve(case.segments, halves)
-    mask = np.empty(case.plane._columns.longest_run, dtype=np.bool_)
+    mask = np.empty(case.plane.arrays.longest_run, dtype=np.bool_)
     return halves, mask, np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
 
 
 def _settle(case, first, second, squared):
     """Decide about the pairs within the band about the limit."""
-    limits = case.plane._columns.limits
+    limits = case.plane.arrays.limits
     edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
     if len(edge):
         keep = np.ones(len(squared), dtype=bool)

@@ -17,6 +17,7 @@ from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Progress
 from rfpsurvey.tile import plan_tile
@@ -88,15 +89,15 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
 def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
     """Return the part of a uniform sky, as wide as the field, whose image is on the footprint."""
     sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
-    needs = model._needs(None, SAMPLE)
-    return float(on_footprint(model.focal_plane, model.projection(center)._project(sky._vectors, needs)).mean())
+    xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
+    return float(on_footprint(model.focal_plane, xy).mean())
 
 
 def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
     """Return the same fields of a catalog for each instrument."""
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    centers = catalog._middle if center is None else center
+    centers = catalog.mean_direction if center is None else center
     if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
         raise InputError(f"center must be a SkyCoord, one or in a row, got {center!r}")
     centers = centers.reshape(-1)

@@ -206,7 +206,7 @@ def compare_instruments(
         confidence=CONFIDENCE,
         sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta),
         software=software,
-        instruments={model.name: model._provenance() for model in models},
+        instruments={model.name: model.provenance for model in models},
         parameters={"rng": str(rng), **_record(methods), **{name: str(value) for name, value in others.items()}},
     )
     if way == "same targets per positioner":
@@ -252,7 +252,7 @@ def _describe(model: Instrument) -> dict:
     exact = np.pad(parts, (0, max(0, 4 - len(parts))))
     return {
         "instrument": model.name,
-        "positioners": int(plane._usable.sum()),
+        "positioners": int(plane.arrays.usable.sum()),
         "field": 2 * model.field_radius.to_value(u.deg),
         "footprint": plane.footprint.to_value(u.mm**2),
         "type": plane.collision_type,
@@ -273,7 +273,7 @@ def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan],
     if value == 0 and allocator.name in WITHOUT_COLLISIONS:
         high = 0.0  # by construction
     counted = np.count_nonzero(~np.isnan(risks))
-    number = int(model.focal_plane._usable.sum())
+    number = int(model.focal_plane.arrays.usable.sum())
     half = model.field_radius.to_value(u.rad) / 2
     return {
         "allocator": allocator.name,

@@ -134,7 +134,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
     fiber, and where fibers are lost as a ``whole`` it is never less.
     """
     plane, source = _patch(lattice, skies.each)
-    core = np.hypot(*plane._xy_mm.T) <= (CORE + 0.01) * lattice.pitch
+    core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
     found = []
     for _ in range(skies.number):
         points = source.draw(skies.rng)
@@ -154,5 +154,5 @@ def _patch(lattice, each):
     """Return positioners about the origin, the neighbors of those that count, their rivals, and targets for all."""
     edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
     plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
-    radius = float(np.hypot(*plane._xy_mm.T).max()) + lattice.radii[1]
+    radius = float(np.hypot(*plane.arrays.xy.T).max()) + lattice.radii[1]
     return plane, Source("poisson", number=each * np.pi * radius**2 / lattice.cell, each=each, radius=radius)

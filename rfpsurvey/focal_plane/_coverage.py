@@ -12,7 +12,7 @@ __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 def footprint_of(plane) -> ConvexHull:
     """Return the convex hull of the centers in mm."""
     try:
-        return ConvexHull(plane._xy_mm)
+        return ConvexHull(plane.arrays.xy)
     except (QhullError, ValueError):
         raise InputError(f"a footprint needs three centers that are not on a line, got {len(plane)} centers") from None
 
@@ -40,4 +40,4 @@ def find_coverage(plane, n_points, rng) -> np.ndarray:
     inside = points[on_footprint(plane, points)]
     if len(inside) == 0:
         raise InputError(f"n_points must be large enough for a point in the footprint, got {n_points}")
-    return np.bincount(np.diff(plane._reach(inside).indptr)) / len(inside)
+    return np.bincount(np.diff(plane.arrays.reach(inside).indptr)) / len(inside)

@@ -9,14 +9,12 @@ from astropy.table import QTable, Table
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from rfpsurvey._kernels import arms
-from rfpsurvey._units import to_mm, to_points_mm, to_radian
+from rfpsurvey._units import to_points_mm
 from rfpsurvey.focal_plane import _tables
+from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._checks import check_columns
-from rfpsurvey.focal_plane._columns import Columns
 from rfpsurvey.focal_plane._coverage import find_coverage, footprint_of
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
-from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["FocalPlane"]
@@ -81,7 +79,7 @@ class FocalPlane:
         return len(self.id)
 
     def __repr__(self):
-        return f"<FocalPlane of {len(self)} positioners, {len(self._obstacles_mm)} obstacles>"
+        return f"<FocalPlane of {len(self)} positioners, {len(self.arrays.obstacles)} obstacles>"
 
     @cached_property
     def fiber_types(self) -> tuple[str, ...]:
@@ -89,14 +87,9 @@ class FocalPlane:
         return tuple(dict.fromkeys(t for row in dict.fromkeys(self.fiber_type) for t in row.split("+")))
 
     @cached_property
-    def _first_type(self):
-        """The fiber that each positioner uses where nothing says which."""
-        return np.array([row.split("+")[0] for row in self.fiber_type])
-
-    @cached_property
-    def _first_index(self):
-        """The same as an index of ``fiber_types``."""
-        return np.array([self.fiber_types.index(name) for name in self._first_type.tolist()])
+    def arrays(self) -> FocalPlaneArrays:
+        """The columns as plain numbers in mm and radians that cannot be written to, see `FocalPlaneArrays`."""
+        return FocalPlaneArrays(self)
 
     @property
     def collision_type(self) -> int:
@@ -104,107 +97,9 @@ class FocalPlane:
         pairs = self.neighbor_pairs()
         if len(pairs) == 0:
             return 1
-        distance = np.hypot(*(self._xy_mm[pairs[:, 0]] - self._xy_mm[pairs[:, 1]]).T)
-        nearest = cKDTree(self._xy_mm).query(self._xy_mm, k=2)[0][:, 1]
+        distance = np.hypot(*(self.arrays.xy[pairs[:, 0]] - self.arrays.xy[pairs[:, 1]]).T)
+        nearest = cKDTree(self.arrays.xy).query(self.arrays.xy, k=2)[0][:, 1]
         return 3 if distance.max() > 1.5 * np.median(nearest) else 2
-
-    @cached_property
-    def _xy_mm(self):
-        return to_points_mm(self.xy, "xy")
-
-    @cached_property
-    def _l1_mm(self):
-        full = np.full(len(self), self.positioner._l1)
-        return full if self.central_arm is None else to_mm(self.central_arm, "central_arm")
-
-    @cached_property
-    def _l2_mm(self):
-        full = np.full(len(self), self.positioner._l2)
-        return full if self.eccentric_arm is None else to_mm(self.eccentric_arm, "eccentric_arm")
-
-    @cached_property
-    def _equal_arms(self):
-        return np.abs(self._l1_mm - self._l2_mm) < arms.EQUAL_ARMS
-
-    @cached_property
-    def _inner_mm(self):
-        return np.where(self._equal_arms, 0.0, np.abs(self._l1_mm - self._l2_mm))
-
-    @cached_property
-    def _outer_mm(self):
-        return self._l1_mm + self._l2_mm
-
-    @cached_property
-    def _arm_reach_mm(self):
-        """Distance from the center that the colliding segment can reach."""
-        length = self.positioner._arm_length_mm
-        return self._l1_mm + (self._l2_mm if length is None else length)
-
-    @cached_property
-    def _stuck_rad(self):
-        return np.full((len(self), 2), np.nan) if self.stuck is None else to_radian(self.stuck, "stuck")
-
-    @cached_property
-    def _is_stuck(self):
-        return np.isfinite(self._stuck_rad).all(axis=1)
-
-    @cached_property
-    def _usable(self):
-        """Positioners that may take a target."""
-        return ~self.disabled & ~self._is_stuck
-
-    @cached_property
-    def _obstacles_mm(self):
-        return np.empty((0, 3)) if self.obstacles is None else to_mm(self.obstacles, "obstacles")
-
-    @cached_property
-    def _offers(self):
-        """Bit mask of the fiber types of each positioner; none for those that take no target."""
-        masks = dict.fromkeys(np.unique(self.fiber_type).tolist(), 0)
-        for row in masks:
-            for name in row.split("+"):
-                masks[row] |= 1 << self.fiber_types.index(name)
-        return np.where(self._usable, [masks[row] for row in self.fiber_type], 0)
-
-    @cached_property
-    def _grid(self):
-        return make_grid(self._xy_mm, self._outer_mm)
-
-    @cached_property
-    def _neighbors(self):
-        """Pairs to test; those that only rounding could let collide are among them."""
-        slack = self._columns.touch_slack
-        limit = 2 * self._arm_reach_mm.max() + self.positioner._separation_mm + slack
-        pairs = cKDTree(self._xy_mm).query_pairs(limit, output_type="ndarray")
-        pairs = np.sort(pairs[self._can_touch(pairs, slack)], axis=1).astype(np.int64)
-        return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
-
-    def _can_touch(self, pairs, slack=0.0):
-        """Mark pairs whose arms, stretched toward each other, come closer than the safe distance (plus ``slack``)."""
-        distance = np.hypot(*(self._xy_mm[pairs[:, 0]] - self._xy_mm[pairs[:, 1]]).T)
-        return distance < self._arm_reach_mm[pairs].sum(axis=1) + self.positioner._separation_mm + slack
-
-    @cached_property
-    def _n_sharing(self):
-        """How many others can share a target with each positioner, at most."""
-        reach = self._outer_mm * (1 + 1e-6)
-        near = cKDTree(self._xy_mm).query_ball_point(self._xy_mm, reach + reach.max(), return_length=True)
-        return np.asarray(near, dtype=np.int64) - 1
-
-    @cached_property
-    def _obstacle_pairs(self):
-        """Pairs (positioner, obstacle) that can touch."""
-        circles = self._obstacles_mm
-        if len(circles) == 0:
-            return np.empty((0, 2), dtype=np.int64)
-        apart = np.hypot(*(self._xy_mm[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
-        limit = self._arm_reach_mm[:, None] + circles[None, :, 2] + self.positioner._clearance_mm
-        return np.argwhere(apart < limit + self._columns.touch_slack)
-
-    @cached_property
-    def _columns(self):
-        """What the collision kernels read."""
-        return Columns(self)
 
     def neighbor_pairs(self) -> np.ndarray:
         """Return the pairs of positioners whose arms can come closer than the safe distance.
@@ -214,7 +109,7 @@ class FocalPlane:
         ndarray of int, shape (k, 2)
             Row numbers i < j, sorted.
         """
-        return self._neighbors[self._can_touch(self._neighbors)]
+        return self.arrays.neighbors[self.arrays.can_touch(self.arrays.neighbors)]
 
     def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
         """Return which positioner reaches which target.
@@ -239,7 +134,7 @@ class FocalPlane:
         InputError
             If the targets are not lengths of this shape, or there are fiber types and these are others.
         """
-        return self._reach(to_points_mm(xy, "xy"), fiber_type).matrix
+        return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
     def multiplicity(self, xy: u.Quantity) -> np.ndarray:
         """Return how many positioners reach each point.
@@ -261,7 +156,7 @@ class FocalPlane:
         InputError
             If the points are not lengths of this shape.
         """
-        return np.diff(self._reach(to_points_mm(xy, "xy")).indptr)
+        return np.diff(self.arrays.reach(to_points_mm(xy, "xy")).indptr)
 
     @property
     def footprint(self) -> u.Quantity:
@@ -297,14 +192,6 @@ class FocalPlane:
         array([0.  , 0.55, 0.4 , 0.05])
         """
         return find_coverage(self, n_points, rng)
-
-    def _reach(self, points: np.ndarray, fiber_type=None) -> Reach:
-        """Reachable pairs of targets in mm."""
-        return find_reach(self, points, accepted_types(self, fiber_type, len(points)))
-
-    def _sides(self, points: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-        """Elbow of each positioner (or those in the rows ``own``) toward its own point in mm: +1 right, -1 left."""
-        return sides(self, points, own)
 
     @classmethod
     def hexagonal(

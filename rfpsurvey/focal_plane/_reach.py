@@ -93,8 +93,8 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 def find_reach(plane, points, accepts) -> Reach:
     """Return the reachable pairs of targets in mm; ``accepts`` as `accepted_types` makes it."""
-    geometry = plane._columns.geometry
-    positioners = (geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, plane._offers)
+    geometry = plane.arrays.geometry
+    positioners = (geometry.cx, geometry.cy, plane.arrays.inner_radius, plane.arrays.outer_radius, plane.arrays.offers)
     indptr, n = np.zeros(len(points) + 1, dtype=np.int64), 0
     owner, r2 = (np.empty(2 * len(points) + 1024, dtype) for dtype in (np.int64, np.float64))
     code, edges = np.empty(min(len(owner), 2 * BLOCK), dtype=np.int8), []
@@ -104,7 +104,7 @@ def find_reach(plane, points, accepts) -> Reach:
         while True:
             room = min(len(owner) - n, len(code))
             out = owner[n : n + room], r2[n : n + room], code[:room]
-            m = reach.reachable_pairs(x, y, types, *positioners, *plane._grid, rows, *out)
+            m = reach.reachable_pairs(x, y, types, *positioners, *plane.arrays.grid, rows, *out)
             if m <= room:
                 break
             code = np.empty(m, dtype=np.int8)
@@ -120,7 +120,7 @@ def find_reach(plane, points, accepts) -> Reach:
         target = np.searchsorted(indptr, edge, side="right") - 1
         keep[edge] = [_in_annulus_exactly(plane, owner[k], points[t]) for k, t in zip(edge, target, strict=True)]
         pairs = pairs.where(keep)
-    if not plane.positioner._joints_free:
+    if not plane.positioner.numbers.joints_free:
         allowed = np.zeros(len(pairs.owner), dtype=bool)
         for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]:
             allowed |= joints_allow(plane, pairs.owner, points[pairs.target], side)
@@ -134,7 +134,7 @@ def sides(plane, points, own=None) -> np.ndarray:
     Where both are allowed by the handedness, the right one unless the joint limits forbid it and not the left.
     """
     side = np.full(len(points), -1.0 if plane.positioner.handedness == "left" else 1.0)
-    if plane.positioner.handedness == "both" and not plane.positioner._joints_free:
+    if plane.positioner.handedness == "both" and not plane.positioner.numbers.joints_free:
         rows = np.flatnonzero(np.isfinite(points).all(axis=1))
         own = np.arange(len(plane)) if own is None else own
         right, left = (joints_allow(plane, own[rows], points[rows], s) for s in (1.0, -1.0))
@@ -149,14 +149,14 @@ def elbow_names(side: np.ndarray) -> np.ndarray:
 
 def _in_annulus_exactly(plane, i, point):
     """Rational arithmetic on the floats as they are."""
-    r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, plane._xy_mm[i], strict=True))
-    l1, l2 = Fraction(plane._l1_mm[i]), Fraction(plane._l2_mm[i])
-    inner = 0 if plane._equal_arms[i] else abs(l1 - l2)
+    r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, plane.arrays.xy[i], strict=True))
+    l1, l2 = Fraction(plane.arrays.central_arm[i]), Fraction(plane.arrays.eccentric_arm[i])
+    inner = 0 if plane.arrays.equal_arms[i] else abs(l1 - l2)
     return inner**2 <= r2 <= (l1 + l2) ** 2
 
 
 def joints_allow(plane, own, points, side):
     """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
     theta, phi = np.empty(len(own)), np.empty(len(own))
-    arms.solve(points, plane._columns.geometry_of(own), np.full(len(own), side), theta, phi)
-    return plane.positioner._joints_allowed(theta, phi)
+    arms.solve(points, plane.arrays.geometry_of(own), np.full(len(own), side), theta, phi)
+    return plane.positioner.numbers.joints_allowed(theta, phi)

@@ -45,16 +45,16 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
 
 def to_table(plane) -> QTable:
     """Return the columns of a focal plane, and its positioner in the meta."""
-    n, m = len(plane), len(plane._obstacles_mm)
-    circles = plane._obstacles_mm
+    n, m = len(plane), len(plane.arrays.obstacles)
+    circles = plane.arrays.obstacles
     table = QTable({"id": np.concatenate([plane.id, _spare_names(plane.id, m)])})
-    table["x"], table["y"] = np.vstack([plane._xy_mm, circles[:, :2]]).T * u.mm
+    table["x"], table["y"] = np.vstack([plane.arrays.xy, circles[:, :2]]).T * u.mm
     width = plane.spectrograph.shape[1:]
     table["spectrograph"] = np.concatenate([plane.spectrograph, np.zeros((m, *width), int)])
     table["fiber_type"] = np.concatenate([plane.fiber_type, np.full(m, "")])
     table["disabled"] = np.append(plane.disabled, np.zeros(m, bool))
-    lengths = {"central_arm": plane._l1_mm, "eccentric_arm": plane._l2_mm}
-    angles = {"stuck_theta": plane._stuck_rad[:, 0], "stuck_phi": plane._stuck_rad[:, 1]}
+    lengths = {"central_arm": plane.arrays.central_arm, "eccentric_arm": plane.arrays.eccentric_arm}
+    angles = {"stuck_theta": plane.arrays.stuck[:, 0], "stuck_phi": plane.arrays.stuck[:, 1]}
     for name, values in lengths.items():
         table[name] = np.append(values, np.full(m, np.nan)) * u.mm
     for name, values in angles.items():

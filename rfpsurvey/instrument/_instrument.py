@@ -18,7 +18,7 @@ from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
-from rfpsurvey.projection import RadialMap, TangentPlane
+from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
 
@@ -116,11 +116,29 @@ class Instrument:
         """
         return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
 
+    def field_projection(self, ra: float, dec: float, angle: float) -> FieldProjection:
+        """Return the projection of a field on plain arrays.
+
+        Parameters
+        ----------
+        ra, dec : float
+            Field center, ICRS, in radians.
+        angle : float
+            Position angle of +y from the north of ICRS, in radians.
+
+        Returns
+        -------
+        FieldProjection
+            The same as ``projection(...).plain``, sooner.
+        """
+        focal_length = self.plate_scale.to_value(u.mm / u.rad)
+        return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
+
     @property
     def field_radius(self) -> u.Quantity:
         """Field angle of the outermost point that any positioner reaches."""
         plane = self.focal_plane
-        edge = float((np.hypot(*plane._xy_mm.T) + plane._outer_mm).max())
+        edge = float((np.hypot(*plane.arrays.xy.T) + plane.arrays.outer_radius).max())
         if self.distortion is None:
             focal_length = self.plate_scale.to_value(u.mm / u.rad)
             return np.rad2deg(np.arctan(edge / focal_length)) * u.deg
@@ -128,11 +146,6 @@ class Instrument:
         angles = [m.to_angle(edge * u.mm) for m in maps]
         # a focal plane wider than the map sees as much as the map does
         return max(m.max_angle.to(u.deg) if np.isnan(a) else a for m, a in zip(maps, angles, strict=True))
-
-    @property
-    def _field_radius_rad(self) -> float:
-        """Radius of the circle in which targets of a field are looked for, with room for rounding."""
-        return self.field_radius.to_value(u.rad) * (1 + 1e-9)
 
     @property
     def target_density(self) -> u.Quantity:
@@ -151,16 +164,6 @@ class Instrument:
                 fiber = f"@{fiber.upper()}" if fiber else ""
                 found.append(f"{kind.removesuffix('s')}{fiber}={entry['value']}{'/spectrograph' if per else ''}")
         return tuple(found)
-
-    def _needs(self, types: np.ndarray | None, n: int) -> np.ndarray | None:
-        """Fiber type that each of n targets needs; None where any will do."""
-        if self.focal_plane.fiber_types == ("",):
-            return None  # one unnamed fiber type serves every target
-        if isinstance(self.distortion, dict):
-            # each type has its own image of the sky: a target without a type is one for the first
-            first = next(iter(self.distortion))
-            return np.full(n, first) if types is None else np.where(types == "", first, types)
-        return types
 
     @classmethod
     def preset(cls, name: str) -> "Instrument":
@@ -232,14 +235,17 @@ class Instrument:
         ]
         return Table(rows=rows or None, names=["name", "value", "unit", "status", "source"], dtype=[str] * 5)
 
-    def _provenance(self) -> dict:
+    @property
+    def provenance(self) -> dict:
         """Return what a result records about the instrument."""
         plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
         plane = self.focal_plane
         parts = (self.values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
-        for column in (plane._xy_mm, plane._l1_mm, plane._l2_mm, plane.disabled, plane._stuck_rad, plane._obstacles_mm):
+        arrays = plane.arrays
+        columns = arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles
+        for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}
 

@@ -4,6 +4,15 @@
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
-from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, assign_field, plan_field, project_field
+from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, assign_field, field_radius_rad, plan_field, project_field
 
-__all__ = ["BlankIds", "FieldPlan", "FieldTargets", "assign_field", "blank_ids", "plan_field", "project_field"]
+__all__ = [
+    "BlankIds",
+    "FieldPlan",
+    "FieldTargets",
+    "assign_field",
+    "blank_ids",
+    "field_radius_rad",
+    "plan_field",
+    "project_field",
+]

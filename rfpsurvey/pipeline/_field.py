@@ -3,6 +3,7 @@
 from time import perf_counter
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_lonlat
@@ -10,9 +11,9 @@ from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, a
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.projection import TangentPlane
+from rfpsurvey.projection import FieldProjection
 
-__all__ = ["FieldPlan", "FieldTargets", "assign_field", "plan_field", "project_field"]
+__all__ = ["FieldPlan", "FieldTargets", "assign_field", "field_radius_rad", "plan_field", "project_field"]
 
 
 class FieldTargets(NamedTuple):
@@ -47,17 +48,28 @@ class FieldPlan(NamedTuple):
     """Time of each stage."""
 
 
+def field_radius_rad(instrument: Instrument) -> float:
+    """Return the radius of the circle in which targets of a field are looked for, with room for rounding."""
+    return instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
+
+
 def project_field(
-    instrument: Instrument, projection: TangentPlane, vectors: np.ndarray, fiber_type: np.ndarray | None
+    instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return where targets fall on the focal plane, mm, and the fiber types that they need there."""
-    fiber_type = instrument._needs(fiber_type, len(vectors))
-    return projection._project(vectors, fiber_type), fiber_type
+    """Return where targets fall on the focal plane, mm, and the fiber types that they need there (None: any)."""
+    if instrument.focal_plane.fiber_types == ("",):
+        fiber_type = None  # one unnamed fiber type serves every target
+    elif isinstance(instrument.distortion, dict):
+        # each type has its own image of the sky: a target without a type is one for the first
+        first = next(iter(instrument.distortion))
+        given = np.full(len(vectors), "") if fiber_type is None else fiber_type
+        fiber_type = np.where(given == "", first, given)
+    return projection.project(vectors, fiber_type), fiber_type
 
 
 def assign_field(
     instrument: Instrument,
-    projection: TangentPlane,
+    projection: FieldProjection,
     targets: FieldTargets,
     options: AllocationOptions,
     rng: np.random.Generator,
@@ -65,7 +77,7 @@ def assign_field(
     """Project the targets of a field and assign them to positioners: the first half of `plan_field`."""
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
-    others = {} if targets.others is None else {"avoid": projection._project(targets.others)}
+    others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
     seconds = perf_counter() - begin
     columns = targets.columns._replace(fiber_type=fiber_type)
     allocation = assign(instrument.focal_plane, xy, columns, options, rng, **others)
@@ -75,7 +87,7 @@ def assign_field(
 
 def plan_field(
     instrument: Instrument,
-    projection: TangentPlane,
+    projection: FieldProjection,
     targets: FieldTargets,
     options: AllocationOptions,
     rng: np.random.Generator,
@@ -87,7 +99,7 @@ def plan_field(
     ----------
     instrument : Instrument
         The instrument.
-    projection : TangentPlane
+    projection : FieldProjection
         From the sky to its focal plane.
     targets : FieldTargets
         The targets.
@@ -122,7 +134,7 @@ def plan_field(
         ids, vectors = np.empty(len(target), dtype=blank.dtype), np.empty((len(target), 3))
         ids[given], vectors[given] = known
         ids[~given] = blank.take(len(found))
-        vectors[~given] = projection._unproject(allocation.xy.value[found], types)
+        vectors[~given] = projection.unproject(allocation.xy.value[found], types)
     lon, lat = to_lonlat(vectors)
     return FieldPlan(
         allocation, arms, report, positioner, np.where(given, target, -1), ids, lon % (2 * np.pi), lat, kind, seconds

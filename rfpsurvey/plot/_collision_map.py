@@ -109,7 +109,7 @@ def _places(collisions, focal_plane):
     if focal_plane is None:
         raise InputError(f"focal_plane must be given: {type(collisions).__name__} does not say where positioners are")
     plane = as_focal_plane(focal_plane)
-    return plane._xy_mm, plane._outer_mm
+    return plane.arrays.xy, plane.arrays.outer_radius
 
 
 def _values(collisions):

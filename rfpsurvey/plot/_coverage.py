@@ -77,10 +77,10 @@ def plot_coverage(
     if n_pixels is not None and not (whole and 1 <= n_pixels <= 5000):
         raise InputError(f"n_pixels must be a whole number from 1 to 5000, got {n_pixels!r}")
     name, plane = named_plane(focal_plane)
-    ax = focal_plane_axes(ax, plane._xy_mm, plane._outer_mm, region, orientation)
+    ax = focal_plane_axes(ax, plane.arrays.xy, plane.arrays.outer_radius, region, orientation)
     low, high = limits_of(ax)
     if n_pixels is None:
-        n_pixels = np.clip(10 * (high - low).max() / np.min(plane._outer_mm), FEWEST, MOST)
+        n_pixels = np.clip(10 * (high - low).max() / np.min(plane.arrays.outer_radius), FEWEST, MOST)
     nx, ny = np.maximum(1, np.rint(n_pixels * (high - low) / (high - low).max())).astype(int)
     x, y = (a + (b - a) * (np.arange(k) + 0.5) / k for a, b, k in zip(low, high, (nx, ny), strict=True))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -104,7 +104,7 @@ def plot_coverage(
             label += f" ({_percent(parts[k])})"
         handles.append(Patch(facecolor=colors[k], edgecolor="0.5", linewidth=0.5, label=label))
     legend_below(ax, handles)
-    add_compass(ax, 0.0, plane._xy_mm)
+    add_compass(ax, 0.0, plane.arrays.xy)
     ax.set_title(f"{name}: positioners that reach each point" if name else "positioners that reach each point")
     return ax
 
@@ -131,7 +131,7 @@ def _outline(ax, plane):
     """Draw the footprint: the convex hull of the centers."""
     from scipy.spatial import ConvexHull
 
-    corners = plane._xy_mm[ConvexHull(plane._xy_mm).vertices]
+    corners = plane.arrays.xy[ConvexHull(plane.arrays.xy).vertices]
     ax.plot(*np.vstack([corners, corners[:1]]).T, color=OUTLINE, linestyle="--", linewidth=0.9, label="footprint")
 
 

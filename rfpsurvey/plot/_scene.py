@@ -82,23 +82,23 @@ def _of_plane(thing):
         raise InputError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {type(thing).__name__}")
     name, plane = named_plane(thing)
     name = f"{name}: " if name else ""
-    n, obstacles = len(plane), len(plane._obstacles_mm)
+    n, obstacles = len(plane), len(plane.arrays.obstacles)
     posed = place_arms(plane, np.full((n, 2), np.nan) * u.mm, parked_obstacles=False)
     status = np.where(plane.disabled, "disabled", "usable")
-    status[plane._is_stuck] = "stuck"
+    status[plane.arrays.is_stuck] = "stuck"
     spectrograph = plane.spectrograph if plane.spectrograph.ndim == 1 else plane.spectrograph[:, 0]
     return Scene(
         f"{name}{n} positioners" + (f", {obstacles} obstacles" if obstacles else ""),
-        plane._xy_mm,
-        plane._inner_mm,
-        plane._outer_mm,
+        plane.arrays.xy,
+        plane.arrays.inner_radius,
+        plane.arrays.outer_radius,
         posed.elbow,
         posed.tip,
         posed.segments,
-        plane.positioner._separation_mm / 2,
+        plane.positioner.numbers.separation / 2,
         status,
         np.zeros(n, bool),
-        plane._obstacles_mm,
+        plane.arrays.obstacles,
         {"spectrograph": spectrograph, "fiber_type": plane.fiber_type},
     )
 

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey.region import Region
+from rfpsurvey.region import Region, border_of, circle_around
 
 __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
 
@@ -125,7 +125,7 @@ def outline_of_region(region: Region, sky_map: SkyMap) -> list[np.ndarray]:
         angles = np.linspace(0, 360, 401) * u.deg
         lines = [SkyCoord(center.lon, center.lat).directional_offset_by(angles, region.values[3] * u.rad)]
     else:
-        border = region._border()
+        border = border_of(region)
         if region.kind == "box":
             parts = np.split(border, 4)
             parts = parts[:2] if region.values[1] == 2 * np.pi else parts
@@ -151,7 +151,7 @@ def _contours(region, sky_map):
     """Return the borders of pixels, where a grid of directions finds them."""
     from matplotlib.figure import Figure
 
-    vector, radius = region._circle()
+    vector, radius = circle_around(region)
     middle = _to_coord(vector[None])[0]
     if sky_map.kind == "whole":
         x, y = np.meshgrid(np.linspace(-np.pi, np.pi, 2 * GRID), np.linspace(-np.pi / 2, np.pi / 2, GRID))

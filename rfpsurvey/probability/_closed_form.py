@@ -21,7 +21,7 @@ def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """Return the sum over neighbors of two ratios of areas (Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9)."""
     check_choice(variant, VARIANTS, "variant of the closed form")
-    d, l1, l2 = plane.positioner._clearance_mm, plane._l1_mm, plane._l2_mm
+    d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)
     if variant == "printed":
         outer, inner = l2 - l1 + d, l2 - l1 - d
@@ -34,7 +34,7 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     inner = np.maximum(inner, 0.0)
     pairs = _pairs_within(plane, outer)
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
-    distance = np.hypot(*(plane._xy_mm[i] - plane._xy_mm[j]).T)
+    distance = np.hypot(*(plane.arrays.xy[i] - plane.arrays.xy[j]).T)
     shared = (
         _lens(outer[i], outer[j], distance)
         - _lens(outer[i], inner[j], distance)
@@ -53,39 +53,41 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
     They are as if uniform in the area that positioners reach, which makes their number near one of them binomial.
     """
-    area = np.pi * (plane._outer_mm**2 - plane._inner_mm**2)
+    area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
     # each point counts for the last positioner that reaches it
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
-    union = float((area * alone)[plane._usable].sum())
-    near = min(1.0, np.pi * plane._columns.separation**2 / union)
-    others = np.count_nonzero(plane._usable) - 1
+    union = float((area * alone)[plane.arrays.usable].sum())
+    near = min(1.0, np.pi * plane.arrays.separation**2 / union)
+    others = np.count_nonzero(plane.arrays.usable) - 1
     return np.full(len(plane), 1 - (1 - near) ** max(others, 0)), {"reached_area_mm2": union}
 
 
 def _pairs_within(plane, radius):
     """Pairs of usable positioners with circles that overlap."""
-    pairs = cKDTree(plane._xy_mm).query_pairs(2 * radius.max(), output_type="ndarray")
-    distance = np.hypot(*(plane._xy_mm[pairs[:, 0]] - plane._xy_mm[pairs[:, 1]]).T)
-    return pairs[(distance < radius[pairs].sum(axis=1)) & plane._usable[pairs].all(axis=1)]
+    pairs = cKDTree(plane.arrays.xy).query_pairs(2 * radius.max(), output_type="ndarray")
+    distance = np.hypot(*(plane.arrays.xy[pairs[:, 0]] - plane.arrays.xy[pairs[:, 1]]).T)
+    return pairs[(distance < radius[pairs].sum(axis=1)) & plane.arrays.usable[pairs].all(axis=1)]
 
 
 def _overlapping(plane, *, both_ways):
     """Rows of positioners whose patrol areas may overlap (CSR); without ``both_ways`` the later ones alone."""
-    pairs = np.sort(_pairs_within(plane, plane._outer_mm), axis=1)
+    pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
     return np.searchsorted(pairs[:, 0], np.arange(len(plane) + 1)), np.append(pairs[:, 1], 0).astype(np.int64)
 
 
 def _covered(plane, rows):
-    out, geometry = np.empty(len(plane)), plane._columns.geometry
-    areas.covered_parts(*rows, geometry.cx, geometry.cy, plane._inner_mm, plane._outer_mm, N_CIRCLES, out)
+    out, geometry = np.empty(len(plane)), plane.arrays.geometry
+    areas.covered_parts(
+        *rows, geometry.cx, geometry.cy, plane.arrays.inner_radius, plane.arrays.outer_radius, N_CIRCLES, out
+    )
     return np.minimum(out, 1.0)
 
 
 def _pitch(plane):
     """Distance of nearest neighbors."""
-    return float(np.median(cKDTree(plane._xy_mm).query(plane._xy_mm, k=2)[0][:, 1])) if len(plane) > 1 else np.inf
+    return float(np.median(cKDTree(plane.arrays.xy).query(plane.arrays.xy, k=2)[0][:, 1])) if len(plane) > 1 else np.inf
 
 
 def _lens(a, b, d):

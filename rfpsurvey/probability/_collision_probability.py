@@ -200,7 +200,7 @@ def collision_probability(
         executor,
         progress,
     )
-    nothing_can_touch = len(plane._neighbors) == len(plane._obstacle_pairs) == 0
+    nothing_can_touch = len(plane.arrays.neighbors) == len(plane.arrays.obstacle_pairs) == 0
     found = _zero(plane, source) if nothing_can_touch and name in MOST else answer(question)
     wanted = question.precision.standard_error
     if wanted is not None and not found.pop("met", True):
@@ -272,6 +272,6 @@ def _zero(plane, source):
     """No two arms can ever touch, nor an obstacle: nothing has to be drawn."""
     check_usable(plane)
     nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
-    per_positioner = np.where(plane._usable, 0.0, np.nan)
+    per_positioner = np.where(plane.arrays.usable, 0.0, np.nan)
     meta = {"certain": "no two arms can touch", **(source.describe() if source else {})}
     return {**nothing, "n": 0, "n_effective": np.inf, "per_positioner": per_positioner, "meta": meta}

@@ -34,10 +34,10 @@ def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: 
     indptr = np.searchsorted(own[order], np.arange(len(plane) + 1))
     hall = make_hall(len(plane), len(own))
     hall.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
-    stage = make_stage(plane, plane._columns.angles, parked_obstacles)
+    stage = make_stage(plane, plane.arrays.angles, parked_obstacles)
     sums, times, counted = np.empty((1, 5)), np.zeros(len(plane)), np.zeros(len(plane), dtype=np.int64)
-    array, chance_of = make_array(plane, stage), np.empty(len(plane._neighbors))
+    array, chance_of = make_array(plane, stage), np.empty(len(plane.arrays.neighbors))
     simulate.expect_given(
-        indptr, plane._neighbors, array, stage, hall, np.empty(len(plane)), chance_of, sums[0], times, counted
+        indptr, plane.arrays.neighbors, array, stage, hall, np.empty(len(plane)), chance_of, sums[0], times, counted
     )
     return Tally(sums[:, :4], sums[:, 4], times, counted)

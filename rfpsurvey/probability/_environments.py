@@ -18,23 +18,25 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     singles out a direction. A positioner is known by a sum of hashes of what it sees, which does not depend on the
     order; what a turn might change is hashed for all six.
     """
-    n, xy = len(plane), plane._xy_mm
+    n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
     i, j = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)]).T
-    kinds = np.column_stack([_codes(plane._l1_mm), _codes(plane._l2_mm), _codes(plane._first_type)])
+    kinds = np.column_stack(
+        [_codes(plane.arrays.central_arm), _codes(plane.arrays.eccentric_arm), _codes(plane.arrays.first_type)]
+    )
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
     # who does not move is alone of its kind, and its pose does not turn with its surroundings: it is of another kind
     # after each turn
-    kinds = np.where(plane._usable, kinds, n + np.arange(n))
+    kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
     away, what = xy[j] - xy[i], kinds[j]
-    circles = plane._obstacles_mm
+    circles = plane.arrays.obstacles
     if len(circles):
         rows = cKDTree(circles[:, :2]).query_ball_point(xy, radius + circles[:, 2].max())
         own = np.repeat(np.arange(n), [len(r) for r in rows])
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
         i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
         what = np.append(what, 2 * n + k)  # obstacles differ by their radius, and are few: each is its own kind
-    turns = range(6) if plane.positioner._joints_free else range(1)
+    turns = range(6) if plane.positioner.numbers.joints_free else range(1)
     still = (what >= n) & (what < 2 * n)
     keys = np.array([_hash(n, i, away, what + still * (turn * 1_000_000_007), turn * np.pi / 3) for turn in turns])
     _, first, number = np.unique(keys.min(axis=0), return_index=True, return_inverse=True)

@@ -44,14 +44,14 @@ class Question:
 
 def check_usable(plane: FocalPlane) -> None:
     """Refuse a focal plane on which no unit takes a target."""
-    if not plane._usable.any():
+    if not plane.arrays.usable.any():
         raise InputError("every positioner is disabled or stuck: there is nothing to score")
 
 
 def _formula(function, question: Question) -> dict:
     check_usable(question.plane)
     per_positioner, meta = function(question.plane, question.variant)
-    used = question.plane._usable
+    used = question.plane.arrays.usable
     value = float(per_positioner[used].mean())
     nothing = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
     return {

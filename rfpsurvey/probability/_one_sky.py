@@ -63,7 +63,7 @@ def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
     n = int(np.count_nonzero(counts))
     if n < 3:
         return np.nan, 0.0
-    pairs, near = plane._neighbors, _nearest_ring(plane)
+    pairs, near = plane.arrays.neighbors, _nearest_ring(plane)
     all_of, ring_of, beyond = (
         _adjacency(len(plane), some)[counts][:, counts] for some in (pairs, pairs[near], pairs[~near])
     )
@@ -77,8 +77,8 @@ def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
     """Say which pairs of neighbors are about as close as the nearest neighbors are."""
-    first, second = plane._neighbors.T
-    distance = np.hypot(*(plane._xy_mm[first] - plane._xy_mm[second]).T)
+    first, second = plane.arrays.neighbors.T
+    distance = np.hypot(*(plane.arrays.xy[first] - plane.arrays.xy[second]).T)
     nearest = np.full(len(plane), np.inf)
     np.minimum.at(nearest, first, distance)
     np.minimum.at(nearest, second, distance)

@@ -123,7 +123,7 @@ def _checked(question: Question, given: object) -> dict:
         raise InputError(f"meta must be a dict, got {meta!r}")
     risk = np.full(len(plane), np.nan)
     if "per_positioner" in answer:
-        risk = np.where(plane._usable, _risks(answer.pop("per_positioner"), len(plane)), np.nan)
+        risk = np.where(plane.arrays.usable, _risks(answer.pop("per_positioner"), len(plane)), np.nan)
     known = risk[~np.isnan(risk)]
     if "value" not in answer and len(known) == 0:
         raise InputError("the answer must have a value, or one per_positioner for a positioner that can take targets")

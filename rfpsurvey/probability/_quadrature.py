@@ -46,30 +46,30 @@ class Quadrature:
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
-        sight = 2 * float(plane._arm_reach_mm.max()) + plane._columns.separation + plane._columns.touch_slack
+        sight = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
         if self.density != "uniform":  # who shares the neighbors' patrol areas matters, too
-            sight += 2 * float(plane._outer_mm.max())
+            sight += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, sight)
 
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
         """Return the risk of a positioner, and its share of the expected number of colliding pairs."""
-        plane, (starts, neighbor) = self.plane, self.plane._columns.both_ways
+        plane, (starts, neighbor) = self.plane, self.plane.arrays.both_ways
         own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
-        moving = plane._usable[own]
+        moving = plane.arrays.usable[own]
         rows = np.repeat(own[moving], n_points)
         tips = self._tips(rows, _scramble(n_points, int(moving.sum()), rng))
         hall = make_hall(len(own), len(rows))
         hall.weight[: len(rows)] = self._weight(rows, tips)
         segments = np.empty((4, len(rows)))
-        arms.place(tips, plane._columns.geometry_of(rows), plane._sides(tips, rows), segments)
-        angles = (column[rows] for column in plane._columns.angles)
-        arms.shape(segments, plane._columns.model, plane._columns.length, *angles)
+        arms.place(tips, plane.arrays.geometry_of(rows), plane.arrays.sides(tips, rows), segments)
+        angles = (column[rows] for column in plane.arrays.angles)
+        arms.shape(segments, plane.arrays.model, plane.arrays.length, *angles)
         hall.segments[:, : len(rows)] = segments
         queues.line_up(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), hall)
         if not (hall.total[moving] > 0).all() and n_points < NARROW:
             return self(i, 4 * n_points, rng)
         if not (hall.total[moving] > 0).all():
-            where = plane._xy_mm[own[moving][hall.total[moving] <= 0][0]]
+            where = plane.arrays.xy[own[moving][hall.total[moving] <= 0][0]]
             raise InputError(
                 f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} points around "
                 f"({where[0]:.4g}, {where[1]:.4g}) mm"
@@ -80,7 +80,7 @@ class Quadrature:
         risk, chance_of = np.empty(len(own)), np.empty(len(pairs))
         queues.expect(
             pairs,
-            plane._columns.geometry_of(own),
+            plane.arrays.geometry_of(own),
             self._stage.limits,
             obstacles,
             self._stage.obstacles,
@@ -94,16 +94,16 @@ class Quadrature:
 
     def _tips(self, rows, points):
         """Map the unit square onto patrol areas, true to area; in mm."""
-        inner, outer = self.plane._inner_mm[rows], self.plane._outer_mm[rows]
+        inner, outer = self.plane.arrays.inner_radius[rows], self.plane.arrays.outer_radius[rows]
         r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
         alpha = 2 * np.pi * points[:, 1]
-        return self.plane._xy_mm[rows] + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
+        return self.plane.arrays.xy[rows] + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
 
     def _weight(self, rows, tips):
         """Density at each point, up to a factor."""
         weight = np.ones(len(rows))
         if self.density == "voronoi":
-            weight = (cKDTree(self.plane._xy_mm).query(tips)[1] == rows).astype(float)
+            weight = (cKDTree(self.plane.arrays.xy).query(tips)[1] == rows).astype(float)
         elif not isinstance(self.density, str):
             weight = self.density(tips << u.mm)
             try:
@@ -115,8 +115,8 @@ class Quadrature:
                     f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "
                     f"shape {weight.shape}, from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
                 )
-        if self.density == "shared" or not self.plane.positioner._joints_free:
-            reach = self.plane._reach(tips)
+        if self.density == "shared" or not self.plane.positioner.numbers.joints_free:
+            reach = self.plane.arrays.reach(tips)
             many = np.diff(reach.indptr)
             mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
             weight = weight * mine / (np.maximum(many, 1) if self.density == "shared" else 1)
@@ -125,7 +125,7 @@ class Quadrature:
 
     @cached_property
     def _stage(self):
-        return make_stage(self.plane, self.plane._columns.angles, parked_obstacles=False)
+        return make_stage(self.plane, self.plane.arrays.angles, parked_obstacles=False)
 
     @cached_property
     def _idle(self):
@@ -153,10 +153,10 @@ def integrate(
 ) -> dict:
     """Return value, interval and error, with as many points as the precision needs."""
     plane, (first, number) = task.plane, task.environments
-    used = np.flatnonzero(plane._usable[first])
-    share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane._usable)
+    used = np.flatnonzero(plane.arrays.usable[first])
+    share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
     bar = Progress(progress)
-    plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner._joints_free
+    plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner.numbers.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
     rare = (np.log2(share.max() / share) / 2).astype(int)  # what few see may err more

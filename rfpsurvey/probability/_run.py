@@ -186,7 +186,7 @@ def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
 
 def _trials(plane, n):
     """Return how many independent trials ``n`` positioners are, if the pairs of neighbors were fully correlated."""
-    return n / (1 + 2 * len(plane._neighbors) / len(plane))
+    return n / (1 + 2 * len(plane.arrays.neighbors) / len(plane))
 
 
 def half_width(interval: tuple[float, float]) -> float:

@@ -12,14 +12,14 @@ def make_array(plane: FocalPlane, stage: batch.Stage) -> simulate.Array:
     """Return what reach and poses depend on, for joints that leave the whole patrol areas in reach."""
     idle = stage.idle.copy()
     arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
-    side = plane._sides(np.full((len(plane), 2), np.nan))
-    columns = (plane._inner_mm, plane._outer_mm, plane._offers)
-    return simulate.Array(plane._columns.geometry, side, *columns, plane._grid, idle)
+    side = plane.arrays.sides(np.full((len(plane), 2), np.nan))
+    columns = (plane.arrays.inner_radius, plane.arrays.outer_radius, plane.arrays.offers)
+    return simulate.Array(plane.arrays.geometry, side, *columns, plane.arrays.grid, idle)
 
 
 def make_room(plane: FocalPlane, number: int, cells: int) -> simulate.Room:
     """Return room for so many targets, and for the cells of the grid that keeps them apart."""
-    n, pairs = len(plane), number * int(np.diff(plane._grid[5]).max())
+    n, pairs = len(plane), number * int(np.diff(plane.arrays.grid[5]).max())
 
     def integers(size):
         return np.empty(size, dtype=np.int64)

@@ -70,7 +70,7 @@ class Simulation:
     @property
     def compiled(self) -> bool:
         """Say whether kernels do it all."""
-        return self.source.compiled and self.allocator == "balanced" and self.plane.positioner._joints_free
+        return self.source.compiled and self.allocator == "balanced" and self.plane.positioner.numbers.joints_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
         """Count the collisions of one configuration of each realization."""
@@ -98,7 +98,7 @@ class Simulation:
         """Average over all configurations that the queues of each realization allow."""
         n = len(self.plane)
         sums, times, counted = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64)
-        risk, chance_of = np.empty(n), np.empty(len(self.plane._neighbors))
+        risk, chance_of = np.empty(n), np.empty(len(self.plane.arrays.neighbors))
         if self.compiled:
             numbers = self.source.numbers(size, rng)
             most = int(numbers.max())
@@ -110,7 +110,7 @@ class Simulation:
                 self.source.sky,
                 self._array,
                 room,
-                self.plane._neighbors,
+                self.plane.arrays.neighbors,
                 self._stage,
                 hall,
                 risk,
@@ -125,7 +125,16 @@ class Simulation:
                 hall = make_hall(n, segments.shape[1])
                 hall.segments[:, : segments.shape[1]] = segments
                 simulate.expect_given(
-                    indptr, self.plane._neighbors, self._array, self._stage, hall, risk, chance_of, own, times, counted
+                    indptr,
+                    self.plane.arrays.neighbors,
+                    self._array,
+                    self._stage,
+                    hall,
+                    risk,
+                    chance_of,
+                    own,
+                    times,
+                    counted,
                 )
         return Tally(sums[:, :4], sums[:, 4], times, counted)
 
@@ -169,7 +178,7 @@ class Simulation:
 
     @cached_property
     def _stage(self):
-        return make_stage(self.plane, self.plane._columns.angles, self.parked_obstacles)
+        return make_stage(self.plane, self.plane.arrays.angles, self.parked_obstacles)
 
     @cached_property
     def _array(self):

@@ -114,7 +114,7 @@ def make_source(
 
 
 def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
-    cover = float((np.hypot(*(plane._xy_mm - _middle(plane)).T) + plane._outer_mm).max())
+    cover = float((np.hypot(*(plane.arrays.xy - _middle(plane)).T) + plane.arrays.outer_radius).max())
     radius = cover if target_radius is None else to_scalar(target_radius, u.mm, "target_radius", low=0, high=1e7)
     number = (
         (instrument.targets_per_fiber if instrument else PER_FIBER) * len(plane) if n_targets is None else n_targets
@@ -138,7 +138,7 @@ def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
 
 def _middle(plane):
     """Where random targets fall about: the origin, or the middle of a plane that does not contain it (mm)."""
-    low, high = plane._xy_mm.min(axis=0), plane._xy_mm.max(axis=0)
+    low, high = plane.arrays.xy.min(axis=0), plane.arrays.xy.max(axis=0)
     away = (low > 0).any() or (high < 0).any()
     return tuple((0.5 * (low + high)).tolist()) if away else (0.0, 0.0)
 
@@ -149,10 +149,10 @@ def _from_catalog(instrument, targets, center):
     if center is None:
         if len(targets) == 0:
             raise InputError("targets must have at least one row, got an empty Catalog")
-        center = targets._middle
+        center = targets.mean_direction
     science = np.arange(len(targets)) if targets.kind is None else np.flatnonzero(targets.kind == "science")
     types, priority = (None if c is None else c[science] for c in (targets.fiber_type, targets.priority))
-    xy, types = project_field(instrument, instrument.projection(center), targets._vectors[science], types)
+    xy, types = project_field(instrument, instrument.projection(center).plain, targets.arrays.vectors[science], types)
     return _given(xy, types, priority)
 
 

@@ -10,6 +10,7 @@ from rfpsurvey import _healpix
 from rfpsurvey._units import to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.region import _shapes
+from rfpsurvey.region._sphere import is_inside
 
 __all__ = ["Region"]
 
@@ -268,64 +269,10 @@ class Region:
         InputError
             If what is given are not directions on the sky.
         """
-        return self._contains(to_vectors(coord))
+        return is_inside(self, to_vectors(coord))
 
     def __repr__(self):
         return f"<Region {self.kind} of {self.area.value:.4g} deg2>"
-
-    def _contains(self, vectors: np.ndarray) -> np.ndarray:
-        """Tell which unit vectors are inside."""
-        if self.kind == "healpix":
-            return np.isin(_healpix.pixels_of(self.nside, vectors), self.values)
-        if self.kind == "cap":
-            return _shapes.angle(vectors, self.values[:3]) <= self.values[3] * (1 + 1e-15) + 1e-15
-        return {"box": _shapes.box_contains, "polygon": _shapes.polygon_contains}[self.kind](self.values, vectors)
-
-    def _distance(self, vectors: np.ndarray) -> np.ndarray:
-        """Return angles (radians) to the region, 0 inside; for pixels, at most so much and at least a pixel less."""
-        if self.kind == "cap":
-            return np.maximum(_shapes.angle(vectors, self.values[:3]) - self.values[3], 0.0)
-        if self.kind == "healpix":
-            from scipy.spatial import cKDTree
-
-            chord = cKDTree(_healpix.centers(self.nside, self.values)).query(vectors)[0]
-            return np.maximum(2 * np.arcsin(np.minimum(chord / 2, 1)) - _healpix.pixel_radius(self.nside), 0.0)
-        return {"box": _shapes.box_distance, "polygon": _shapes.polygon_distance}[self.kind](self.values, vectors)
-
-    def _circle(self) -> tuple[np.ndarray, float]:
-        """Return center and radius (radians) of a circle around the region."""
-        if self.kind == "cap":
-            return self.values[:3], float(self.values[3])
-        if self.kind == "healpix":
-            border, margin = _healpix.centers(self.nside, self.values), _healpix.pixel_radius(self.nside)
-            center = border.sum(axis=0)
-        else:
-            border, margin = self._border(), 0.0
-            center = border.sum(axis=0)
-            if self.kind == "box" and self.values[1] == FULL:
-                center = np.array([0.0, 0.0, np.sign(self.values[2:].sum()) or 1.0])
-            elif self.kind == "box":
-                center = _shapes.from_lonlat(self.values[0] + self.values[1] / 2, self.values[2:].mean())
-        length = np.linalg.norm(center)
-        center = center / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-        if self.kind != "healpix" and self._contains(-center[None])[0]:
-            return center, np.pi
-        radius = _shapes.angle(border, center).max()
-        if self.kind != "healpix":
-            # points of the border are 100 to an edge: between two of them it bulges by less than this
-            margin = radius * 1e-3
-        return center, float(min(radius + margin, np.pi))
-
-    def _border(self) -> np.ndarray:
-        """Return points of the border of a box or polygon."""
-        if self.kind == "polygon":
-            after = np.roll(self.values, -1, axis=0)
-            return np.vstack([_shapes.arc(a, b, 101)[:-1] for a, b in zip(self.values, after, strict=True)])
-        begin, width, low, high = self.values
-        t = np.linspace(0, 1, 101)
-        lon, lat = begin + t * width, low + t * (high - low)
-        sides = [(lon, low), (lon, high), (begin, lat), (begin + width, lat)]
-        return np.vstack([_shapes.from_lonlat(*side) for side in sides])
 
 
 def _two(values, name, low, high):

@@ -12,7 +12,7 @@ from rfpsurvey._units import to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import blank_ids
+from rfpsurvey.pipeline import blank_ids, field_radius_rad
 from rfpsurvey.survey._ledger import Ledger
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -47,12 +47,12 @@ class Request:
     @cached_property
     def radius_rad(self) -> float:
         """Radius of a field."""
-        return self.instrument._field_radius_rad
+        return field_radius_rad(self.instrument)
 
     @cached_property
     def rounds(self) -> list[np.ndarray]:
         """Tiles (rows) that may be planned at the same time."""
-        return make_rounds(self.tiling._vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
+        return make_rounds(self.tiling.vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
 
     @cached_property
     def model(self) -> Model:
@@ -72,7 +72,7 @@ class Request:
         row = self.tiling.table[tile]
         # blank sky is where no target is, done or not
         rest = self.options.sky_separation is not None
-        field = self.source.field(self.tiling._vectors[tile], self.radius_rad, left, rest=rest)
+        field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
         where = (float(row[name].to_value(u.deg)) for name in ("ra", "dec", "position_angle"))
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         return Job(self.model, row["tile"].item(), *where, field, seed, as_file)
@@ -100,7 +100,7 @@ class Request:
         """Versions, instrument, catalog and parameters."""
         found = {
             "software": self.software,
-            "instrument": self.instrument._provenance(),
+            "instrument": self.instrument.provenance,
             "catalog": dict(self.source.meta),
             "tiling": dict(self.tiling.summary),
             "parameters": self.parameters,
@@ -131,7 +131,7 @@ class Request:
             "catalog": (f"{len(self.source)} targets", self.source.digest()),
             "visits": (f"{int(self.visits.sum())} visits", digest(self.visits)),
             "tiles": (f"{len(self.tiling)} tiles", digest(*tiles, names)),
-            "instrument": (self.instrument.name, self.instrument._provenance()["digest"]),
+            "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
         return {**about, **self.parameters, "software": self.software}

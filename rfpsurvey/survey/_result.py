@@ -15,10 +15,10 @@ def tile_table(request, ledger: Ledger, round_of: np.ndarray, counts: dict, outc
     table["round"] = round_of
     for name, values in counts.items():
         table[name] = values
-    n_usable = int(request.instrument.focal_plane._usable.sum())
+    n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     table["collision_rate"] = counts["n_colliding"] / np.maximum(counts["n_counted"], 1)
     table["fiber_use"] = counts["n_assigned"] / max(n_usable, 1)
-    centers, near = request.tiling._vectors, request.source.sum_near
+    centers, near = request.tiling.vectors, request.source.sum_near
     wanted, done = (near(centers, request.radius_rad, visits) for visits in (ledger.wanted, ledger.done()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
     fates = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))

@@ -30,8 +30,8 @@ class InMemory:
 
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
-        self._index = SkyIndex(catalog._vectors)
-        catalog.__dict__.pop("_vectors", None)  # the index has them, sorted: a large catalog is not kept twice
+        self._index = SkyIndex(catalog.arrays.vectors)
+        catalog.__dict__.pop("arrays", None)  # the index has them, sorted: a large catalog is not kept twice
         self.meta = catalog.meta
 
     def __len__(self):
@@ -68,7 +68,7 @@ class InMemory:
     @property
     def has_twins(self) -> bool:
         """Whether two targets have the same id."""
-        return self._catalog._has_twins
+        return self._catalog.arrays.repeated_ids
 
     @property
     def has_text_ids(self) -> bool:
@@ -95,9 +95,9 @@ class Partitioned:
     """A catalog in partitions, of which those that were read last are kept; slots are rows."""
 
     def __init__(self, catalog: PartitionedCatalog, epoch=None):
-        self._catalog, self._epoch = catalog, epoch
+        self._catalog, self._parts, self._epoch = catalog, catalog.parts, epoch
         self._kept: OrderedDict[int, InMemory] = OrderedDict()
-        self._first = catalog._rows
+        self._first = catalog.parts.rows
         self.meta = catalog.meta
 
     def __len__(self):
@@ -106,17 +106,17 @@ class Partitioned:
     @cached_property
     def _margin_rad(self) -> float:
         """How far targets may have moved."""
-        if self._epoch is None or not self._catalog._part(0).has_proper_motion:
+        if self._epoch is None or not self._parts.part(0).has_proper_motion:
             return 0.0
-        parts = range(len(self._catalog._files))
-        return (1 + 1e-9) * max(self._catalog._part(k)._farthest_rad(self._epoch) for k in parts)
+        parts = range(len(self._parts.files))
+        return (1 + 1e-9) * max(self._parts.part(k).arrays.farthest_rad(self._epoch) for k in parts)
 
     def _part(self, k: int) -> InMemory:
         """Return a partition, read or kept."""
         if k in self._kept:
             self._kept.move_to_end(k)
         else:
-            part = self._catalog._part(k)
+            part = self._parts.part(k)
             self._kept[k] = InMemory(part if self._epoch is None else part.at_epoch(self._epoch))
             while len(self._kept) > 1 and sum(map(len, self._kept.values())) > self._catalog.kept_rows:
                 self._kept.popitem(last=False)
@@ -125,7 +125,7 @@ class Partitioned:
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
         """Return the targets inside a circle with something ``left`` (by slot), and maybe the ``rest``."""
         found = []
-        for k in self._catalog._near(center, radius_rad + self._margin_rad).tolist():
+        for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
             field = self._part(k).field(center, radius_rad, left[first:last], rest=rest, by_row=True)
             if len(field.row) or rest or not found:
@@ -139,7 +139,7 @@ class Partitioned:
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of values (by slot) inside circles; each partition is read once at most."""
-        circles = [self._catalog._near(center, radius_rad + self._margin_rad) for center in centers]
+        circles = [self._parts.near(center, radius_rad + self._margin_rad) for center in centers]
         total = np.zeros(len(centers))
         part_of, circle_of = np.concatenate([[], *circles]), np.repeat(np.arange(len(centers)), list(map(len, circles)))
         for k in np.unique(part_of).astype(int).tolist():
@@ -150,7 +150,7 @@ class Partitioned:
 
     def by_slot(self, name: str) -> np.ndarray | None:
         """Return a column of the catalog, a value for each slot."""
-        return self._catalog._column(name)
+        return self._parts.column(name)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
         """Return values by row in the order of slots, which is the same."""
@@ -168,11 +168,11 @@ class Partitioned:
 
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
-        return self._catalog._column("id")
+        return self._parts.column("id")
 
     def digest(self) -> str:
         """Return what tells one catalog from another; all files are read, but only the columns that a survey needs."""
-        return self._catalog._digest()
+        return self._parts.digest()
 
 
 def _stack(parts: tuple) -> np.ndarray | None:

@@ -4,9 +4,7 @@ import pickle
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
-import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 
 from rfpsurvey._io import fits_bytes
 from rfpsurvey.allocation import AllocationOptions
@@ -129,10 +127,9 @@ def in_reach(job: Job) -> np.ndarray:
     """Return which targets of the field any positioner reaches."""
     instrument, targets = job.model.instrument, job.field.targets
     xy, fiber_type = project_field(instrument, _projection(job), targets.vectors, targets.columns.fiber_type)
-    return instrument.focal_plane._reach(xy, fiber_type).covered
+    return instrument.focal_plane.arrays.reach(xy, fiber_type).covered
 
 
 def _projection(job: Job):
     """Return the projection of a field."""
-    center = SkyCoord(job.ra_deg * u.deg, job.dec_deg * u.deg)
-    return job.model.instrument.projection(center, job.position_angle_deg * u.deg)
+    return job.model.instrument.field_projection(*np.deg2rad([job.ra_deg, job.dec_deg, job.position_angle_deg]))

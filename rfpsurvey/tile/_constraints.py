@@ -27,7 +27,7 @@ def add_keep_out(instrument: Instrument, plane: TangentPlane, keep_out: SkyCoord
     points = points[np.isfinite(points).all(axis=1)]
     circles = np.column_stack([points, np.full(len(points), radius)])
     focal_plane = instrument.focal_plane
-    obstacles = np.vstack([focal_plane._obstacles_mm, circles]) * u.mm
+    obstacles = np.vstack([focal_plane.arrays.obstacles, circles]) * u.mm
     return replace(
         instrument,
         focal_plane=replace(focal_plane, obstacles=obstacles),

@@ -38,7 +38,7 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None) -> str:
     if kind == 1:
         collisions = "No two arms can touch (collision type 1), so that no pair was tested"
     else:
-        n_pairs, arms = len(plane._neighbors), f"exact for arms as {ARMS[plane.positioner.arm_model]}"
+        n_pairs, arms = len(plane.arrays.neighbors), f"exact for arms as {ARMS[plane.positioner.arm_model]}"
         if posed is None:
             looked = f"each tile tests the {n_pairs} pairs within reach of each other, and a distance, where needed, is"
         else:

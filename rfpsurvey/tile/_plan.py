@@ -16,7 +16,7 @@ from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, p
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.pipeline import FieldTargets, blank_ids, plan_field
+from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
 from rfpsurvey.tile._constraints import absent_required, add_keep_out, find_required
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
 from rfpsurvey.tile._tile import Tile, build_tile
@@ -108,12 +108,12 @@ def plan_tile(
     plane = instrument.projection(center, position_angle)
     instrument = add_keep_out(instrument, plane, keep_out, keep_out_radius)
     options = asked.for_instrument(instrument)
-    everything, radius = catalog, instrument._field_radius_rad
+    everything, radius = catalog, field_radius_rad(instrument)
     if epoch is not None:
         if not catalog.has_proper_motion:
             warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
-        catalog = catalog._near(center, radius, epoch).at_epoch(epoch)
-    rows = catalog._within(center, radius)
+        catalog = catalog[catalog.arrays.rows_near(center, radius, epoch)].at_epoch(epoch)
+    rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
         nearest = everything.coord.icrs.separation(center.icrs).min().deg
         raise InputError(
@@ -127,18 +127,18 @@ def plan_tile(
         raise InputError(
             f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
         )
-    n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog._has_twins else 0
+    n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"{n_twice} targets in the field share their id with another; each row is planned by itself"
         warnings.warn(text, RfpsurveyWarning, stacklevel=2)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["required"] = is_required[given] if is_required.any() else None
-    targets = FieldTargets(catalog._vectors[given], catalog.id[given], TargetColumns(**columns))
+    targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns))
     blank = None if options.sky_separation is None else blank_ids(everything.id)
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
-    plan = plan_field(instrument, plane, targets, options, rng, blank)
+    plan = plan_field(instrument, plane.plain, targets, options, rng, blank)
     allocation = plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:

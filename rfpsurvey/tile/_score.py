@@ -102,18 +102,19 @@ def score_tile(
     # a target without a fiber type is seen by the first fiber of its positioner
     asked = find.labels("fiber_type") if plane.fiber_types != ("",) else None
     accepted_types(plane, asked, len(part))
-    fibers = plane._first_type[who] if asked is None else np.where(asked == "", plane._first_type[who], asked)
+    fibers = plane.arrays.first_type[who]
+    fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
     ids = _target_ids(find, name)
     parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": bool(parked_obstacles)}
     if positions == "sky":
-        catalog = Catalog._from_table(part, columns, units, "icrs", assume_units=False)
+        catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
         center = north_of_date(field_center(part) if center is None else center, equinox)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
-        xy = instrument.projection(center, position_angle)._project(catalog._vectors, fibers)
+        xy = instrument.projection(center, position_angle).plain.project(catalog.arrays.vectors, fibers)
         icrs = catalog.coord.icrs
         sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
         parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
@@ -137,7 +138,7 @@ def score_tile(
     n = len(plane)
     tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
     tips[who], target_of[who] = xy, np.arange(len(who))
-    types = plane._first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
+    types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
@@ -157,7 +158,7 @@ def score_tile(
         "n_rows_ignored": len(table) - len(part),
         "n_out_of_reach": n_out,
         "n_wrong_fiber": int(wrong),
-        "n_unusable": int((~plane._usable[who]).sum()),
+        "n_unusable": int((~plane.arrays.usable[who]).sum()),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

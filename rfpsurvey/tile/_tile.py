@@ -202,14 +202,14 @@ def build_tile(
     for flag, word in (
         (posed.parked, "parked"),
         (plane.disabled, "disabled"),
-        (plane._is_stuck, "stuck"),
+        (plane.arrays.is_stuck, "stuck"),
         (has_target, "assigned"),
         (posed.clipped, "out_of_reach"),
     ):
         status[flag] = word
     table = QTable({"id": plane.id})
     table["spectrograph"] = _spectrograph(plane, fiber_type)
-    table["x"], table["y"] = plane._xy_mm.T * u.mm
+    table["x"], table["y"] = plane.arrays.xy.T * u.mm
     table["status"] = status
     table["target_id"] = _target_column(ids[row], has_target)
     table["ra"], table["dec"] = np.where(has_target, sky_deg[:, row], np.nan) * u.deg
@@ -222,7 +222,7 @@ def build_tile(
     for i, j in report.obstacle_pairs.tolist():
         partners[i].append(f"obstacle-{j}")
     table["colliding_with"] = [" ".join(p) for p in partners]
-    table["clearance"] = (nearest_distance(posed) - plane.positioner._separation_mm) * u.mm
+    table["clearance"] = (nearest_distance(posed) - plane.positioner.numbers.separation) * u.mm
     table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
     if kind is not None:
         table["kind"] = np.append(kind, "")[target_of]
@@ -245,16 +245,16 @@ def build_tile(
             "software": {**versions(), **(software or {})},
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "model": MODEL,
-            "instrument": instrument._provenance(),
+            "instrument": instrument.provenance,
             "catalog": dict(catalog_meta),
             "parameters": parameters,
         },
         "geometry": {
-            "inner_radius_mm": _one_or_all(plane._inner_mm),
-            "outer_radius_mm": _one_or_all(plane._outer_mm),
-            "min_separation_mm": float(plane.positioner._separation_mm),
+            "inner_radius_mm": _one_or_all(plane.arrays.inner_radius),
+            "outer_radius_mm": _one_or_all(plane.arrays.outer_radius),
+            "min_separation_mm": float(plane.positioner.numbers.separation),
             "arm_model": plane.positioner.arm_model,
-            "obstacles_mm": plane._obstacles_mm.tolist(),
+            "obstacles_mm": plane.arrays.obstacles.tolist(),
         },
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold

@@ -1,13 +1,14 @@
 """Cover the targets of a catalog, or a region, pass after pass."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.errors import InputError
-from rfpsurvey.region import Region
+from rfpsurvey.region import Region, circle_around, distance_to, is_inside
 from rfpsurvey.tiling._problem import Ledger, Problem
 from rfpsurvey.tiling._visit import visit_all
 
@@ -38,17 +39,17 @@ def cover_region(
     region: Region, radius: float, make: Callable, passes: int, allowed: np.ndarray | None, exclude: Region | None
 ) -> tuple[list, dict]:
     """Cover a region; returns the centers of each pass and how good the covering is."""
-    center, reach = region._circle()
+    center, reach = circle_around(region)
     samples, margin = _conservative(region, exclude, reach, radius)
-    inside = region._contains(samples)
+    inside = is_inside(region, samples)
     if exclude is not None:
-        inside &= ~exclude._contains(samples)
+        inside &= ~is_inside(exclude, samples)
     if len(samples) == 0:
         raise InputError("exclude must leave something of the region, but nothing is left")
     index, found = SkyIndex(samples), []
     for number in range(passes):
         centers = make(center, reach, radius, number)
-        centers = centers[region._distance(centers) <= radius * (1 + 1e-12)]
+        centers = centers[distance_to(region, centers) <= radius * (1 + 1e-12)]
         if allowed is not None:
             centers = snap(centers, allowed, samples[inside] if inside.any() else samples, radius)
         else:
@@ -72,7 +73,7 @@ def _conservative(region, exclude, reach, radius):
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
         nside //= 2
     margin = _healpix.pixel_radius(nside)
-    samples = _healpix.centers(nside, _healpix.pixels_near(nside, region._distance, margin))
+    samples = _healpix.centers(nside, _healpix.pixels_near(nside, partial(distance_to, region), margin))
     if exclude is not None:
         samples = samples[~_all_inside(exclude, samples, margin)]
     return samples, margin
@@ -84,9 +85,9 @@ def _all_inside(region, samples, margin):
     x = np.cross(helper, samples)
     x /= np.linalg.norm(x, axis=1)[:, None]
     y = np.cross(samples, x)
-    inside = region._contains(samples)
+    inside = is_inside(region, samples)
     for turn in np.arange(8) * np.pi / 4:
-        inside &= region._contains(np.cos(margin) * samples + np.sin(margin) * (np.cos(turn) * x + np.sin(turn) * y))
+        inside &= is_inside(region, np.cos(margin) * samples + np.sin(margin) * (np.cos(turn) * x + np.sin(turn) * y))
     return inside
 
 

@@ -14,7 +14,7 @@ from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.region import Region
+from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
 from rfpsurvey.tiling._methods import COVERINGS, METHODS
 from rfpsurvey.tiling._problem import Ledger, Problem
@@ -163,11 +163,11 @@ def place_tiles(
         raise InputError(f"completeness must be a number above 0 and at most 1, got {completeness!r}")
     if fibers is None and model is None:
         raise InputError("give an instrument, or the number of fibers of a tile")
-    usable = None if model is None else int(np.count_nonzero(model.focal_plane._usable))
+    usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
     fibers = usable if fibers is None else _whole(fibers, "fibers")
-    index = SkyIndex(catalog._vectors)
+    index = SkyIndex(catalog.arrays.vectors)
     neighbors = None
     if min_separation is not None:
         if allocator is not None:
@@ -231,7 +231,7 @@ def _wanted(catalog, visits, exclude):
     if catalog.kind is not None:
         wanted[catalog.kind != "science"] = 0
     if exclude is not None:
-        wanted[exclude._contains(catalog._vectors)] = 0
+        wanted[is_inside(exclude, catalog.arrays.vectors)] = 0
     if not wanted.any():
         raise InputError("the catalog must have at least one science target outside of exclude that wants a visit")
     return wanted

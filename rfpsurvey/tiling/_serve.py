@@ -2,7 +2,6 @@
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
@@ -103,14 +102,14 @@ class FocalPlaneFibers:
         rng: np.random.Generator,
     ):
         self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
-        self.position_angle, self.rng = position_angle, rng
+        self.angle, self.rng = float(position_angle.to_value(u.rad)), rng
         columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
         self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
 
     def __call__(self, center, near, ledger):
         """Return the positions that are served, of those in the field that still want a visit."""
-        ra, dec = to_ra_dec(center[None])
-        plane = self.instrument.projection(SkyCoord(ra[0] * u.deg, dec[0] * u.deg), self.position_angle)
+        (ra,), (dec,) = to_ra_dec(center[None])
+        plane = self.instrument.field_projection(np.deg2rad(ra), np.deg2rad(dec), self.angle)
         columns = {name: None if values is None else values[near] for name, values in self.columns.items()}
         ids, priority = columns.pop("id"), columns["priority"]
         targets = FieldTargets(self.index.vectors[near], ids, TargetColumns(**columns))

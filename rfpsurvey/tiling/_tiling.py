@@ -103,7 +103,7 @@ class Tiling:
         return self.table.meta.get("summary", {})
 
     @cached_property
-    def _vectors(self) -> np.ndarray:
+    def vectors(self) -> np.ndarray:
         """Unit vectors of the centers, shape (n, 3)."""
         return to_vectors(self.coord)
 
@@ -239,7 +239,7 @@ class Tiling:
         """
         radius_rad = to_scalar(radius, u.rad, "radius", low=0, high=np.pi)
         nside = _healpix.check_nside(nside)
-        index = SkyIndex(self._vectors)
+        index = SkyIndex(self.vectors)
         centers = _healpix.centers(nside, np.arange(12 * nside**2))
         return np.rint(index.sum_near(centers, radius_rad, np.ones(len(index)))).astype(np.int64)
 

@@ -23,9 +23,9 @@ def kept(plane, rng):
     """Parts of the neighbors that the middles let through, the axes let through, and that collide."""
     tips = random_tips(plane, rng) * u.mm
     segments = place_arms(plane, tips).segments.T.copy()
-    halves, columns, n = np.empty_like(segments), plane._columns, len(plane._neighbors)
+    halves, columns, n = np.empty_like(segments), plane.arrays, len(plane.arrays.neighbors)
     collisions.halve(segments, halves)
-    gap = np.hypot(*(halves[:2, plane._neighbors[:, 0]] - halves[:2, plane._neighbors[:, 1]]))
+    gap = np.hypot(*(halves[:2, plane.arrays.neighbors[:, 0]] - halves[:2, plane.arrays.neighbors[:, 1]]))
     rows = np.empty(columns.longest_run, bool), np.empty(n, np.int64), np.empty(n, np.int64)
     counts = (gap <= columns.limits.near).sum(), collisions.near_pairs(halves, columns.runs, columns.limits, *rows)
     return np.array([*counts, len(rs.find_collisions(plane, tips).pairs)]) / n
@@ -45,7 +45,9 @@ def naive_crossings(rng, n):
 def moved_by_single_precision(plane, rng):
     """Largest shift of a tip at full stretch, and of its elbow, in mm."""
     alpha = rng.uniform(0, 2 * np.pi, len(plane))
-    tips = plane._xy_mm + plane._outer_mm[:, None] * (1 - 1e-13) * np.column_stack([np.cos(alpha), np.sin(alpha)])
+    tips = plane.arrays.xy + plane.arrays.outer_radius[:, None] * (1 - 1e-13) * np.column_stack(
+        [np.cos(alpha), np.sin(alpha)]
+    )
     rough = tips.astype(np.float32).astype(float)
     elbows = [place_arms(plane, t * u.mm, clip=True).elbow for t in (tips, rough)]
     return np.abs(rough - tips).max(), np.hypot(*(elbows[0] - elbows[1]).T).max()

@@ -129,7 +129,7 @@ def fields(folder):
     for name, file in (("moons", "zcosmos_bright.ecsv"), ("lamost", "tycho2_pleiades_r4.ecsv")):
         catalog = rs.Catalog.read(folder / file)
         print(file)
-        show(catalog, name, catalog._middle)
+        show(catalog, name, catalog.mean_direction)
     print("tycho2_anticentre_r8.ecsv.gz, M35")
     show(rs.Catalog.read(folder / "tycho2_anticentre_r8.ecsv.gz"), "lamost", SkyCoord(92.25, 24.35, unit="deg"))
 

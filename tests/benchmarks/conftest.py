@@ -15,7 +15,7 @@ def lamost():
 def stars(lamost):
     """100,000 targets in the field of LAMOST, their unit vectors made."""
     catalog = rs.synthetic_catalog("uniform", CENTER, lamost.field_radius, n_targets=100_000, rng=1)
-    catalog._vectors  # noqa: B018
+    catalog.arrays.vectors  # noqa: B018
     return catalog
 
 

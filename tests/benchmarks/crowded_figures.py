@@ -96,9 +96,9 @@ def digest(n=5_000_000):
     catalog = rs.Catalog(coord, priority=rng.integers(0, 5, n), visits=rng.integers(1, 4, n))
     with tempfile.TemporaryDirectory() as folder:
         parts = rs.partition_catalog(catalog, f"{folder}/sky")
-        size = sum(path.stat().st_size for *_, path in parts._files) / 1e6
+        size = sum(path.stat().st_size for *_, path in parts.parts.files) / 1e6
         begin = perf_counter()
-        parts._digest()
+        parts.parts.digest()
         middle = perf_counter()
         parts.read()
         print(

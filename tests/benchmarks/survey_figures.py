@@ -39,17 +39,17 @@ def desi_tiles(most=None):
 def make_targets(tiling, n_targets, rng=1):
     """Targets in the footprint, half of them Poisson, half clustered, wanted one to four times."""
     rng = np.random.default_rng(rng)
-    index = SkyIndex(tiling._vectors)
+    index = SkyIndex(tiling.vectors)
     radius = FOOTPRINT.to_value(u.rad)
     probe = rs.synthetic_catalog("uniform", POLE, 180 * u.deg, n_targets=200_000, rng=rng)
-    part = np.mean(index.sum_near(probe._vectors, radius, np.ones(len(index))) > 0)
+    part = np.mean(index.sum_near(probe.arrays.vectors, radius, np.ones(len(index))) > 0)
     n = int(0.5 * n_targets / part / 8)
     ra, dec = [], []
     for kind in ("poisson", "clustered"):
         options = {"cluster_size": 20, "cluster_scale": 0.05 * u.deg} if kind == "clustered" else {}
         for _ in range(8):
             sky = rs.synthetic_catalog(kind, POLE, 180 * u.deg, n_targets=n, rng=rng, **options)
-            inside = index.sum_near(sky._vectors, radius, np.ones(len(index))) > 0
+            inside = index.sum_near(sky.arrays.vectors, radius, np.ones(len(index))) > 0
             ra.append(sky.coord.ra.deg[inside])
             dec.append(sky.coord.dec.deg[inside])
     ra, dec = np.concatenate(ra), np.concatenate(dec)
@@ -83,9 +83,9 @@ def one_tile(allocator):
 
 def field_ms(targets, tiling):
     """Milliseconds to find the targets of a field among all."""
-    index, radius = SkyIndex(targets._vectors), FOOTPRINT.to_value(u.rad)
+    index, radius = SkyIndex(targets.arrays.vectors), FOOTPRINT.to_value(u.rad)
     times = []
-    for center in tiling._vectors[:1000]:
+    for center in tiling.vectors[:1000]:
         begin = perf_counter()
         index.near(center, radius)
         times.append(perf_counter() - begin)

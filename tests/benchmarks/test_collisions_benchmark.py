@@ -38,9 +38,9 @@ class Tile:
         self.segments = [np.ascontiguousarray(arms.segments.T) for arms in self.arms]
         self.next = cycle(self.segments)
         self.halves = np.empty_like(self.segments[0])
-        self.columns = self.plane._columns
-        room = len(self.plane._neighbors) + 1
-        self.first, self.second = self.plane._neighbors.T.copy()
+        self.columns = self.plane.arrays
+        room = len(self.plane.arrays.neighbors) + 1
+        self.first, self.second = self.plane.arrays.neighbors.T.copy()
         self.rows = np.empty(room, bool), np.empty(room, np.int64), np.empty(room, np.int64)
         self.squared = np.empty(room)
 
@@ -52,7 +52,7 @@ def tile(request):
 
 @pytest.fixture(autouse=True)
 def _group(benchmark, tile):
-    n = len(tile.plane._neighbors)
+    n = len(tile.plane.arrays.neighbors)
     benchmark.group = f"collisions, {n} pairs"
 
 
@@ -72,7 +72,7 @@ def test_1_kernel(benchmark, tile):
 
 def test_1_kernel_with_unsorted_neighbors(benchmark, tile):
     """Every pair a run of its own, in random order: what the neighbor list gains."""
-    pairs = np.random.default_rng(2).permutation(tile.plane._neighbors)
+    pairs = np.random.default_rng(2).permutation(tile.plane.arrays.neighbors)
     benchmark(kernel, tile, np.column_stack([pairs, np.ones(len(pairs), np.int64)]))
 
 

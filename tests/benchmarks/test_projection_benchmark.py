@@ -20,7 +20,7 @@ def by_vectors(lamost, stars):
 def by_kernel(lamost, stars):
     plane = lamost.projection(CENTER)
     out = np.empty((len(stars), 2))
-    return lambda: sky.project(stars._vectors, plane._basis, plane._focal_length, out)
+    return lambda: sky.project(stars.arrays.vectors, plane.plain.basis, plane.plain.focal_length, out)
 
 
 def by_coordinates(lamost, stars):

@@ -14,7 +14,7 @@ def _group(benchmark):
 
 
 def test_1_select(benchmark, lamost, stars):
-    benchmark(lambda: stars._within(CENTER, lamost.field_radius.to_value(u.rad)))
+    benchmark(lambda: stars.arrays.rows_within(CENTER, lamost.field_radius.to_value(u.rad)))
 
 
 def test_2_projection(benchmark, lamost, stars):
@@ -23,7 +23,7 @@ def test_2_projection(benchmark, lamost, stars):
 
 def test_3_reach(benchmark, lamost, xy):
     points = xy.value
-    benchmark(lambda: lamost.focal_plane._reach(points))
+    benchmark(lambda: lamost.focal_plane.arrays.reach(points))
 
 
 @pytest.mark.parametrize("method", ["balanced", "lamost"])

@@ -1,0 +1,66 @@
+"""A catalog in plain arrays."""
+
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey._kernels import sky
+from rfpsurvey._units import locked, to_vectors
+from rfpsurvey.catalog._index import half_chord_squared
+from rfpsurvey.catalog._time import to_time
+
+__all__ = ["CatalogArrays"]
+
+
+class CatalogArrays:
+    """The positions of a catalog as plain arrays, which cannot be written to; made on first use and kept.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The catalog.
+
+    Attributes
+    ----------
+    vectors : ndarray of float, shape (n, 3)
+        ICRS unit vectors.
+    repeated_ids : bool
+        Whether two targets have the same identifier.
+    """
+
+    def __init__(self, catalog):
+        self.catalog = catalog
+
+    @cached_property
+    def vectors(self) -> np.ndarray:
+        return locked(to_vectors(self.catalog.coord))
+
+    @cached_property
+    def repeated_ids(self) -> bool:
+        ids = self.catalog.id
+        if ids.dtype.kind == "i" and (ids[1:] > ids[:-1]).all():
+            return False
+        return len(np.unique(ids)) < len(ids)
+
+    def rows_within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
+        """Return the rows of the targets inside a circle."""
+        mask = np.empty(len(self.catalog), dtype=bool)
+        center = to_vectors(center, "center", one=True)[0]
+        sky.within(self.vectors, center, half_chord_squared(radius_rad), mask)
+        return np.flatnonzero(mask)
+
+    def rows_near(self, center: SkyCoord, radius_rad: float, time: object) -> np.ndarray:
+        """Return the rows of the targets that may be inside a circle at another epoch."""
+        # a little more than the way: the positions are compared in double precision
+        return self.rows_within(center, radius_rad + self.farthest_rad(time) * (1 + 1e-9) + 1e-12)
+
+    def farthest_rad(self, time: object) -> float:
+        """Return how far the fastest target moves on the sky until another epoch, at most."""
+        if not self.catalog.has_proper_motion or self.catalog.epoch is None:
+            return 0.0
+        icrs = self.catalog.coord.icrs
+        speed = np.nan_to_num(np.hypot(icrs.pm_ra_cosdec, icrs.pm_dec).to_value(u.rad / u.yr))
+        years = np.abs((to_time(time, "epoch").tdb - self.catalog.epoch.tdb).to_value(u.yr))
+        return float(np.max(speed * years, initial=0.0))

@@ -1,0 +1,179 @@
+"""The files of a partitioned catalog: one HEALPix pixel each."""
+
+import hashlib
+import re
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey import _healpix
+from rfpsurvey._readers import import_parquet, read_parquet, sentence
+from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.catalog._digest import add_stored_columns
+from rfpsurvey.errors import InputError
+
+__all__ = ["Partitions", "read_or_name"]
+
+PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
+ROLES = (
+    "id",
+    "ra",
+    "dec",
+    "lon",
+    "lat",
+    "pmra",
+    "pmdec",
+    "epoch",
+    "priority",
+    "kind",
+    "category",
+    "fiber_type",
+    "visits",
+)
+INDEX_ORDER = 29
+SLACK_RAD = 1e-9
+
+
+class Partitions:
+    """The partitions of a catalog one by one; row numbers count through all of them.
+
+    Parameters
+    ----------
+    catalog : PartitionedCatalog
+        The catalog.
+    """
+
+    def __init__(self, catalog):
+        self.catalog = catalog
+
+    @cached_property
+    def files(self) -> list[tuple[int, int, Path]]:
+        """Order, pixel and file of each partition, as they follow each other on the sky."""
+        found = []
+        for path in sorted(self.catalog.folder.rglob("*")):
+            match = PART.search(path.relative_to(self.catalog.folder).as_posix())
+            if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
+                found.append((int(match[1]), int(match[2]), path))
+        if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in found):
+            raise InputError(f"{self.catalog.folder}: a partition has an impossible order or pixel")
+        return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
+
+    def refuse_overlaps(self) -> None:
+        """Raise an error where a pixel lies inside another: its targets would be there twice."""
+        orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self.files], strict=True))
+        begin = pixels << 2 * (INDEX_ORDER - orders)
+        end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
+        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files of one pixel
+        bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
+        if len(bad):
+            one, other = (self.files[k] for k in (bad[0], bad[0] + 1))
+            raise InputError(
+                f"{self.catalog.folder}: partitions must not overlap, but Norder={one[0]}/Npix={one[1]} and "
+                f"Norder={other[0]}/Npix={other[1]} do"
+            )
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """First row of each partition, and the number of all rows."""
+        parquet, counts, columns = import_parquet(), [], None
+        for *_, path in self.files:
+            about = read_or_name(path, lambda path=path: parquet.read_metadata(path))
+            counts.append(about.num_rows)
+            names = set(about.schema.names)
+            if columns is not None and names != columns:
+                strange = ", ".join(sorted(names ^ columns))
+                raise InputError(f"{path}: all partitions must have the same columns, but {strange} differs")
+            columns = names
+        return np.concatenate([[0], np.cumsum(counts)])
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Columns to read."""
+        path = self.files[0][2]
+        schema = read_or_name(path, lambda: import_parquet().read_schema(path))
+        find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.catalog.columns), {})
+        names = [find.name_of(role) for role in ROLES]
+        equatorial = self.catalog.frame.lower() in ("icrs", "fk5", "fk4", "fk4noeterms")
+        needed = ("ra", "dec") if equatorial else ("lon", "lat")
+        missing = [role for role in needed if names[ROLES.index(role)] is None]
+        if missing:
+            raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
+        return list(dict.fromkeys(name for name in names if name is not None))
+
+    @cached_property
+    def circles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Circles about the partitions: unit vectors and radii (radians)."""
+        vectors = np.array([_healpix.centers(2**order, [pixel])[0] for order, pixel, _ in self.files])
+        return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self.files])
+
+    def near(self, center: np.ndarray, radius_rad: float) -> np.ndarray:
+        """Return the partitions that a circle may touch."""
+        vectors, radii = self.circles
+        half_chord = 0.5 * np.linalg.norm(vectors - center, axis=1)
+        return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
+
+    def part(self, k: int) -> Catalog:
+        """Return the targets of a partition; without an id of their own, they are numbered by the rows of all."""
+        path = self.files[k][2]
+        catalog = self.to_catalog(self.table(k, self.names), path)
+        n = int(self.rows[k + 1] - self.rows[k])
+        if len(catalog) < n:
+            raise InputError(f"{path}: {n - len(catalog)} of {n} rows have no finite coordinates; leave them out")
+        middles, radii = self.circles
+        chord = np.linalg.norm(catalog.arrays.vectors - middles[k], axis=1).max(initial=0.0)
+        if 2 * np.arcsin(min(chord / 2, 1.0)) > radii[k] + SLACK_RAD:
+            raise InputError(f"{path}: targets lie outside the pixel, which must be that of nested order and ICRS")
+        if k and catalog.id.dtype.kind != self._id_kind:
+            raise InputError(f"{path}: ids must be integers in all partitions, or text in all")
+        return catalog
+
+    @cached_property
+    def _id_kind(self) -> str:
+        return self.part(0).id.dtype.kind
+
+    def column(self, name: str) -> np.ndarray | None:
+        """Return one column of all targets."""
+        if name != "id" and getattr(self.part(0), name) is None:
+            return None
+        return np.concatenate([getattr(self.part(k), name) for k in range(len(self.files))])
+
+    def table(self, k: int, names: list[str]) -> Table:
+        """Return some columns of a partition."""
+        table = read_parquet(self.files[k][2], names)
+        if self._has_no_id:
+            table["id"] = np.arange(self.rows[k], self.rows[k + 1])
+        return table
+
+    def digest(self) -> str:
+        """Return a digest of the files: of the stored bytes of the columns that are read, and of nothing else."""
+        about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
+        found = hashlib.sha256(repr(about).encode())
+        for order, pixel, path in self.files:
+            found.update(f"{order}/{pixel}".encode())
+            read_or_name(path, lambda path=path: add_stored_columns(found, path, self.names))
+        return found.hexdigest()[:16]
+
+    @cached_property
+    def _has_no_id(self) -> bool:
+        find = Finder(Table(names=self.names, dtype=["f8"] * len(self.names)), dict(self.catalog.columns), {})
+        return find.name_of("id") is None
+
+    def to_catalog(self, table: Table, path: Path) -> Catalog:
+        """Return the targets of a table; errors name the file."""
+        try:
+            return Catalog._from_table(
+                table, self.catalog.columns, self.catalog.units, self.catalog.frame, assume_units=True
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+
+def read_or_name(path: Path, read):
+    """Read, or say which file cannot be read."""
+    try:
+        return read()
+    except Exception as error:  # pyarrow raises what it likes
+        raise InputError(f"{path} cannot be read: {sentence(error)}") from error

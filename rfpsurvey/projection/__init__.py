@@ -1,0 +1,7 @@
+"""Sky to focal plane and back."""
+
+from rfpsurvey.projection._field import FieldProjection, field_basis
+from rfpsurvey.projection._radial_map import RadialMap
+from rfpsurvey.projection._tangent_plane import TangentPlane
+
+__all__ = ["FieldProjection", "RadialMap", "TangentPlane", "field_basis"]

@@ -1,0 +1,85 @@
+"""The projection of one field on plain arrays: unit vectors to mm, and back."""
+
+import numpy as np
+
+from rfpsurvey._kernels import sky
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.projection._radial_map import RadialMap
+
+__all__ = ["FieldProjection", "field_basis"]
+
+
+class FieldProjection:
+    """A tangent plane without units.
+
+    Parameters
+    ----------
+    basis : ndarray, shape (3, 3)
+        Rows: ICRS unit vectors of +x and +y across the field center, and of the center.
+    focal_length : float
+        mm per radian at the center, for a projection without a radial map.
+    distortion : RadialMap, dict of str to RadialMap, or None
+        Radial map, or one for each fiber type.
+    """
+
+    def __init__(
+        self, basis: np.ndarray, focal_length: float, distortion: RadialMap | dict[str, RadialMap] | None = None
+    ):
+        self.basis, self.focal_length, self.distortion = basis, focal_length, distortion
+
+    def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
+        """Return where unit vectors (n, 3) fall on the focal plane, mm (n, 2); NaN where there is no image."""
+        out = np.empty((len(vectors), 2))
+        for rows, radial in self._map_of(fiber_type, len(vectors)):
+            part = vectors if rows is None else vectors[rows]
+            image = out if rows is None else np.empty((len(part), 2))
+            if radial is None:
+                sky.project(part, self.basis, self.focal_length, image)
+            else:
+                sky.project_radial(part, self.basis, *radial.arguments, image)
+            if rows is not None:
+                out[rows] = image
+        return out
+
+    def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
+        """Return the unit vectors (n, 3) of points in mm (n, 2); NaN outside the distortion map."""
+        vectors = np.empty((len(points), 3))
+        for rows, radial in self._map_of(fiber_type, len(points)):
+            part = points if rows is None else points[rows]
+            image = vectors if rows is None else np.empty((len(part), 3))
+            if radial is None:
+                sky.unproject(part, self.basis, self.focal_length, image)
+            else:
+                sky.unproject_radial(part, self.basis, *radial.arguments, image)
+            if rows is not None:
+                vectors[rows] = image
+        return vectors
+
+    def _map_of(self, fiber_type, n):
+        """Return (rows or None for all, map or None) for each map in use."""
+        if not isinstance(self.distortion, dict):
+            return [(None, self.distortion)]
+        names = list(self.distortion)
+        if fiber_type is None or isinstance(fiber_type, str):
+            name = check_choice(fiber_type or names[0], names, "fiber type")
+            return [(None, self.distortion[name])]
+        types = np.asarray(fiber_type, dtype=str)
+        if types.shape != (n,):
+            raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
+        types = np.where(types == "", names[0], types)
+        for name in np.unique(types):
+            check_choice(str(name), names, "fiber type")
+        return [(types == name, self.distortion[name]) for name in names]
+
+
+def field_basis(ra: float, dec: float, angle: float) -> np.ndarray:
+    """Return the directions of +x and +y across a field center, and the center: ICRS unit vectors, shape (3, 3).
+
+    The center is at ``ra`` and ``dec`` (rad); +y is turned by ``angle`` (rad) from north toward east.
+    """
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    out = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    x = np.cos(angle) * east - np.sin(angle) * north
+    y = np.sin(angle) * east + np.cos(angle) * north
+    return np.array([x, y, out])

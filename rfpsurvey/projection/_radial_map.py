@@ -1,0 +1,162 @@
+"""Radial maps: distance from the field center on the focal plane as a function of the field angle."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import sky
+from rfpsurvey._units import to_mm, to_radian, to_scalar
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["RadialMap"]
+
+_FORMS = {"theta": sky.THETA, "tan_theta": sky.TAN_THETA, "sine": sky.SINE}
+_SCALE = u.mm / u.rad
+
+
+@dataclass(frozen=True)
+class RadialMap:
+    """Distance from the field center on the focal plane as a function of the field angle.
+
+    With the odd polynomial p(t) = c0 t + c1 t^3 + c2 t^5 + ..., the three forms are
+
+    * ``theta``: r = factor p(theta / unit_angle) mm,
+    * ``tan_theta``: r = factor p(tan(theta) / unit_tangent) mm,
+    * ``sine``: r = factor R sin(p(theta / unit_angle) unit_angle), R the radius of a spherical focal surface.
+
+    Parameters
+    ----------
+    form : {"theta", "tan_theta", "sine"}
+        The form.
+    coefficients : sequence of float
+        c0, c1, c2, ...
+    max_angle : Quantity
+        Largest field angle for which the map holds, below 90 deg; beyond it nothing has an image.
+    unit_angle : Quantity, optional
+        Angle that counts as 1 in the polynomial.
+    unit_tangent : float, optional
+        Tangent that counts as 1 in the polynomial.
+    radius : Quantity, optional
+        R of the form ``sine``.
+    factor : float, optional
+        Scale factor applied to every radius.
+
+    Raises
+    ------
+    InputError
+        If the map does not rise from 0 to ``max_angle``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> radial = rs.RadialMap("theta", [243.0, 4.05], max_angle=1.6 * u.deg)
+    >>> radial.to_radius(1 * u.deg)
+    <Quantity 247.05 mm>
+    >>> radial.to_angle(247.05 * u.mm)
+    <Quantity 1. deg>
+    """
+
+    form: str
+    coefficients: tuple[float, ...]
+    max_angle: u.Quantity
+    unit_angle: u.Quantity = field(default=1 * u.deg)
+    unit_tangent: float = 1.0
+    radius: u.Quantity | None = None
+    factor: float = 1.0
+
+    def __post_init__(self):
+        check_choice(self.form, _FORMS, "form of radial map")
+        try:
+            object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
+        except (TypeError, ValueError):
+            raise InputError(f"coefficients must be a sequence of numbers, got {self.coefficients!r}") from None
+        c = np.array(self.coefficients)
+        if c.size == 0 or not np.isfinite(c).all():
+            raise InputError(f"coefficients must be finite numbers, at least one, got {self.coefficients}")
+        limit = to_scalar(self.max_angle, u.rad, "max_angle", low=0, high=np.pi / 2)
+        to_scalar(self.unit_angle, u.rad, "unit_angle", low=0)
+        for name in ("unit_tangent", "factor"):
+            try:
+                number = u.Quantity(getattr(self, name))
+            except (TypeError, ValueError):
+                raise InputError(f"{name} must be a number, got {getattr(self, name)!r}") from None
+            to_scalar(number, u.dimensionless_unscaled, name, low=0)
+        if (self.form == "sine") != (self.radius is not None):
+            raise InputError(f"the form 'sine' and no other needs a radius, got {self.radius} with {self.form!r}")
+        if self.radius is not None:
+            to_scalar(self.radius, u.mm, "radius", low=0)
+        _, _, argument, inner, _, _ = self.arguments
+        edge = argument * (np.tan(limit) if self.form == "tan_theta" else limit)
+        # dp/dt has its zeros where a polynomial in t^2 has: none may lie inside
+        roots = np.roots((c * (2 * np.arange(c.size) + 1))[::-1])
+        real = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
+        quarter = self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2
+        if c[0] <= 0 or (real <= edge**2).any() or quarter:
+            raise InputError(f"the radial map must rise from the center to max_angle = {self.max_angle}")
+
+    @cached_property
+    def arguments(self) -> tuple:
+        """What the kernels take: form, coefficients, argument, inner, output, limit; plain numbers."""
+        unit = float(to_radian(self.unit_angle, "unit_angle"))
+        argument = 1 / self.unit_tangent if self.form == "tan_theta" else 1 / unit
+        output = float(self.factor)
+        if self.form == "sine":
+            output *= float(to_mm(self.radius, "radius"))
+        # a direction made to lie just at max_angle is inside, whatever its rounding
+        limit = float(to_radian(self.max_angle, "max_angle")) * (1 + 1e-12)
+        return _FORMS[self.form], np.array(self.coefficients), argument, unit, output, limit
+
+    @property
+    def plate_scale(self) -> u.Quantity:
+        """Plate scale at the field center."""
+        form, c, argument, inner, output, _ = self.arguments
+        return sky.radius_and_slope(0.0, form, c, argument, inner, output)[1] * _SCALE.to(u.mm / u.deg) * (u.mm / u.deg)
+
+    def to_radius(self, angle: u.Quantity) -> u.Quantity:
+        """Return the distance from the field center of field angles.
+
+        Parameters
+        ----------
+        angle : Quantity
+            Field angles.
+
+        Returns
+        -------
+        Quantity
+            In mm; NaN beyond ``max_angle``.
+
+        Raises
+        ------
+        InputError
+            If what is given is not an angle.
+        """
+        theta = to_radian(angle, "angle")
+        out = np.empty(theta.size)
+        sky.radii(theta.ravel(), *self.arguments, out)
+        return out.reshape(theta.shape) * u.mm
+
+    def to_angle(self, radius: u.Quantity) -> u.Quantity:
+        """Return the field angle of distances from the field center.
+
+        Parameters
+        ----------
+        radius : Quantity
+            Distances on the focal plane.
+
+        Returns
+        -------
+        Quantity
+            In deg; NaN beyond the map.
+
+        Raises
+        ------
+        InputError
+            If what is given is not a length.
+        """
+        r = to_mm(radius, "radius")
+        out = np.empty(r.size)
+        sky.angles(r.ravel(), *self.arguments, out)
+        return np.rad2deg(out.reshape(r.shape)) * u.deg

@@ -1,0 +1,167 @@
+"""Sky to focal plane and back: a tangent plane, with an optional radial map."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey._units import to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
+from rfpsurvey.errors import InputError
+from rfpsurvey.projection._field import FieldProjection, field_basis
+from rfpsurvey.projection._radial_map import RadialMap
+
+__all__ = ["TangentPlane"]
+
+_SCALE = u.mm / u.rad
+
+
+@dataclass(frozen=True, eq=False)
+class TangentPlane:
+    """Projection of the sky around a field center onto the focal plane.
+
+    +x points east and +y north; the rotation turns +y from north toward east. Without distortion the
+    projection is gnomonic. What has no image (90 deg or more from the center, or outside the distortion map)
+    becomes NaN. Refraction and color are not part of the model.
+
+    Parameters
+    ----------
+    center : SkyCoord
+        Field center, in any frame; north is that of its frame, so that a center in
+        ``FK5(equinox="J2026")`` has its position angle measured from the north of that date.
+    plate_scale : Quantity, optional
+        Length per angle at the field center. May be left out where ``distortion`` is given, which has one.
+    rotation : Quantity, optional
+        Position angle of +y, from north toward east.
+    distortion : RadialMap or dict of str to RadialMap, optional
+        Radial map, or one for each fiber type.
+
+    Raises
+    ------
+    InputError
+        If neither plate scale nor distortion is given, or if they do not agree.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> plane = rs.TangentPlane(SkyCoord("6h20m +23d"), 20 * u.m / u.rad)
+    >>> plane.to_focal_plane(SkyCoord("6h20m +23d30m")).round(6)
+    <Quantity [[  0.      , 174.537356]] mm>
+    """
+
+    center: SkyCoord
+    plate_scale: u.Quantity | None = None
+    rotation: u.Quantity = field(default=0 * u.deg)
+    distortion: RadialMap | dict[str, RadialMap] | None = None
+
+    def __post_init__(self):
+        if not isinstance(self.center, SkyCoord) or not self.center.isscalar:
+            raise InputError(f"center must be one SkyCoord, got {self.center!r}")
+        maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
+        if self.distortion is not None and not (maps and all(isinstance(m, RadialMap) for m in maps)):
+            raise InputError(f"distortion must be a RadialMap or a dict of them by fiber type, got {self.distortion!r}")
+        scale = self.plate_scale
+        if scale is None:
+            if self.distortion is None:
+                raise InputError("a TangentPlane needs plate_scale or distortion")
+            scale = next(iter(maps)).plate_scale
+        number = to_scalar(scale, _SCALE, "plate_scale", low=0)
+        if self.distortion is not None and not any(
+            np.isclose(number, m.plate_scale.to_value(_SCALE), rtol=1e-9) for m in maps
+        ):
+            raise InputError(
+                f"plate_scale {scale} is not that of the distortion ({next(iter(maps)).plate_scale}); give one of them"
+            )
+        object.__setattr__(self, "plate_scale", scale)
+        to_scalar(self.rotation, u.deg, "rotation", low=-3600, high=3600)
+
+    @classmethod
+    def from_focal_length(
+        cls, center: SkyCoord, focal_length: u.Quantity, rotation: u.Quantity = 0 * u.deg
+    ) -> "TangentPlane":
+        """Make an undistorted projection from a focal length.
+
+        Parameters
+        ----------
+        center : SkyCoord
+            Field center.
+        focal_length : Quantity
+            Focal length of the telescope.
+        rotation : Quantity, optional
+            Position angle of +y.
+
+        Returns
+        -------
+        TangentPlane
+            With the plate scale focal_length / rad.
+
+        Raises
+        ------
+        InputError
+            If the center is not one direction, the focal length not one positive length, or the rotation not one angle.
+        """
+        return cls(center, to_mm(focal_length, "focal_length") * _SCALE, rotation)
+
+    @cached_property
+    def plain(self) -> FieldProjection:
+        """The same projection on plain arrays, see `FieldProjection`."""
+        center = to_direction(self.center, "center").icrs
+        ra, dec = center.ra.rad, center.dec.rad
+        angle = to_scalar(self.rotation, u.rad, "rotation")
+        if self.center.frame.name != "icrs":
+            east, north, _ = field_basis(ra, dec, 0.0)
+            up = to_direction(self.center).directional_offset_by(0 * u.deg, 1 * u.deg).icrs.cartesian.xyz.value
+            angle += np.arctan2(up @ east, up @ north)
+        focal_length = to_scalar(self.plate_scale, _SCALE, "plate_scale")
+        return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
+
+    def to_focal_plane(self, coord: SkyCoord, fiber_type: str | np.ndarray | None = None) -> u.Quantity:
+        """Return where directions fall on the focal plane.
+
+        Parameters
+        ----------
+        coord : SkyCoord or Catalog
+            Directions, shape (n,) or scalar. A `Catalog` keeps its unit vectors, so that many fields of one
+            catalog cost little.
+        fiber_type : str or array_like of str, optional
+            Fiber type of each direction, where each type has a map of its own; ``""`` (and None) is the first.
+
+        Returns
+        -------
+        Quantity, shape (n, 2)
+            Columns x and y in mm; NaN where there is no image.
+
+        Raises
+        ------
+        InputError
+            If what is given are not directions on the sky, or types of fibers that have maps are others.
+        """
+        arrays = getattr(coord, "arrays", None)
+        vectors = to_vectors(coord) if arrays is None else arrays.vectors
+        return u.Quantity(self.plain.project(vectors, fiber_type), u.mm, copy=False)
+
+    def to_sky(self, xy: u.Quantity, fiber_type: str | np.ndarray | None = None) -> SkyCoord:
+        """Return the directions that fall on points of the focal plane.
+
+        Parameters
+        ----------
+        xy : Quantity, shape (n, 2)
+            Points on the focal plane.
+        fiber_type : str or array_like of str, optional
+            Fiber type of each point, where each type has a map of its own.
+
+        Returns
+        -------
+        SkyCoord, shape (n,)
+            ICRS directions; NaN outside the distortion map.
+
+        Raises
+        ------
+        InputError
+            If the points are not lengths of this shape, or types of fibers that have maps are others.
+        """
+        lon, lat = to_lonlat(self.plain.unproject(to_points_mm(xy, "xy"), fiber_type))
+        return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")

@@ -1,0 +1,66 @@
+"""Regions on the unit sphere: what is inside, how far away, the border, a circle around."""
+
+import numpy as np
+
+from rfpsurvey import _healpix
+from rfpsurvey.region import _shapes
+
+__all__ = ["border_of", "circle_around", "distance_to", "is_inside"]
+
+
+def is_inside(region, vectors: np.ndarray) -> np.ndarray:
+    """Mark the unit vectors, shape (n, 3), inside a `Region`."""
+    if region.kind == "healpix":
+        return np.isin(_healpix.pixels_of(region.nside, vectors), region.values)
+    if region.kind == "cap":
+        return _shapes.angle(vectors, region.values[:3]) <= region.values[3] * (1 + 1e-15) + 1e-15
+    return {"box": _shapes.box_contains, "polygon": _shapes.polygon_contains}[region.kind](region.values, vectors)
+
+
+def distance_to(region, vectors: np.ndarray) -> np.ndarray:
+    """Return angles (radians) to the region, 0 inside; for pixels, at most so much and at least a pixel less."""
+    if region.kind == "cap":
+        return np.maximum(_shapes.angle(vectors, region.values[:3]) - region.values[3], 0.0)
+    if region.kind == "healpix":
+        from scipy.spatial import cKDTree
+
+        chord = cKDTree(_healpix.centers(region.nside, region.values)).query(vectors)[0]
+        return np.maximum(2 * np.arcsin(np.minimum(chord / 2, 1)) - _healpix.pixel_radius(region.nside), 0.0)
+    return {"box": _shapes.box_distance, "polygon": _shapes.polygon_distance}[region.kind](region.values, vectors)
+
+
+def circle_around(region) -> tuple[np.ndarray, float]:
+    """Return center and radius (radians) of a circle around the region."""
+    if region.kind == "cap":
+        return region.values[:3], float(region.values[3])
+    if region.kind == "healpix":
+        border, margin = _healpix.centers(region.nside, region.values), _healpix.pixel_radius(region.nside)
+        center = border.sum(axis=0)
+    else:
+        border, margin = border_of(region), 0.0
+        center = border.sum(axis=0)
+        if region.kind == "box" and region.values[1] == 2 * np.pi:
+            center = np.array([0.0, 0.0, np.sign(region.values[2:].sum()) or 1.0])
+        elif region.kind == "box":
+            center = _shapes.from_lonlat(region.values[0] + region.values[1] / 2, region.values[2:].mean())
+    length = np.linalg.norm(center)
+    center = center / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+    if region.kind != "healpix" and is_inside(region, -center[None])[0]:
+        return center, np.pi
+    radius = _shapes.angle(border, center).max()
+    if region.kind != "healpix":
+        # points of the border are 100 to an edge: between two of them it bulges by less than this
+        margin = radius * 1e-3
+    return center, float(min(radius + margin, np.pi))
+
+
+def border_of(region) -> np.ndarray:
+    """Return points of the border of a box or polygon."""
+    if region.kind == "polygon":
+        after = np.roll(region.values, -1, axis=0)
+        return np.vstack([_shapes.arc(a, b, 101)[:-1] for a, b in zip(region.values, after, strict=True)])
+    begin, width, low, high = region.values
+    t = np.linspace(0, 1, 101)
+    lon, lat = begin + t * width, low + t * (high - low)
+    sides = [(lon, low), (lon, high), (begin, lat), (begin + width, lat)]
+    return np.vstack([_shapes.from_lonlat(*side) for side in sides])
