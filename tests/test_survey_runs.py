@@ -81,6 +81,7 @@ def test_threads_and_processes(case, tmp_path, undisturbed):
     assert content(tmp_path / "processes") == undisturbed
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore")  # those of a cluster that loses workers
 def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
     distributed = pytest.importorskip("distributed")
@@ -102,14 +103,15 @@ def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_killed_at_twenty_random_moments(case, tmp_path, undisturbed, rng):
+@pytest.mark.parametrize("n", [6, pytest.param(20, marks=pytest.mark.exhaustive)])
+def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
     """Each time somewhere between the first and the last file, and several times in a row."""
     context = multiprocessing.get_context("fork")
     begin = time.perf_counter()
     plan(case, tmp_path / "clock")
     whole = time.perf_counter() - begin
     killed, run = 0, 0
-    while killed < 20:
+    while killed < n:
         run += 1
         folder = tmp_path / f"survey-{run}"
         for attempt in range(4):
