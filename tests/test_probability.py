@@ -299,9 +299,9 @@ def test_auto_takes_the_method_of_the_estimand():
 def test_a_preset_goes_by_its_name(presets):
     here = rs.collision_probability(presets["lamost"].focal_plane, method="overlap_ratio")
     assert rs.collision_probability("lamost", method="overlap_ratio").value == here.value
-    by_name = rs.collision_probability("lamost", max_iterations=2)
-    assert by_name.meta["n_targets"] == presets["lamost"].targets_per_fiber * len(presets["lamost"].focal_plane)
-    assert by_name.value == rs.collision_probability(presets["lamost"], max_iterations=2).value
+    by_name = rs.collision_probability("sdss_apo", max_iterations=2)
+    assert by_name.meta["n_targets"] == presets["sdss_apo"].targets_per_fiber * len(presets["sdss_apo"].focal_plane)
+    assert by_name.value == rs.collision_probability(presets["sdss_apo"], max_iterations=2).value
 
 
 def test_an_estimate_says_what_it_is():

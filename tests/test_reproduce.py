@@ -26,6 +26,7 @@ def shrink(monkeypatch):
         monkeypatch.setattr(f"rfpsurvey.reproduction.{module}.N_TARGETS", 3200)
     for name, (scene, precisions) in SCENES.items():
         monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
+    monkeypatch.setattr("rfpsurvey.reproduction._poisson.SEPARATIONS", (0.52, 2.0))
     monkeypatch.setattr(Settings, "precision", 5e-3)
     monkeypatch.setattr(Settings, "pick", lambda _, full, quick: quick if quick < 100 else quick // 2)
 
