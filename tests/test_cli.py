@@ -58,13 +58,13 @@ def test_the_embedded_default(run):
     assert "collision rate" in out
 
 
-def test_module_and_version_and_help():
+def test_module_and_version_and_help(run):
+    done = subprocess.run([sys.executable, "-m", "rfpsurvey", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()[0]) == (0, "rfpsurvey")
     for arguments, text in ((["--version"], "rfpsurvey "), (["--help"], "plan"), (["plan", "--help"], "Examples:")):
-        done = subprocess.run(
-            [sys.executable, "-m", "rfpsurvey", *arguments], capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0
-        assert text in done.stdout
+        code, out, _ = run(*arguments)
+        assert code == 0
+        assert text in out
 
 
 def test_instruments(run):
@@ -235,23 +235,36 @@ def test_a_closed_pipe_loses_no_file(tmp_path):
     assert "Traceback" not in done.stderr
 
 
+FORKED = """
+import os, runpy, sys
+import rfpsurvey._cli  # once, and not once a command
+for command in sys.argv[2:]:
+    child = os.fork()
+    if child == 0:
+        os.dup2(int(sys.argv[1]), 1)
+        sys.argv = ["rfpsurvey", *command.split()]
+        runpy.run_module("rfpsurvey", run_name="__main__", alter_sys=True)
+        sys.exit()
+    print(command, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr, flush=True)
+"""
+
+
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("command", ["instruments", "--help", "--version", "plan --help", "plan --instrument moons"])
-def test_a_reader_that_has_gone_is_told_as_any_shell_does(command, unbuffered):
+def test_a_reader_that_has_gone_is_told_as_any_shell_does(unbuffered):
     """With 1, after which a script with pipefail could not tell a broken pipe from bad input."""
+    commands = ["instruments", "--help", "--version", "plan --help", "plan --instrument moons"]
     receive, send = os.pipe()
     os.close(receive)
-    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
     done = subprocess.run(
-        [sys.executable, "-m", "rfpsurvey", *command.split()],
-        stdout=send,
-        stderr=subprocess.PIPE,
+        [sys.executable, "-W", "ignore", "-c", FORKED, str(send), *commands],
+        pass_fds=[send],
+        capture_output=True,
         text=True,
-        check=False,
-        env=environment,
+        check=True,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
     )
     os.close(send)
-    assert (done.returncode, done.stderr) == (141, "")
+    assert done.stderr.splitlines() == [f"{command} 141" for command in commands]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")

@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import astropy.units as u
 import flat
 import numpy as np
@@ -124,15 +121,10 @@ def test_the_clock_stops_the_search_but_not_the_plan(crowded):
     assert len(rs.find_collisions(plane, short).pairs) == 0
 
 
-def run(*arguments):
-    call = [sys.executable, "-m", "rfpsurvey", *map(str, arguments)]
-    return subprocess.run(call, capture_output=True, text=True, check=False)
-
-
-def test_commands(tmp_path, crowded):
+def test_commands(run, tmp_path, crowded):
     path, out = tmp_path / "sky.ecsv", tmp_path / "table.ecsv"
     crowded.write(path)
-    done = run(
+    code, said, err = run(
         "compare-allocators",
         path,
         "--instrument",
@@ -148,20 +140,20 @@ def test_commands(tmp_path, crowded):
         "--output",
         out,
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (code, err) == (0, "")
     table = QTable.read(out)
     assert table["allocator"].tolist() == ["optimal", "repair"]
     assert (table["sky"] >= 40).all()
-    assert "not met" not in done.stdout
-    done = run("plan", path, "--instrument", "moons", "--allocator", "optimal", "--require", "instrument")
-    assert done.returncode == 0
-    assert "gap to the best plan                  0.0000" in done.stdout
-    done = run("plan", path, "--instrument", "lamost", "--require", "instrument", "--require", "sky=2")
-    assert done.returncode == 2
-    assert "give no others" in done.stderr
-    done = run("plan", path, "--instrument", "moons", "--require", "skies")
-    assert done.returncode == 2
-    assert "a requirement must have a form such as" in done.stderr
+    assert "not met" not in said
+    code, said, err = run("plan", path, "--instrument", "moons", "--allocator", "optimal", "--require", "instrument")
+    assert code == 0
+    assert "gap to the best plan                  0.0000" in said
+    code, said, err = run("plan", path, "--instrument", "lamost", "--require", "instrument", "--require", "sky=2")
+    assert code == 2
+    assert "give no others" in err
+    code, said, err = run("plan", path, "--instrument", "moons", "--require", "skies")
+    assert code == 2
+    assert "a requirement must have a form such as" in err
 
 
 def test_fields_without_science_and_misspelled_names(crowded):

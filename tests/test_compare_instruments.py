@@ -137,7 +137,7 @@ def test_synthetic_skies_are_as_crowded_as_asked():
 
 def test_workers_change_nothing_but_the_seconds():
     def table(**options):
-        found = rs.compare_instruments("poisson", [design(), design("wide", 8.25, 8.25)], n_realizations=3, **options)
+        found = rs.compare_instruments("poisson", [design(), design("wide", 8.25, 8.25)], n_realizations=2, **options)
         found.remove_column("seconds")
         return found
 

@@ -10,14 +10,16 @@ import pytest
 
 import rfpsurvey
 
+# the package without what its __init__ imports, of which kernels know nothing
 PROBE = """
+import sys, types
 import numpy as np
-from rfpsurvey import Positioner
+sys.modules["rfpsurvey"] = types.ModuleType("rfpsurvey")
+sys.modules["rfpsurvey"].__path__ = [sys.argv[1]]
 from rfpsurvey._kernels import collisions
-from rfpsurvey._kernels.arms import solve
-import astropy.units as u
-theta, phi = np.empty(1), np.empty(1)
-solve(np.array([[3.0, 0.0]]), Positioner(2 * u.mm, 2 * u.mm, 1 * u.mm)._geometry(1), np.ones(1), theta, phi)
+from rfpsurvey._kernels.arms import Geometry, solve
+zero, two, theta, phi = np.zeros(1), np.full(1, 2.0), np.empty(1), np.empty(1)
+solve(np.array([[3.0, 0.0]]), Geometry(zero, zero, two, two, 1.0, 0.0), np.ones(1), theta, phi)
 print(theta[0], sum(solve.stats.cache_hits.values()))
 """
 
@@ -33,7 +35,7 @@ def copy(tmp_path):
 def probe(copy, **environment):
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
     done = subprocess.run(
-        [sys.executable, "-c", PROBE],
+        [sys.executable, "-c", PROBE, str(copy)],
         cwd=copy.parent,
         capture_output=True,
         text=True,

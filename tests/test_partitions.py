@@ -142,8 +142,8 @@ def test_a_survey_is_not_resumed_with_other_contents(folder, sky, small, tmp_pat
     with pytest.MonkeyPatch.context() as patch:
         write = pq.write_table
         patch.setattr(pq, "write_table", lambda table, path: write(table, path, **plain))
-        one = rs.partition_catalog(sky, tmp_path / "one", order=4)
-        other = rs.partition_catalog(changes(sky)[what], tmp_path / "other", order=4)
+        one = rs.partition_catalog(sky, tmp_path / "one", order=3)
+        other = rs.partition_catalog(changes(sky)[what], tmp_path / "other", order=3)
     sizes = [[path.stat().st_size for *_, path in parts.parts.files] for parts in (one, other)]
     assert sizes[0] == sizes[1] or what in ("kind", "id")  # words of other lengths
     with pytest.raises(KeyboardInterrupt):
@@ -155,7 +155,7 @@ def test_a_survey_is_not_resumed_with_other_contents(folder, sky, small, tmp_pat
 
 def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
     """The digest reads as much as a survey does."""
-    parts = rs.partition_catalog(sky, tmp_path / "sky", order=4)
+    parts = rs.partition_catalog(sky, tmp_path / "sky", order=3)
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     for *_, path in parts.parts.files:
         table = pq.read_table(path, partitioning=None)

@@ -12,6 +12,7 @@ from scenes import random_plane
 
 MM = u.mm
 ROUNDING = 1e-9
+EXHAUSTIVE = pytest.mark.exhaustive
 
 
 def crowded_case(seed):
@@ -50,7 +51,7 @@ def both_ways(monkeypatch, case, method, kept=(1, 1)):
     return found
 
 
-@pytest.mark.parametrize("chunk", range(8))
+@pytest.mark.parametrize("chunk", [*range(4), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(4, 8))])
 def test_optimum_of_few_candidates_is_that_of_all_or_its_bound_says_so(monkeypatch, chunk):
     n_left_out = n_lost = 0
     for seed in range(40 * chunk, 40 * chunk + 40):
@@ -79,7 +80,7 @@ def test_flow_of_few_candidates_is_that_of_all(monkeypatch, chunk):
         assert few.meta["n_candidates"] <= every.meta["n_candidates"], seed
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(16), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(16, 40))])
 def test_repair_of_few_candidates_keeps_its_bound_and_leaves_no_collision(monkeypatch, seed):
     plane, xy, options = case = crowded_case(seed)
     few = both_ways(monkeypatch, case, "repair")[0]

@@ -64,17 +64,18 @@ def assert_same(estimate, counts, plane):
 PLAIN = {k: SCENES[k][0] for k in SCENES if k not in ("left", "parked arms ignored", "capsules")}
 
 
+@pytest.mark.parametrize(("n", "precision"), [(N // 4, 6e-4), pytest.param(N, 3e-4, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", PLAIN)
-def test_uniform_targets_are_those_of_plain_simulation(name, rng):
+def test_uniform_targets_are_those_of_plain_simulation(name, n, precision, rng):
     plane = PLAIN[name]
-    got = rs.collision_probability(plane, method="quadrature", precision=3e-4)
+    got = rs.collision_probability(plane, method="quadrature", precision=precision)
     unit, centers = plane.positioner, plane.xy
     limited = unit.theta_range is not None
 
     def in_reach(i, points):
         return np.isfinite(unit.inverse(points * MM - centers[i])[0]) if limited else np.ones(len(points), bool)
 
-    assert_same(got, simulate(plane, rng, in_reach), plane)
+    assert_same(got, simulate(plane, rng, in_reach, n), plane)
     assert got.value > 0.05
 
 
@@ -110,14 +111,15 @@ def weighted(plane, rng):
 DENSITY = {"shared": ("shared", shared), "voronoi": ("voronoi", voronoi), "given": (sloping, weighted)}
 
 
+@pytest.mark.parametrize(("n", "precision"), [(3000, 1.1e-3), pytest.param(8000, 7e-4, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", DENSITY)
 @pytest.mark.parametrize(
     "plane", [lamost_like(2), sdss_like(2), with_troubles(lamost_like())], ids=["equal", "unequal", "troubles"]
 )
-def test_densities_are_those_of_rejection_sampling(name, plane, rng):
+def test_densities_are_those_of_rejection_sampling(name, plane, n, precision, rng):
     density, keep = DENSITY[name]
-    got = rs.collision_probability(plane, method="quadrature", density=density, precision=7e-4)
-    assert_same(got, simulate(plane, rng, keep(plane, rng), n=8000), plane)
+    got = rs.collision_probability(plane, method="quadrature", density=density, precision=precision)
+    assert_same(got, simulate(plane, rng, keep(plane, rng), n=n), plane)
     assert got.meta["density"] == name
 
 

@@ -134,10 +134,11 @@ def test_a_sampler_is_asked_for_each_realization_with_a_generator_of_its_own():
 LIMITED = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, phi_range=[70, 180] * u.deg)
 
 
+@pytest.mark.parametrize("n", [400, pytest.param(1500, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize(
     "plane", [sdss_like(2), rs.FocalPlane.hexagonal(LIMITED, rings=2, pitch=22.4 * MM)], ids=["free", "joint limits"]
 )
-def test_a_sampler_of_uniform_targets_is_like_uniform_targets(plane):
+def test_a_sampler_of_uniform_targets_is_like_uniform_targets(plane, n):
     """Two ways through the package: kernels alone, and allocation and poses one sky at a time."""
     radius = 67.2
 
@@ -146,11 +147,11 @@ def test_a_sampler_of_uniform_targets_is_like_uniform_targets(plane):
         return np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
 
     for method in ("conditional", "monte_carlo"):
-        one = rs.collision_probability(plane, method=method, targets=sampler, max_iterations=1500)
-        other = rs.collision_probability(plane, method=method, n_targets=60, max_iterations=3000)
+        one = rs.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
+        other = rs.collision_probability(plane, method=method, n_targets=60, max_iterations=2 * n)
         assert abs(one.value - other.value) < 4 * np.hypot(one.standard_error, other.standard_error)
-        trials = one.meta["trials"] / (1500 * 19), other.meta["trials"] / (3000 * 19)
-        assert abs(trials[0] - trials[1]) < 4 * np.sqrt(0.25 / 1500 / 19 + 0.25 / 3000 / 19)
+        trials = one.meta["trials"] / (n * 19), other.meta["trials"] / (2 * n * 19)
+        assert abs(trials[0] - trials[1]) < 4 * np.sqrt(0.25 / n / 19 + 0.25 / 2 / n / 19)
 
 
 def tiny(fiber_type=("A", "B", "A", "B")):

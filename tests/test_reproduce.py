@@ -9,16 +9,33 @@ import rfpsurvey as rs
 from rfpsurvey.reproduction import EXPERIMENTS, _poisson
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
 from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
-from rfpsurvey.reproduction._intervals import coverage
-from rfpsurvey.reproduction._large import _differences, _of_differences, _of_plain
+from rfpsurvey.reproduction._intervals import SCENES, coverage
+from rfpsurvey.reproduction._large import COVERED, _differences, _of_differences, _of_plain
 from rfpsurvey.reproduction._one_sky import one_sky
 from rfpsurvey.reproduction._poisson import _of_reading, drops_by_ratio
 
 QUICK = Settings(quick=True)
 
 
+def shrink(monkeypatch):
+    """Let the experiments work on 61 positioners in the middle of their targets, and less carefully."""
+    for layout in (LARGE, COVERED):
+        monkeypatch.setitem(layout, "rings", 4)
+    monkeypatch.setitem(LARGE, "target_radius", 80 * u.mm)  # as dense as 20,000 within 200 mm
+    for module in ("_designs", "_poisson"):
+        monkeypatch.setattr(f"rfpsurvey.reproduction.{module}.N_TARGETS", 3200)
+    for name, (scene, precisions) in SCENES.items():
+        monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
+    monkeypatch.setattr("rfpsurvey.reproduction._poisson.SEPARATIONS", (0.52, 2.0))
+    monkeypatch.setattr(Settings, "precision", 5e-3)
+    monkeypatch.setattr(Settings, "pick", lambda _, full, quick: quick if quick < 100 else quick // 2)
+
+
+@pytest.mark.parametrize("size", ["few", pytest.param("all", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("experiment", sorted(EXPERIMENTS))
-def test_each_experiment_runs(experiment, tmp_path):
+def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
+    if size == "few":
+        shrink(monkeypatch)
     claims = rs.reproduce(experiment, tmp_path / "out", quick=True, workers=2)
     assert len(claims) > 0
     assert set(claims["experiment"]) == {experiment}

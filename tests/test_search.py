@@ -47,7 +47,7 @@ def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
     assert len(rs.find_collisions(plane, found).pairs) == 0
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("objective", ["priority", "count"])
 @pytest.mark.parametrize("n_classes", [3, 40])
 def test_unproven_plans_are_honest(n_classes, objective, seed):
@@ -218,8 +218,9 @@ def plans(options, pairs, alive):
             )
 
 
-def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclude():
-    for seed in range(1500):
+@pytest.mark.parametrize("seeds", [range(500), pytest.param(range(500, 1500), marks=pytest.mark.exhaustive)])
+def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclude(seeds):
+    for seed in seeds:
         rng = np.random.default_rng(seed)
         options, pairs = random_conflicts(rng)
         # without requirements: all keys are as good as each other

@@ -75,8 +75,11 @@ def benchmark_probability(
 
     Examples
     --------
+    >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> table = rs.benchmark_probability("sdss_apo", efforts={"quadrature": [64, 128]}, repeats=2)
+    >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm)
+    >>> table = rs.benchmark_probability(plane, efforts={"quadrature": [64, 128]}, repeats=2, precision=2e-3)
     >>> table["method", "effort"].pformat()[2:]
     ['quadrature     64', 'quadrature    128']
     """
@@ -170,8 +173,11 @@ def benchmark_densities(
 
     Examples
     --------
+    >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> rs.benchmark_densities("sdss_apo", precision=0.01, n_allocations=2)["density"].tolist()
+    >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm)
+    >>> rs.benchmark_densities(plane, precision=0.01, n_allocations=2)["density"].tolist()
     ['allocated', 'uniform', 'shared', 'voronoi', 'empirical']
     """
     plane = as_focal_plane(instrument)

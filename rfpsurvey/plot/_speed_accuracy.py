@@ -144,8 +144,11 @@ def plot_probability_accuracy(
 
     Examples
     --------
+    >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> table = rs.benchmark_probability("sdss_apo", efforts={"closed_form": [0], "quadrature": [64]}, repeats=2)
+    >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm)
+    >>> table = rs.benchmark_probability(plane, efforts={"quadrature": [64]}, repeats=2, precision=2e-3)
     >>> (ax,) = rs.plot_probability_accuracy(table)
     >>> ax.get_xlabel()
     'time [ms]'
