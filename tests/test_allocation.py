@@ -1,3 +1,4 @@
+import pickle
 from collections import Counter
 
 import astropy.units as u
@@ -170,3 +171,51 @@ def test_bad_input_is_named(arguments, message):
     xy = arguments.pop("xy", [[0, 0]] * MM)
     with pytest.raises(rs.InputError, match=message):
         flat.allocate(PLANES["equal"], xy, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"requirements": "instrument"}, "requirements='instrument' needs an instrument"),
+        ({"requirements": "sky=1", "sky_separation": 3 * u.arcsec}, "sky_separation=3.0 arcsec needs an instrument"),
+        ({"sky_separation": 3 * u.s}, "sky_separation must have a unit convertible to mm"),
+        ({"start": 5}, "start must be an Allocation or the name of an allocator, got 5"),
+        ({"objective": "most"}, "unknown objective 'most'"),
+        ({"time_limit": 5}, "time_limit must be a Quantity"),
+        ({"allocator": "greedy"}, "unknown allocator 'greedy'"),
+    ],
+)
+def test_options_are_checked(options, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.allocate(PLANES["equal"], [[0, 0]] * u.mm, allocator=rs.AllocationOptions(**options))
+
+
+def test_options_say_what_differs_from_the_default():
+    assert repr(rs.AllocationOptions()) == "AllocationOptions('lamost')"
+    changed = rs.AllocationOptions("optimal", requirements="sky=2", parked_obstacles=False)
+    assert repr(changed) == (
+        "AllocationOptions('optimal', requirements=(Requirement('sky=2'),), parked_obstacles=False)"
+    )
+    assert changed.record["requirements"] == ["sky=2"]
+    assert pickle.loads(pickle.dumps(changed)) == changed
+
+
+def test_problems_cannot_be_changed_by_an_allocator():
+    def spoil(problem):
+        problem.xy[:] = 0
+
+    with pytest.raises(rs.InputError, match="failed: ValueError: assignment destination is read-only"):
+        rs.allocate(PLANES["equal"], [[0, 0]] * u.mm, allocator=spoil)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda n: rs.AllocationAnswer(np.full(n, -1), levels=[("science", 5.0, 5.0)]), "levels must be those of the"),
+        (lambda n: rs.AllocationAnswer(np.full(n, -1), queues=(np.zeros(2), np.zeros(0))), "queues must be indptr"),
+    ],
+)
+def test_claims_of_an_answer_are_checked(answer, message):
+    plane = PLANES["equal"]
+    with pytest.raises(rs.InputError, match=message):
+        rs.allocate(plane, [[0, 0]] * u.mm, allocator=lambda problem: answer(len(plane)))

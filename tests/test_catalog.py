@@ -293,7 +293,7 @@ def test_bad_overrides_are_named():
     with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
         rs.Catalog([1, 2])
     with pytest.raises(rs.InputError, match="'altaz' cannot be brought to ICRS"):
-        rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz()))._vectors  # noqa: B018
+        rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz())).arrays.vectors  # noqa: B018
 
 
 @pytest.mark.parametrize(

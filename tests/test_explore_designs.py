@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import rfpsurvey as rs
 from oracles import annuli_coverage
-from rfpsurvey.design import _books
+from rfpsurvey.design import _checkpoint
 from rfpsurvey.design._front import on_front
 from rfpsurvey.design._losses import METHODS
 from rfpsurvey.design._work import Task
@@ -209,7 +209,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
             raise KeyboardInterrupt
         return method(*arguments)
 
-    monkeypatch.setattr(_books, "EVERY", -1.0)
+    monkeypatch.setattr(_checkpoint, "EVERY", -1.0)
     monkeypatch.setitem(METHODS, "surrogate", stop)
     with pytest.raises(KeyboardInterrupt):
         rs.explore_designs(path=path, **options)

@@ -10,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.time import Time
 
 import rfpsurvey as rs
+from rfpsurvey.catalog._parts import Partitions
 from rfpsurvey.survey import _source
 
 pytest.importorskip("pyarrow")
@@ -90,8 +91,8 @@ def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, mo
     read = []
     parts = rs.PartitionedCatalog(folder, kept_rows=kept)
     source = _source.Partitioned(parts)
-    real = rs.PartitionedCatalog._part
-    monkeypatch.setattr(rs.PartitionedCatalog, "_part", lambda self, k: (read.append(k), real(self, k))[1])
+    real = Partitions.part
+    monkeypatch.setattr(Partitions, "part", lambda self, k: (read.append(k), real(self, k))[1])
     left = np.ones(len(source), dtype=np.uint8)
     for _ in range(5):
         for tile in TILES:

@@ -130,7 +130,7 @@ def test_surveys_know_them_by_name(small, install, tmp_path):
     mine = rs.plan_survey(sky, small, tiles, allocator="begin", folder=tmp_path / "survey")
     assert mine.summary == usual.summary
     assert mine.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}
-    assert mine.provenance["parameters"]["method"] == "begin"
+    assert mine.provenance["parameters"]["allocator"] == "begin"
     install("hers", HERS, "1.1", allocators={"begin": "begin"})
     with pytest.warns(rs.RfpsurveyWarning, match="was begun with other versions of the software"):
         rs.plan_survey(sky, small, tiles, allocator="begin", folder=tmp_path / "survey", resume=True)
@@ -144,7 +144,7 @@ def test_surveys_take_functions_on_threads(small):
     with ThreadPoolExecutor(2) as executor:
         mine = rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
     assert mine.summary == usual.summary
-    assert mine.provenance["parameters"]["method"] == f"{__name__}.begin_optimal"
+    assert mine.provenance["parameters"]["allocator"] == f"{__name__}.begin_optimal"
     with ProcessPoolExecutor(1) as executor, pytest.raises(rs.InputError, match="must be a name where processes do"):
         rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from adversarial import ADVERSARIAL, random_pairs
 from oracles import closer_than, squared_distance
 from rfpsurvey._kernels import collisions, reference
-from rfpsurvey.collision._exactly import closer_exactly
+from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from strategies import segments
 
 RUN = np.array([[0, 1, 1]])

@@ -159,7 +159,7 @@ def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, lar
     }
     usual = flat.allocate(plane, xy, **options)
     for name, value in {"LARGE": 0, "STEEP": steep, "LARGEST": largest}.items():
-        monkeypatch.setattr(f"rfpsurvey.allocation._pursue.{name}", value)
+        monkeypatch.setattr(f"rfpsurvey.allocation._lexicographic.{name}", value)
     found = flat.allocate(plane, xy, **options)
     assert found.levels == usual.levels
     assert found.gap == 0

@@ -13,7 +13,7 @@ import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling import _greedy
 from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow, _relax
-from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, neighbors_within
 from rfpsurvey.tiling._visit import visit_all
 
@@ -32,11 +32,11 @@ def test_searches_never_lose_and_sometimes_gain(search):
     for seed in range(40):
         catalog = sky(n=25, radius=2, seed=seed)
         index = SkyIndex(catalog.arrays.vectors)
-        ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, Fibers(25, None, None)))
+        state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, Fibers(25, None, None)))
         begin = catalog.arrays.vectors[0]
-        end = search(ledger, begin)
+        end = search(state, begin)
         assert np.linalg.norm(end) == pytest.approx(1)
-        gains.append(np.diff(index.sum_near(np.array([begin, end]), np.deg2rad(1), ledger.weight))[0])
+        gains.append(np.diff(index.sum_near(np.array([begin, end]), np.deg2rad(1), state.weight))[0])
     assert min(gains) >= 0
     assert np.mean(np.array(gains) > 0) > 0.3
 
@@ -54,10 +54,10 @@ def test_overlaps_help_where_fibers_are_short(seed):
     ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
     coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
     index = SkyIndex(coord.cartesian.xyz.value.T)
-    ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, Fibers(20, None, None)))
+    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, Fibers(20, None, None)))
     centers = SkyCoord([9.5, 11.0] * DEG, [0, 0] * DEG).cartesian.xyz.value.T
-    assert visit_all(ledger, np.ascontiguousarray(centers), 1) == 2
-    assert ledger.completeness == 1
+    assert visit_all(state, np.ascontiguousarray(centers), 1) == 2
+    assert state.completeness == 1
 
 
 def test_fibers_keep_their_distance(rng):
@@ -99,7 +99,7 @@ def test_tiles_move_to_what_they_are_given(rng):
     """Every target in a field at the end, from centers that are a bit off, and one that is of no use where it is."""
     clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
     vectors = np.vstack([c.arrays.vectors for c in clusters])
-    problem = Problem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, Fibers(25, None, None))
+    problem = TilingProblem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, Fibers(25, None, None))
     cells = _Cells(problem)
     begin = SkyCoord([10.6, 13.4, 40] * DEG, [5, 5.4, -30] * DEG).cartesian.xyz.value.T
     before = _flow(problem, cells, begin)[-1]
@@ -113,12 +113,12 @@ def test_chances_are_the_tiles_to_come():
     catalog = sky(n=100, radius=2)
     index, seen = SkyIndex(catalog.arrays.vectors), []
 
-    def serve(center, near, ledger):
-        seen.append((center, ledger.chances.copy()))
+    def serve(center, near, state):
+        seen.append((center, state.chances.copy()))
         return near[:5]
 
-    ledger = Ledger(Problem(np.deg2rad(1), index, np.ones(100, dtype=int), 5, serve))
-    visit_all(ledger, np.ascontiguousarray(index.vectors[:12]), 1)
+    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(100, dtype=int), 5, serve))
+    visit_all(state, np.ascontiguousarray(index.vectors[:12]), 1)
     assert len(seen) > 5
     for k, (_, chances) in enumerate(seen):
         later = [center for center, _ in seen[k + 1 :]]

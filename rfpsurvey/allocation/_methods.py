@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._candidates import find_candidates
-from rfpsurvey.allocation._moves import match, mend, pick, trim
+from rfpsurvey.allocation._local_search import match, mend, pick, trim
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
 from rfpsurvey.allocation._search import decide
 from rfpsurvey.focal_plane import elbow_names

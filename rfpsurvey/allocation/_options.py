@@ -125,15 +125,23 @@ class AllocationOptions:
 
         Parameters
         ----------
-        instrument : Instrument
-            The instrument.
+        instrument : Instrument or None
+            The instrument; None where only a focal plane is known.
 
         Returns
         -------
         AllocationOptions
             What `allocate` takes, and a result records.
+
+        Raises
+        ------
+        InputError
+            If requirements of the instrument, or an angle, are asked for and no instrument is given.
         """
         requirements, separation = self.requirements, self.sky_separation
+        if instrument is None and (requirements == "instrument" or _is_angle(separation)):
+            given = "requirements='instrument'" if requirements == "instrument" else f"sky_separation={separation}"
+            raise InputError(f"{given} needs an instrument, as plan_tile has; allocate takes lengths and requirements")
         if requirements == "instrument":
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):

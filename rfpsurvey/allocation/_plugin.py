@@ -56,7 +56,7 @@ def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: All
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}
-        if given != real or any(level.bound < level.value for level in answer.levels):
+        if given != real or any(bound < value for _, value, bound in answer.levels):
             raise InputError(f"levels must be those of the plan, {real}, with bounds that are not below them")
     if answer.queues is not None:
         indptr, queue = (np.asarray(column) for column in answer.queues)

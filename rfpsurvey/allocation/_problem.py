@@ -52,6 +52,12 @@ class AllocationAnswer(NamedTuple):
         Value and bound of each objective. None: the values are computed, and nothing is proven.
     meta : dict, optional
         How the answer was found.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.AllocationAnswer([2, -1, 0]).target_of_positioner
+    [2, -1, 0]
     """
 
     target_of_positioner: np.ndarray
@@ -130,7 +136,7 @@ class AllocationProblem:
     required: np.ndarray | None = None
     options: AllocationOptions = field(default_factory=AllocationOptions)
     rng: np.random.Generator | None = None
-    start: Callable[[], AllocationAnswer] = _no_start
+    start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
     watched: np.ndarray | None = None
 
     def __post_init__(self):
@@ -205,7 +211,18 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Class of targets; that of no target (-1) comes after all others."""
+        """Return the class of targets; that of no target (-1) comes after all others.
+
+        Parameters
+        ----------
+        target : ndarray of int
+            Rows of targets, -1 for none.
+
+        Returns
+        -------
+        ndarray of int
+            Classes, of the same shape.
+        """
         found = np.full(np.shape(target), len(self.classes) + 1, dtype=np.int64)
         real = np.asarray(target) >= 0
         found[real] = self.rank[target[real]]  # without a copy of the ranks of all targets
@@ -219,7 +236,18 @@ class AllocationProblem:
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
 
     def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Index of the fiber type with which positioners look at targets."""
+        """Return the fiber type with which positioners observe targets.
+
+        Parameters
+        ----------
+        own, target : ndarray of int, shape (k,)
+            Rows of positioners and of their targets.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+            Indices of ``focal_plane.fiber_types``.
+        """
         first = self.focal_plane.arrays.first_index[own]
         if not self.several_fiber_types:
             return first
@@ -227,16 +255,49 @@ class AllocationProblem:
         return np.where(code < 0, first, code)
 
     def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Spectrograph into which positioners send the light of targets."""
+        """Return the spectrograph into which positioners send the light of targets.
+
+        Parameters
+        ----------
+        own, target : ndarray of int, shape (k,)
+            Rows of positioners and of their targets.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+            Spectrographs.
+        """
         table = self.focal_plane.spectrograph
         return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
 
     def only(self, targets: np.ndarray) -> Reach:
-        """Return the reachable pairs of some targets."""
+        """Return the reachable pairs of some targets.
+
+        Parameters
+        ----------
+        targets : ndarray of bool, shape (n_targets,)
+            Targets to keep.
+
+        Returns
+        -------
+        Reach
+            The pairs.
+        """
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     def values(self, target_of: np.ndarray) -> dict[str, float]:
-        """Return what a plan reaches at each level, in their order; more is better."""
+        """Return the value of each objective of a plan, in their order; more is better.
+
+        Parameters
+        ----------
+        target_of : ndarray of int, shape (n_positioners,)
+            Target of each positioner, -1 for none.
+
+        Returns
+        -------
+        dict of str to float
+            Name and value of each objective.
+        """
         used = target_of[target_of >= 0]
         counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
         levels = {}
@@ -260,7 +321,18 @@ class AllocationProblem:
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
 
     def shortfalls(self, target_of: np.ndarray) -> list[Shortfall]:
-        """Return the requirements that a plan does not meet."""
+        """Return the requirements that a plan does not meet.
+
+        Parameters
+        ----------
+        target_of : ndarray of int, shape (n_positioners,)
+            Target of each positioner, -1 for none.
+
+        Returns
+        -------
+        list of Shortfall
+            What is missing, or too much.
+        """
         found = []
         for group, n in zip(self.groups, self._counts(target_of), strict=True):
             one = group.requirement

@@ -8,10 +8,10 @@ from scipy.sparse import coo_array
 
 from rfpsurvey._kernels import reduce
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
-from rfpsurvey.allocation._moves import improve, match, mend, pick, trim
+from rfpsurvey.allocation._lexicographic import pursue
+from rfpsurvey.allocation._local_search import improve, match, mend, pick, trim
+from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
-from rfpsurvey.allocation._program import Program
-from rfpsurvey.allocation._pursue import pursue
 from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["decide"]

@@ -15,8 +15,16 @@ from scipy.spatial import cKDTree
 from rfpsurvey._kernels import reference
 from rfpsurvey._units import to_generator
 from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
-from rfpsurvey.collision import METHODS, Configuration, Found, keep_closer, near_pairs, place_arms
-from rfpsurvey.collision._exactly import closer_exactly, distance_exactly
+from rfpsurvey.collision import (
+    METHODS,
+    Configuration,
+    Found,
+    closer_exactly,
+    distance_exactly,
+    keep_closer,
+    near_pairs,
+    place_arms,
+)
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane

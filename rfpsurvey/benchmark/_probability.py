@@ -16,8 +16,7 @@ from rfpsurvey.benchmark._common import check_positive, provenance
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.probability import METHODS, collision_probability, find_method
-from rfpsurvey.probability._targets import make_source
+from rfpsurvey.probability import METHODS, collision_probability, find_method, make_source
 
 __all__ = ["benchmark_densities", "benchmark_probability"]
 

@@ -2,7 +2,7 @@
 
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, lay_out, make_desk, make_stage
-from rfpsurvey.collision._exactly import closer_exactly
+from rfpsurvey.collision._exact_arithmetic import closer_exactly, distance_exactly
 from rfpsurvey.collision._find import find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._report import CollisionReport
@@ -17,6 +17,7 @@ __all__ = [
     "check_plane",
     "closer_exactly",
     "count_collisions",
+    "distance_exactly",
     "find_collisions",
     "keep_closer",
     "lay_out",

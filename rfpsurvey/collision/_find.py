@@ -17,7 +17,7 @@ from rfpsurvey.collision._arms import (
     to_sides,
     to_tips,
 )
-from rfpsurvey.collision._exactly import closer_exactly
+from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice

@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions, reference
 from rfpsurvey.collision._arms import Arms
-from rfpsurvey.collision._exactly import closer_exactly
+from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]

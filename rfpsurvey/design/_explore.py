@@ -10,13 +10,13 @@ from astropy.table import QTable
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import to_radian, to_scalar, to_seed
 from rfpsurvey.design._axes import to_axes, to_designs
-from rfpsurvey.design._books import Books
+from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._losses import ESTIMANDS, METHODS
 from rfpsurvey.design._rows import FIGURES, to_table
 from rfpsurvey.design._work import MOST_TARGETS, Task
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
-from rfpsurvey.probability._run import Progress
+from rfpsurvey.probability import Progress
 
 __all__ = ["explore_designs"]
 
@@ -171,11 +171,11 @@ def explore_designs(
     designs = to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)
     request["n_designs"] = None if n_designs is None else int(n_designs)
-    books = Books(path, request, designs, resume=resume, overwrite=overwrite)
-    _run(task, designs, books, executor, progress=progress)
-    table = to_table(books.rows, {**books.meta, "objectives": objectives})
+    checkpoint = Checkpoint(path, request, designs, resume=resume, overwrite=overwrite)
+    _run(task, designs, checkpoint, executor, progress=progress)
+    table = to_table(checkpoint.rows, {**checkpoint.meta, "objectives": objectives})
     table["pareto"] = on_front(table, objectives)
-    books.finish(table)
+    checkpoint.finish(table)
     _warn(table)
     return table
 
@@ -204,15 +204,15 @@ def _targets(each, density):
     return float(number), False
 
 
-def _run(task, designs, books, executor, *, progress):
-    """Take all designs that are not done into the books, in their order."""
-    bar, starts = Progress(progress), range(books.done, len(designs), CHUNK)
+def _run(task, designs, checkpoint, executor, *, progress):
+    """Take all designs that are not done into the checkpoint, in their order."""
+    bar, starts = Progress(progress), range(checkpoint.done, len(designs), CHUNK)
     parts = (designs[start : start + CHUNK] for start in starts)
-    with books.open():
+    with checkpoint.open():
         for rows in map_in_order(executor, task, starts, parts):
-            books.add(rows)
-            books.save()
-            bar(books.done / len(designs))
+            checkpoint.add(rows)
+            checkpoint.save()
+            bar(checkpoint.done / len(designs))
     bar.close()
 
 

@@ -8,9 +8,7 @@ import numpy as np
 from rfpsurvey.allocation import AllocationOptions, allocate
 from rfpsurvey.design._lattice import Lattice
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.probability import collision_probability, surrogate_probability
-from rfpsurvey.probability._surrogate import AXES, interior_risk, outside_box
-from rfpsurvey.probability._targets import Source
+from rfpsurvey.probability import AXES, Source, collision_probability, interior_risk, outside_box, surrogate_probability
 
 __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 

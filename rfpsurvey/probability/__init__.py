@@ -3,22 +3,38 @@
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._fit import PolynomialFit, fit_polynomial
-from rfpsurvey.probability._methods import ESTIMANDS, METHODS
+from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
+from rfpsurvey.probability._methods import CHUNK, ESTIMANDS, METHODS
 from rfpsurvey.probability._plugin import ProbabilityQuestion, find_method
-from rfpsurvey.probability._run import Progress, rate_interval
-from rfpsurvey.probability._surrogate import make_surrogate, surrogate_probability
+from rfpsurvey.probability._run import Precision, Progress, rate_interval, run, summarize
+from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._surrogate import AXES, interior_risk, make_surrogate, outside_box, surrogate_probability
+from rfpsurvey.probability._targets import Source, make_source
 
 __all__ = [
+    "AXES",
+    "CHUNK",
     "ESTIMANDS",
+    "INTERVALS",
     "METHODS",
     "Estimate",
     "PolynomialFit",
+    "Precision",
     "ProbabilityQuestion",
     "Progress",
+    "Simulation",
+    "Source",
     "collision_probability",
     "find_method",
     "fit_polynomial",
+    "interior_risk",
+    "make_source",
     "make_surrogate",
+    "outside_box",
+    "quantile",
     "rate_interval",
+    "run",
+    "summarize",
     "surrogate_probability",
+    "wilson",
 ]

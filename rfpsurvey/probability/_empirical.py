@@ -7,8 +7,8 @@ from rfpsurvey.allocation import Allocation
 from rfpsurvey.collision import lay_out, make_stage
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.probability._scratch import make_array, make_hall
 from rfpsurvey.probability._simulate import Tally
+from rfpsurvey.probability._workspace import make_array, make_hall
 
 __all__ = ["as_allocations", "pool"]
 

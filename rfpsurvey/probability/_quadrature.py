@@ -17,7 +17,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._run import Precision, Progress
-from rfpsurvey.probability._scratch import make_array, make_hall
+from rfpsurvey.probability._workspace import make_array, make_hall
 
 __all__ = ["DENSITIES", "Quadrature", "integrate"]
 

@@ -10,8 +10,8 @@ from rfpsurvey._kernels import batch, simulate
 from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
 from rfpsurvey.collision import lay_out, make_desk, make_stage
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.probability._scratch import make_array, make_hall, make_room
 from rfpsurvey.probability._targets import Source
+from rfpsurvey.probability._workspace import make_array, make_hall, make_room
 
 __all__ = ["Simulation", "Tally", "merge"]
 

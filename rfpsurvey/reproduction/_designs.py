@@ -11,8 +11,7 @@ from astropy.table import QTable, Row
 from rfpsurvey._executors import map_in_order
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Estimate, collision_probability
-from rfpsurvey.probability._run import Progress
+from rfpsurvey.probability import Estimate, Progress, collision_probability
 
 __all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "numbers_of", "plane_of", "random_designs"]
 

@@ -8,12 +8,18 @@ from astropy.table import QTable
 
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import collision_probability
-from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
-from rfpsurvey.probability._methods import CHUNK
-from rfpsurvey.probability._run import Precision, run, summarize
-from rfpsurvey.probability._simulate import Simulation
-from rfpsurvey.probability._targets import make_source
+from rfpsurvey.probability import (
+    CHUNK,
+    INTERVALS,
+    Precision,
+    Simulation,
+    collision_probability,
+    make_source,
+    quantile,
+    run,
+    summarize,
+    wilson,
+)
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
 from rfpsurvey.reproduction._designs import Settings, each
 from rfpsurvey.reproduction._one_sky import one_sky

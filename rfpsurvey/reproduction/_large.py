@@ -4,8 +4,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey.probability import Estimate, fit_polynomial, surrogate_probability
-from rfpsurvey.probability._surrogate import interior_risk
+from rfpsurvey.probability import Estimate, fit_polynomial, interior_risk, surrogate_probability
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
 from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs
 

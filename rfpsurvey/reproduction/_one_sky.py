@@ -6,9 +6,7 @@ from astropy.table import QTable
 
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability._run import Precision, summarize
-from rfpsurvey.probability._simulate import Simulation
-from rfpsurvey.probability._targets import make_source
+from rfpsurvey.probability import Precision, Simulation, make_source, summarize
 from rfpsurvey.reproduction._designs import Settings, each
 
 __all__ = ["one_sky"]

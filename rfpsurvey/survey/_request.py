@@ -13,7 +13,7 @@ from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import blank_ids, field_radius_rad
-from rfpsurvey.survey._ledger import Ledger
+from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
@@ -60,12 +60,12 @@ class Request:
         blank = None if self.options.sky_separation is None else blank_ids(self.source.ids())
         return Model(self.instrument, self.options, blank, lost_in_collision=self.lost_in_collision)
 
-    def open_ledger(self) -> Ledger:
-        """Return a ledger without a visit."""
+    def open_state(self) -> Bookkeeping:
+        """Return a state without a visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind"))
         others = bool(self.options.requirements)
         in_turn = self.order == "color"
-        return Ledger(self.visits, *columns, n_passes=len(self.passes), use_others=others, in_turn=in_turn)
+        return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), use_others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row) with what is left of the targets."""

@@ -30,7 +30,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         request.check_text()
         where = Folder(path, request.identity(), len(request.tiling), resume=resume)
     with where as folder:
-        ledger = request.open_ledger()
+        state = request.open_state()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         counts = {name: np.zeros(n, dtype=np.int64) for name, _ in (*COUNTS.values(), ("n_observed", ""))}
@@ -38,9 +38,9 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         with Ticker(progress, n) as ticker:
             for k, tiles in enumerate(request.rounds):
                 round_of[tiles] = k
-                for tile, field, done, fresh in _plan_round(request, tiles, ledger, folder, executor):
+                for tile, field, done, fresh in _plan_round(request, tiles, state, folder, executor):
                     slot = np.append(field.slot, -1)[done.target]
-                    kept = ledger.enter(field, done.in_reach, slot, done.observed, request.number[tile])
+                    kept = state.enter(field, done.in_reach, slot, done.observed, request.number[tile])
                     if fresh and folder is not None:
                         folder.put_part(tile, done.part)
                     parts[tile] = done.visits
@@ -48,8 +48,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                         counts[name][tile] = value
                     finished += 1
                     ticker.step(finished, new=fresh)
-        outcomes = outcome_table(request, ledger)
-        tables = tile_table(request, ledger, round_of, counts, outcomes), completeness_table(request, ledger), outcomes
+        outcomes = outcome_table(request, state)
+        tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
         if folder is None:
             return Survey(*tables, parts=tuple(parts))
         for name, table in zip(TABLES, tables, strict=True):
@@ -58,12 +58,12 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
     return Survey(*tables, folder.path)
 
 
-def _plan_round(request, tiles, ledger, folder, executor) -> Iterator:
+def _plan_round(request, tiles, state, folder, executor) -> Iterator:
     """Yield tile, field, what came out, and whether that is new, in the order of ``tiles``."""
     waiting = deque()
     try:
         for tile in tiles.tolist():
-            job = request.job(tile, ledger.left, as_file=folder is not None)
+            job = request.job(tile, state.left, as_file=folder is not None)
             done = None if folder is None else _read(folder, tile, job)
             fresh = done is None
             if fresh:

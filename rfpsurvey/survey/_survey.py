@@ -12,8 +12,8 @@ from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
 from rfpsurvey.errors import InputError
+from rfpsurvey.survey._bookkeeping import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
-from rfpsurvey.survey._ledger import OUTCOMES
 
 __all__ = ["Survey"]
 
@@ -57,7 +57,7 @@ class Survey:
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 1 * u.deg, n_targets=500, rng=1)
-    >>> survey = rs.plan_survey(sky, SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg), "moons")
+    >>> survey = rs.plan_survey(sky, "moons", SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg))
     >>> survey
     <Survey of 2 tiles: 33 of 500 visits, completeness 0.0660>
     """

@@ -9,7 +9,7 @@ from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.errors import InputError
 from rfpsurvey.region import Region, circle_around, distance_to, is_inside
-from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["cover_region", "cover_targets", "snap"]
@@ -19,20 +19,20 @@ FINE = 1 / 40
 MOST_SAMPLES = 200_000
 
 
-def cover_targets(problem: Problem, make: Callable) -> Ledger:
+def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
     """Cover the targets so many times as asked for; or, for a goal, until it is reached or a pass serves nobody."""
-    ledger = Ledger(problem)
+    state = TilingState(problem)
     center, reach = problem.circle()
     number, whole = 0, problem.open_ended
-    while number < problem.passes if whole else not ledger.done:
+    while number < problem.passes if whole else not state.done:
         centers = make(center, reach, problem.radius, number)
-        targets = problem.wanted > 0 if whole else ledger.left > 0
+        targets = problem.wanted > 0 if whole else state.left > 0
         if problem.allowed is not None:
             centers = snap(centers, problem.allowed, problem.index.vectors[targets], problem.radius)
         number += 1
-        if visit_all(ledger, centers, number, every=whole) == 0:
+        if visit_all(state, centers, number, every=whole) == 0:
             break
-    return ledger
+    return state
 
 
 def cover_region(

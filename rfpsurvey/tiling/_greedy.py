@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
 __all__ = ["density_gradient", "max_density", "mean_shift", "ring"]
 
@@ -19,76 +19,76 @@ BESIDE = (0.1, 0.35)
 MOST_STEPS = 200
 
 
-def max_density(problem: Problem) -> Ledger:
+def max_density(problem: TilingProblem) -> TilingState:
     """Place each tile where the most visits are wanted.
 
     Candidates are a HEALPix grid finer than a tenth of the radius, their sums brought up to date about the last tile;
     the best one is then shifted as long as its sum grows.
     """
-    ledger = Ledger(problem)
+    state = TilingState(problem)
     places = _grid(problem) if problem.allowed is None else problem.allowed
-    candidates = _Candidates(ledger, places, problem.radius)
+    candidates = _Candidates(state, places, problem.radius)
 
     def seek():
         center = candidates.best()
-        return center if center is None or problem.allowed is not None else _climb_sum(ledger, center)
+        return center if center is None or problem.allowed is not None else _climb_sum(state, center)
 
-    return _run(ledger, candidates, seek)
+    return _run(state, candidates, seek)
 
 
-def density_gradient(problem: Problem) -> Ledger:
+def density_gradient(problem: TilingProblem) -> TilingState:
     """Place each tile by climbing the density of targets, smoothed by a Gaussian, from where they are densest."""
     return _follow(problem, _climb_density)
 
 
-def mean_shift(problem: Problem) -> Ledger:
+def mean_shift(problem: TilingProblem) -> TilingState:
     """Place each tile by moving it to the mean of its targets again and again, from where they are densest."""
     return _follow(problem, _shift_to_mean)
 
 
-def _follow(problem: Problem, move: Callable) -> Ledger:
+def _follow(problem: TilingProblem, move: Callable) -> TilingState:
     """Run a method that starts from the place with the most targets near it."""
-    ledger = Ledger(problem)
-    seeds = _Candidates(ledger, _grid(problem), SEED * problem.radius)
-    allowed = None if problem.allowed is None else _Candidates(ledger, problem.allowed, problem.radius)
+    state = TilingState(problem)
+    seeds = _Candidates(state, _grid(problem), SEED * problem.radius)
+    allowed = None if problem.allowed is None else _Candidates(state, problem.allowed, problem.radius)
 
     def seek():
         seed = seeds.best()
         if seed is None:
             return None
-        center = move(ledger, seed)
+        center = move(state, seed)
         if allowed is not None:
             return allowed.about(center)
         # a hill of density may rise between targets that are all out of its reach
-        return center if len(problem.index.near(center, problem.radius, ledger.weight)) else seed
+        return center if len(problem.index.near(center, problem.radius, state.weight)) else seed
 
-    return _run(ledger, seeds if allowed is None else (seeds, allowed), seek)
+    return _run(state, seeds if allowed is None else (seeds, allowed), seek)
 
 
-def _run(ledger: Ledger, candidates, seek: Callable) -> Ledger:
-    """Place tiles until the ledger is done or nobody can be served any more."""
+def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
+    """Place tiles until nothing is left to do or nobody can be served any more."""
     lists = candidates if isinstance(candidates, tuple) else (candidates,)
-    while not ledger.done:
+    while not state.done:
         center = seek()
         if center is None:
             break
         tries = [center]
-        if ledger.problem.allowed is None:  # a target may be where no positioner gets, but not for a tile beside it
-            tries += [one for step in BESIDE for one in ring(center, step * ledger.problem.radius)]
-        if not any(len(ledger.observe(one)) for one in tries):
-            ledger.give_up(center)
+        if state.problem.allowed is None:  # a target may be where no positioner gets, but not for a tile beside it
+            tries += [one for step in BESIDE for one in ring(center, step * state.problem.radius)]
+        if not any(len(state.observe(one)) for one in tries):
+            state.give_up(center)
         for one in lists:
-            one.update(center, (1 + max(BESIDE)) * ledger.problem.radius)
-    return ledger
+            one.update(center, (1 + max(BESIDE)) * state.problem.radius)
+    return state
 
 
 class _Candidates:
     """Places for a tile, and the visits wanted within some reach of each."""
 
-    def __init__(self, ledger: Ledger, vectors: np.ndarray, reach: float):
-        self.ledger, self.reach = ledger, reach
+    def __init__(self, state: TilingState, vectors: np.ndarray, reach: float):
+        self.state, self.reach = state, reach
         self.index = SkyIndex(vectors)
-        self.sum = ledger.problem.index.sum_near(self.index.vectors, reach, ledger.weight)
+        self.sum = state.problem.index.sum_near(self.index.vectors, reach, state.weight)
 
     def best(self) -> np.ndarray | None:
         """Return the place with the largest sum, None where all are 0."""
@@ -101,7 +101,7 @@ class _Candidates:
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
         """Return the best place within half a radius of a direction, or the best of all where there is none."""
-        near = self.index.near(center, 0.5 * self.ledger.problem.radius)
+        near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5:
             return self.best()
         return self.index.vectors[near[np.argmax(self.sum[near])]]
@@ -109,11 +109,11 @@ class _Candidates:
     def update(self, center: np.ndarray, changed: float) -> None:
         """Bring the sums up to date where targets within ``changed`` of a center were observed."""
         near = self.index.near(center, min(changed + self.reach, np.pi))
-        weight = self.ledger.weight
-        self.sum[near] = self.ledger.problem.index.sum_near(self.index.vectors[near], self.reach, weight)
+        weight = self.state.weight
+        self.sum[near] = self.state.problem.index.sum_near(self.index.vectors[near], self.reach, weight)
 
 
-def _grid(problem: Problem) -> np.ndarray:
+def _grid(problem: TilingProblem) -> np.ndarray:
     """Return HEALPix centers, finer than a tenth of the radius, within a radius of targets."""
     fine = _healpix.nside_for(GRID * problem.radius / 1.0233)  # the side of a pixel is 1.0233 / nside
     coarse = max(_healpix.nside_for(problem.radius) // 2, 1)
@@ -137,9 +137,9 @@ def ring(center: np.ndarray, step: float) -> np.ndarray:
     return np.cos(step) * center + np.sin(step) * (np.cos(turn) * x + np.sin(turn) * np.cross(center, x))
 
 
-def _climb_sum(ledger: Ledger, center: np.ndarray) -> np.ndarray:
+def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
     """Shift a center as long as the sum within it grows, by ever smaller steps."""
-    index, radius, weight = ledger.problem.index, ledger.problem.radius, ledger.weight
+    index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:
         around = ring(center, step)
@@ -152,11 +152,11 @@ def _climb_sum(ledger: Ledger, center: np.ndarray) -> np.ndarray:
     return center / np.linalg.norm(center)
 
 
-def _climb_density(ledger: Ledger, center: np.ndarray) -> np.ndarray:
+def _climb_density(state: TilingState, center: np.ndarray) -> np.ndarray:
     """Climb the gradient of the density, smoothed by a Gaussian of half the radius, until the step is small."""
-    problem = ledger.problem
+    problem = state.problem
     sigma = SIGMA * problem.radius
-    weight = ledger.weight
+    weight = state.weight
 
     def look(place):
         near = problem.index.near(place, min(3 * sigma, np.pi), weight)
@@ -182,9 +182,9 @@ def _climb_density(ledger: Ledger, center: np.ndarray) -> np.ndarray:
     return center
 
 
-def _shift_to_mean(ledger: Ledger, center: np.ndarray) -> np.ndarray:
+def _shift_to_mean(state: TilingState, center: np.ndarray) -> np.ndarray:
     """Move a center to the mean of its targets until it rests, and return the best place that it saw."""
-    problem, weight = ledger.problem, ledger.weight
+    problem, weight = state.problem, state.weight
     best, most = center, -1.0
     for _ in range(MOST_STEPS):
         near = problem.index.near(center, problem.radius, weight)

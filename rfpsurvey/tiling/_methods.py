@@ -12,7 +12,7 @@ __all__ = ["COVERINGS", "METHODS"]
 # Coverings of a region, which need no targets.
 COVERINGS = {"hexagonal": hexagonal, "spiral": spiral}
 
-# Each takes a Problem and returns a Ledger.
+# Each takes a TilingProblem and returns a TilingState.
 METHODS = {
     **{name: partial(cover_targets, make=make) for name, make in COVERINGS.items()},
     "max_density": max_density,

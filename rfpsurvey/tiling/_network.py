@@ -10,7 +10,7 @@ from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling._covering import lattice
 from rfpsurvey.tiling._greedy import ring
-from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["sdss"]
@@ -24,7 +24,7 @@ MOST_ROUNDS = 20
 GAIN = 2e-3
 
 
-def sdss(problem: Problem) -> Ledger:
+def sdss(problem: TilingProblem) -> TilingState:
     """Place a number of tiles by network flow; with a completeness, the fewest that reach it."""
     if problem.n_tiles is not None and problem.completeness is None:
         return _attempt(problem, problem.n_tiles)
@@ -33,20 +33,20 @@ def sdss(problem: Problem) -> Ledger:
     return _fewest(problem)
 
 
-def _fewest(problem: Problem) -> Ledger:
+def _fewest(problem: TilingProblem) -> TilingState:
     """Bisect the number of tiles."""
     goal = problem.completeness
     most = problem.n_tiles or 10**6
     n = min(max(int(np.ceil(goal * problem.wanted.sum() / problem.fibers)), 1), most)
     low, found, best, stuck = 0, None, None, 0
     while found is None:
-        ledger = _attempt(problem, n)
-        if best is None or ledger.completeness > best.completeness + 1e-9:
-            best, stuck = ledger, 0
+        state = _attempt(problem, n)
+        if best is None or state.completeness > best.completeness + 1e-9:
+            best, stuck = state, 0
         else:
             stuck += 1
-        if ledger.completeness >= goal - 1e-12:
-            found = ledger
+        if state.completeness >= goal - 1e-12:
+            found = state
         elif n >= most or stuck >= 6:
             return best
         else:
@@ -55,31 +55,31 @@ def _fewest(problem: Problem) -> Ledger:
     high = len(found.rows)
     while high - low > max(1, high // 100):
         middle = (low + high) // 2
-        ledger = _attempt(problem, middle)
-        if ledger.completeness >= goal - 1e-12:
-            found, high = ledger, min(middle, len(ledger.rows))
+        state = _attempt(problem, middle)
+        if state.completeness >= goal - 1e-12:
+            found, high = state, min(middle, len(state.rows))
         else:
             low = middle
     return found
 
 
-def _attempt(problem: Problem, n: int) -> Ledger:
+def _attempt(problem: TilingProblem, n: int) -> TilingState:
     """Place n tiles and observe them."""
     cells = _Cells(problem)
     centers = _relax(problem, cells, _uniform(problem, n))
-    ledger = Ledger(problem)
-    visit_all(ledger, _allowed(problem, centers), None)
-    return ledger
+    state = TilingState(problem)
+    visit_all(state, _allowed(problem, centers), None)
+    return state
 
 
-def _covering_number(problem: Problem) -> int:
+def _covering_number(problem: TilingProblem) -> int:
     center, reach = problem.circle()
     return len(
         _with_targets(problem, lattice(center, reach + 2 * problem.radius, np.sqrt(3) * problem.radius, np.zeros(2)))
     )
 
 
-def _uniform(problem: Problem, n: int) -> np.ndarray:
+def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
     """Return n centers, evenly over the targets: a hexagonal lattice of the pitch that gives so many with targets."""
     center, reach = problem.circle()
 
@@ -117,7 +117,7 @@ def _with_targets(problem, centers):
 class _Cells:
     """Targets that are close together, as one."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: TilingProblem):
         rows = np.flatnonzero(problem.wanted > 0)
         nside = _healpix.nside_for(CELL * problem.radius)
         _, of, count = np.unique(
@@ -139,7 +139,7 @@ def _cost(distance: np.ndarray, radius: float) -> np.ndarray:
     return np.where(away <= 1, INSIDE_COST * away**2, np.where(away <= 1 + OUTSIDE, beyond, UNASSIGNED))
 
 
-def _relax(problem: Problem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
+def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
     """Alternate flow and moves until the cost stops falling."""
     radius, last = problem.radius, np.inf
     for _ in range(MOST_ROUNDS):
@@ -162,7 +162,7 @@ def _relax(problem: Problem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
     return centers
 
 
-def _flow(problem: Problem, cells: _Cells, centers: np.ndarray):
+def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
     """Send cells to tiles at least cost; returns cell, tile and amount of each flow, and the total cost."""
     from scipy.optimize import linprog
     from scipy.sparse import csr_array
@@ -213,7 +213,7 @@ def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, ra
     return center / np.linalg.norm(center)
 
 
-def _allowed(problem: Problem, centers: np.ndarray) -> np.ndarray:
+def _allowed(problem: TilingProblem, centers: np.ndarray) -> np.ndarray:
     """Snap centers to those that may be."""
     if problem.allowed is None:
         return centers

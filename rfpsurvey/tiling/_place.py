@@ -17,7 +17,7 @@ from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
 from rfpsurvey.tiling._methods import COVERINGS, METHODS
-from rfpsurvey.tiling._problem import Ledger, Problem
+from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
 
@@ -182,19 +182,21 @@ def place_tiles(
     else:
         options = as_options(allocator).for_instrument(model)
         serve = FocalPlaneFibers(model, options, catalog, index, fibers, position_angle, rng)
-    problem = Problem(radius_rad, index, wanted[index.order], fibers, serve, allowed, passes, n_tiles, completeness)
-    ledger = METHODS[method](problem)
-    summary.update(fibers=fibers, **_account(ledger, neighbors))
-    if completeness is not None and ledger.completeness < completeness - 1e-12:
-        limit = "" if n_tiles is None or len(ledger.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
+    problem = TilingProblem(
+        radius_rad, index, wanted[index.order], fibers, serve, allowed, passes, n_tiles, completeness
+    )
+    state = METHODS[method](problem)
+    summary.update(fibers=fibers, **_account(state, neighbors))
+    if completeness is not None and state.completeness < completeness - 1e-12:
+        limit = "" if n_tiles is None or len(state.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
         warnings.warn(
-            f"{len(ledger.rows)} tiles reach a completeness of {ledger.completeness:.4f}, not {completeness:g}{limit}",
+            f"{len(state.rows)} tiles reach a completeness of {state.completeness:.4f}, not {completeness:g}{limit}",
             RfpsurveyWarning,
             stacklevel=2,
         )
-    if not ledger.rows:
+    if not state.rows:
         warnings.warn("no tile serves any target", RfpsurveyWarning, stacklevel=2)
-    centers_, number, n_targets, n_new, so_far = zip(*ledger.rows, strict=True) if ledger.rows else [()] * 5
+    centers_, number, n_targets, n_new, so_far = zip(*state.rows, strict=True) if state.rows else [()] * 5
     columns = {
         "n_targets": np.array(n_targets, dtype=np.int64),
         "n_new": np.array(n_new, dtype=np.int64),
@@ -237,19 +239,19 @@ def _wanted(catalog, visits, exclude):
     return wanted
 
 
-def _account(ledger: Ledger, neighbors) -> dict:
+def _account(state: TilingState, neighbors) -> dict:
     """Return what was reached."""
-    problem = ledger.problem
-    wanted, made = problem.wanted, problem.wanted - ledger.left
-    n = len(ledger.rows)
-    tiles = np.reshape([row[0] for row in ledger.rows], (-1, 3))
+    problem = state.problem
+    wanted, made = problem.wanted, problem.wanted - state.left
+    n = len(state.rows)
+    tiles = np.reshape([row[0] for row in state.rows], (-1, 3))
     depth = SkyIndex(tiles).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
         "n_targets": int(np.count_nonzero(wanted)),
         "n_on_tiles": int(np.count_nonzero(depth)),
         "n_wanted": int(wanted.sum()),
         "n_observed": int(made.sum()),
-        "completeness": float(ledger.completeness),
+        "completeness": float(state.completeness),
         "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
     }
     if neighbors is not None:

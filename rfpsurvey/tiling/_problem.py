@@ -8,11 +8,11 @@ import numpy as np
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling._tiling import place_of, to_ra_dec
 
-__all__ = ["Ledger", "Problem"]
+__all__ = ["TilingProblem", "TilingState"]
 
 
 @dataclass(frozen=True)
-class Problem:
+class TilingProblem:
     """The question, in radians; what belongs to targets is by position in the index."""
 
     radius: float
@@ -21,7 +21,7 @@ class Problem:
     """Visits of each target."""
     fibers: int
     serve: Callable
-    """Positions that a tile serves: serve(center, positions, ledger)."""
+    """Positions that a tile serves: serve(center, positions, state)."""
     allowed: np.ndarray | None = None
     """The only centers that may be."""
     passes: int = 1
@@ -45,10 +45,10 @@ class Problem:
 
 
 @dataclass
-class Ledger:
+class TilingState:
     """What is left to do, and the tiles so far."""
 
-    problem: Problem
+    problem: TilingProblem
     left: np.ndarray = field(init=False)
     """Visits of each target that are still wanted."""
     hopeless: np.ndarray = field(init=False)

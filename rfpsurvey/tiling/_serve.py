@@ -31,17 +31,17 @@ class Fibers:
     def __init__(self, fibers: int, priority: np.ndarray | None, neighbors: tuple | None):
         self.fibers, self.priority, self.neighbors = fibers, priority, neighbors
 
-    def __call__(self, center, near, ledger):
+    def __call__(self, center, near, state):
         """Return the positions that are served, of those in the field that still want a visit."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
         if self.neighbors is not None:
             indptr, other = self.neighbors
-            degree = self._degrees(near, ledger)
+            degree = self._degrees(near, state)
             keys.append(degree)
-        if ledger.chances is not None:
-            keys.append(ledger.chances[near])
+        if state.chances is not None:
+            keys.append(state.chances[near])
         if self.priority is not None:
             keys.append(-self.priority[near])
         order = np.lexsort(keys)
@@ -58,7 +58,7 @@ class Fibers:
         order = order[taken[order]]
         return near[np.sort(order[: self.fibers])]
 
-    def _degrees(self, near, ledger):
+    def _degrees(self, near, state):
         """Return how many targets of the field, still to be observed, are too close to each."""
         indptr, other = self.neighbors
         degree = indptr[near + 1] - indptr[near]
@@ -106,7 +106,7 @@ class FocalPlaneFibers:
         columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
         self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
 
-    def __call__(self, center, near, ledger):
+    def __call__(self, center, near, state):
         """Return the positions that are served, of those in the field that still want a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
         plane = self.instrument.field_projection(np.deg2rad(ra), np.deg2rad(dec), self.angle)

@@ -14,12 +14,12 @@ from rfpsurvey.design._rows import ROW, to_rows, to_table
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.tile import versions
 
-__all__ = ["Books"]
+__all__ = ["Checkpoint"]
 
 EVERY = 10.0  # seconds
 
 
-class Books:
+class Checkpoint:
     """The file of a scan, whole at any time, with the first designs of all.
 
     Parameters
@@ -60,7 +60,7 @@ class Books:
         return self.parts[0]
 
     def add(self, rows: np.ndarray) -> None:
-        """Take the next designs into the books."""
+        """Take the next designs into the checkpoint."""
         self.parts.append(rows)
         self.done += len(rows)
 

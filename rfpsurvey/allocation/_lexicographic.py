@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey.allocation._program import Program
+from rfpsurvey.allocation._milp import Program
 
 __all__ = ["Solution", "pursue"]
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey.survey._source import Field
 
-__all__ = ["OUTCOMES", "Ledger"]
+__all__ = ["OUTCOMES", "Bookkeeping"]
 
 OUTCOMES = (
     "not wanted",
@@ -21,7 +21,7 @@ SEEN, REACHED, LOST = 1, 2, 4
 MOST_CLASSES, N_RANGES = 20, 10
 
 
-class Ledger:
+class Bookkeeping:
     """Counts visits by slot; the order in which tiles that share no target are entered does not matter."""
 
     def __init__(self, visits, priority, kind, *, n_passes: int, use_others: bool, in_turn: bool):
