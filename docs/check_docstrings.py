@@ -6,10 +6,12 @@ InputError, itself or in a function of the package that it calls, says so.
 
 import ast
 import inspect
+import re
 import sys
 import textwrap
 import tomllib
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 
 from numpydoc.docscrape import get_doc_object
@@ -25,8 +27,9 @@ OTHERS = (property, cached_property, classmethod, staticmethod)
 
 def public_names():
     """Yield the dotted names of public objects and their public methods and properties, and what they are."""
-    for name in rfpsurvey.__all__:
-        thing = getattr(rfpsurvey, name)
+    listed = re.findall(r"^    ([\w.]+)$", (Path(__file__).parent / "api.rst").read_text(), re.MULTILINE)
+    for name in listed:
+        thing = attrgetter(name)(rfpsurvey)
         if name.startswith("_") or (inspect.isclass(thing) and issubclass(thing, Exception)):
             continue
         yield f"rfpsurvey.{name}", thing

@@ -211,8 +211,14 @@ def test_problems_cannot_be_changed_by_an_allocator():
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        (lambda n: rs.AllocationAnswer(np.full(n, -1), levels=[("science", 5.0, 5.0)]), "levels must be those of the"),
-        (lambda n: rs.AllocationAnswer(np.full(n, -1), queues=(np.zeros(2), np.zeros(0))), "queues must be indptr"),
+        (
+            lambda n: rs.allocation.AllocationAnswer(np.full(n, -1), levels=[("science", 5.0, 5.0)]),
+            "levels must be those of the",
+        ),
+        (
+            lambda n: rs.allocation.AllocationAnswer(np.full(n, -1), queues=(np.zeros(2), np.zeros(0))),
+            "queues must be indptr",
+        ),
     ],
 )
 def test_claims_of_an_answer_are_checked(answer, message):

@@ -13,7 +13,7 @@ METHODS_HERE = ["exact", "sampled", "sweep", "scipy", "every_pair", "endpoints",
 
 @pytest.fixture(scope="module")
 def table():
-    return rs.benchmark_collisions(sdss_like(6), methods=METHODS_HERE, n_configurations=3, repeats=2, rng=2)
+    return rs.benchmark.benchmark_collisions(sdss_like(6), methods=METHODS_HERE, n_configurations=3, repeats=2, rng=2)
 
 
 def rows(table, method):
@@ -56,7 +56,7 @@ def test_errors_are_those_that_each_method_must_have(table):
 def test_the_truth_comes_from_rational_arithmetic(monkeypatch):
     """A broken kernel shows as errors of its own method, not as errors of the others."""
     monkeypatch.setitem(benchmark.COMPARED, "exact", lambda scene: benchmark.Found(*np.empty((2, 0), int), np.empty(0)))
-    table = rs.benchmark_collisions(sdss_like(3), methods=["exact", "scipy"], repeats=1)
+    table = rs.benchmark.benchmark_collisions(sdss_like(3), methods=["exact", "scipy"], repeats=1)
     assert rows(table, "exact")["misclassified"] == [1]
     assert rows(table, "scipy")["misclassified"] == [0]
 
@@ -65,7 +65,7 @@ def test_a_comparison_that_is_not_installed_is_named(monkeypatch):
     monkeypatch.setattr(benchmark, "find_spec", lambda name: None)
     assert "shapely" not in benchmark._check_methods(None)
     with pytest.raises(rs.InputError, match="needs the package shapely"):
-        rs.benchmark_collisions("lamost", methods=["shapely"])
+        rs.benchmark.benchmark_collisions("lamost", methods=["shapely"])
 
 
 def test_a_table_survives_the_round_trip(table, tmp_path):
@@ -77,7 +77,7 @@ def test_a_table_survives_the_round_trip(table, tmp_path):
 
 
 def test_batches(monkeypatch):
-    table = rs.benchmark_batches(sdss_like(2), sizes=[1, 30], workers=[1, 2], repeats=2)
+    table = rs.benchmark.benchmark_batches(sdss_like(2), sizes=[1, 30], workers=[1, 2], repeats=2)
     assert table["workers"].tolist() == [1, 2, 1, 2]
     assert table["size"].tolist() == [1, 1, 30, 30]
     np.testing.assert_allclose((table["rate"] * table["time"]).to_value(u.one), table["size"])
@@ -89,25 +89,52 @@ def test_joint_limits_are_kept(rng):
     tips = random_tips(plane, rng)
     assert np.isfinite(tips).all()
     assert (np.hypot(*(tips - plane.arrays.xy).T) < 2 * 8.25 * np.cos(np.deg2rad(30)) + 1e-9).all()
-    assert len(rs.benchmark_batches(plane, sizes=[1], workers=[1], repeats=1)) == 1
+    assert len(rs.benchmark.benchmark_batches(plane, sizes=[1], workers=[1], repeats=1)) == 1
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: rs.benchmark_collisions("lamost", seconds=-1), "seconds must be a number of at least 0, got -1"),
-        (lambda: rs.benchmark_collisions(3), "instrument must be a name, an Instrument or a FocalPlane, got int"),
-        (lambda: rs.benchmark_collisions("lamost", methods="exact"), "methods must be a list of names, got 'exact'"),
-        (lambda: rs.benchmark_batches("lamost", sizes=[]), r"sizes must be a list of whole numbers, got \[\]"),
-        (lambda: rs.benchmark_batches("lamost", workers=2), "workers must be a list of whole numbers, got 2"),
-        (lambda: rs.plot_speed_accuracy(None), "table must be a QTable, got NoneType"),
-        (lambda: rs.benchmark_collisions("lamost", methods=["guess"]), "unknown method 'guess'; choose one of: "),
-        (lambda: rs.benchmark_collisions("lamost", repeats=0), "repeats must be a whole number of at least 1, got 0"),
-        (lambda: rs.benchmark_collisions("lamost", n_configurations=1.5), "n_configurations must be a whole number"),
-        (lambda: rs.benchmark_batches("lamost", sizes=[1, 0]), r"sizes\[1\] must be a whole number of at least 1"),
-        (lambda: rs.benchmark_batches("lamost", workers=[0]), r"workers\[0\] must be a whole number of at least 1"),
         (
-            lambda: rs.plot_speed_accuracy(QTable({"method": ["exact"]})),
+            lambda: rs.benchmark.benchmark_collisions("lamost", seconds=-1),
+            "seconds must be a number of at least 0, got -1",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_collisions(3),
+            "instrument must be a name, an Instrument or a FocalPlane, got int",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_collisions("lamost", methods="exact"),
+            "methods must be a list of names, got 'exact'",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_batches("lamost", sizes=[]),
+            r"sizes must be a list of whole numbers, got \[\]",
+        ),
+        (lambda: rs.benchmark.benchmark_batches("lamost", workers=2), "workers must be a list of whole numbers, got 2"),
+        (lambda: rs.plot.plot_speed_accuracy(None), "table must be a QTable, got NoneType"),
+        (
+            lambda: rs.benchmark.benchmark_collisions("lamost", methods=["guess"]),
+            "unknown method 'guess'; choose one of: ",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_collisions("lamost", repeats=0),
+            "repeats must be a whole number of at least 1, got 0",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_collisions("lamost", n_configurations=1.5),
+            "n_configurations must be a whole number",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_batches("lamost", sizes=[1, 0]),
+            r"sizes\[1\] must be a whole number of at least 1",
+        ),
+        (
+            lambda: rs.benchmark.benchmark_batches("lamost", workers=[0]),
+            r"workers\[0\] must be a whole number of at least 1",
+        ),
+        (
+            lambda: rs.plot.plot_speed_accuracy(QTable({"method": ["exact"]})),
             "it has no max_error, misclassified, n_colliding_true",
         ),
     ],
@@ -120,7 +147,7 @@ def test_bad_input_is_named(call, message):
 def test_probabilities_are_compared_within_one_question():
     plane = sdss_like(2)
     efforts = {"closed_form": [0], "quadrature": [64, 512], "monte_carlo": [64], "conditional": [16]}
-    table = rs.benchmark_probability(plane, efforts=efforts, repeats=3, precision=1e-3)
+    table = rs.benchmark.benchmark_probability(plane, efforts=efforts, repeats=3, precision=1e-3)
     truth = {kind: table[table["estimand"] == kind]["truth"] for kind in ("independent", "allocated")}
     assert all(len(set(values)) == 1 for values in truth.values())
     assert abs(truth["independent"][0] - truth["allocated"][0]) > 0.02
@@ -131,7 +158,7 @@ def test_probabilities_are_compared_within_one_question():
 
 
 def test_densities_that_stand_in_for_queues():
-    table = rs.benchmark_densities(sdss_like(2), precision=3e-3, n_allocations=3)
+    table = rs.benchmark.benchmark_densities(sdss_like(2), precision=3e-3, n_allocations=3)
     assert table["bias"][0] == 0
     np.testing.assert_allclose(table["bias"], table["value"] - table["value"][0])
     assert table["value"][3] < table["value"][1]  # own cells keep arms apart
@@ -140,13 +167,16 @@ def test_densities_that_stand_in_for_queues():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: rs.benchmark_probability("lamost", efforts=["quadrature"]), "efforts must map methods"),
-        (lambda: rs.benchmark_probability("lamost", efforts={"guess": [1]}), "unknown method of collision probability"),
-        (lambda: rs.benchmark_probability("lamost", repeats=0), "repeats must be a whole number"),
-        (lambda: rs.benchmark_densities("lamost", n_allocations=0), "n_allocations must be a whole number"),
-        (lambda: rs.plot_probability_accuracy(3), "table must be a QTable"),
+        (lambda: rs.benchmark.benchmark_probability("lamost", efforts=["quadrature"]), "efforts must map methods"),
         (
-            lambda: rs.plot_probability_accuracy(QTable({"method": ["a"]})),
+            lambda: rs.benchmark.benchmark_probability("lamost", efforts={"guess": [1]}),
+            "unknown method of collision probability",
+        ),
+        (lambda: rs.benchmark.benchmark_probability("lamost", repeats=0), "repeats must be a whole number"),
+        (lambda: rs.benchmark.benchmark_densities("lamost", n_allocations=0), "n_allocations must be a whole number"),
+        (lambda: rs.plot.plot_probability_accuracy(3), "table must be a QTable"),
+        (
+            lambda: rs.plot.plot_probability_accuracy(QTable({"method": ["a"]})),
             "it has no effort, error, error_error, estimand",
         ),
     ],

@@ -268,7 +268,7 @@ def test_names_are_told_apart_by_the_user():
 
 
 def test_chart(table):
-    ax = rs.plot_instruments(table, height=0.5)
+    ax = rs.plot.plot_instruments(table, height=0.5)
     bars = [p for p in ax.patches if isinstance(p, Rectangle)]
     widths = np.array([bar.get_width() for bar in bars]).reshape(3, -1)
     np.testing.assert_allclose(widths.sum(axis=0), 1)
@@ -278,7 +278,7 @@ def test_chart(table):
     assert "hatch" in bars[len(table)].properties()
     assert bars[len(table)].get_hatch()
     assert f"{table['loss'][0]:.3f}" in {t.get_text() for t in ax.texts}
-    mixed = rs.plot_instruments(table[[0, 2, 1, 3]])
+    mixed = rs.plot.plot_instruments(table[[0, 2, 1, 3]])
     places = np.sort([bar.get_y() for bar in mixed.patches][:4])
     assert np.diff(places).min() >= 1 - 1e-9
     figure = draw_instruments(table)
@@ -287,7 +287,7 @@ def test_chart(table):
     np.testing.assert_allclose(parts[1], [table["reach_1"][0], table["reach_1"][2]])
     assert right.get_xlabel() == "collision probability\n(95 % interval)"
     with pytest.raises(rs.InputError, match="must come from compare_instruments, but it has no allocator"):
-        rs.plot_instruments(table[["instrument", "positioners"]])
+        rs.plot.plot_instruments(table[["instrument", "positioners"]])
 
 
 def test_command(run, tmp_path):

@@ -17,7 +17,7 @@ GRID = {"l1": [7.5, 8.25, 9] * MM, "ratio": [1, 1.5], "pitch": [25, 28, 31] * MM
 
 @pytest.fixture(scope="module")
 def table():
-    return rs.explore_designs(**GRID)
+    return rs.design.explore_designs(**GRID)
 
 
 def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
@@ -30,7 +30,7 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     found = QTable.read(output)
     for name in ("l1", "pitch", "loss", "pareto"):
         assert (found[name] == table[name]).all()
-    share = rs.design_sensitivities(table, figures=["loss"])["share"][0]
+    share = rs.design.design_sensitivities(table, figures=["loss"])["share"][0]
     assert f"loss        l1 {share:7.4g}" in out
     assert b"</svg>" in plot.read_bytes()
     code, _, err = run("design", *axes, "--output", output)
@@ -82,7 +82,7 @@ def offsets(collections):
 
 
 def test_every_design_is_drawn_and_the_front_is_joined(table):
-    ax = rs.plot_designs(table)
+    ax = rs.plot.plot_designs(table)
     everything, front = ax.collections[::2], ax.collections[1::2]
     assert len(everything) == len(front) == 2  # values of the ratio
     drawn, best = (offsets([ax.scatter(t["coverage"], t["loss"])]) for t in (table, table[table["pareto"]]))
@@ -96,7 +96,7 @@ def test_every_design_is_drawn_and_the_front_is_joined(table):
 
 def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
     """Few points were almost invisible, and the ratio of the arms was not shown where the pitch had more values."""
-    ax = rs.plot_designs(table)
+    ax = rs.plot.plot_designs(table)
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     ratios = np.unique(table["ratio"])
     assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in ratios]
@@ -108,15 +108,16 @@ def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
     assert min(one.get_sizes()[0], other.get_sizes()[0]) >= 50
     assert one.get_facecolor()[0, 3] >= 0.8
     # many values have a color bar
-    many = rs.plot_designs(table, color="loss")
+    many = rs.plot.plot_designs(table, color="loss")
     assert many.figure.axes[1].get_ylabel() == "fraction of fibers lost to collisions (independent)"
 
 
 def test_columns_marks_and_style_can_be_chosen(table):
-    lamost = rs.explore_designs(l1=8.25 * MM, ratio=1, pitch=25.6 * MM, clearance=2.25 * MM)
+    lamost = rs.design.explore_designs(l1=8.25 * MM, ratio=1, pitch=25.6 * MM, clearance=2.25 * MM)
     ax = Figure().add_subplot()
     assert (
-        rs.plot_designs(table, x="pitch", y="loss", color="ratio", mark={"LAMOST": lamost}, ax=ax, cmap="cividis") is ax
+        rs.plot.plot_designs(table, x="pitch", y="loss", color="ratio", mark={"LAMOST": lamost}, ax=ax, cmap="cividis")
+        is ax
     )
     assert len(ax.get_lines()) == 0
     star = ax.collections[-1]
@@ -128,12 +129,12 @@ def test_columns_marks_and_style_can_be_chosen(table):
 
 
 def test_what_cannot_be_drawn_is_refused(table):
-    other = rs.explore_designs(**{**GRID, "estimand": "allocated", "n_skies": 2, "l1": 8 * MM, "pitch": 25 * MM})
+    other = rs.design.explore_designs(**{**GRID, "estimand": "allocated", "n_skies": 2, "l1": 8 * MM, "pitch": 25 * MM})
     for call, words in (
-        (lambda: rs.plot_designs("table"), "must be what explore_designs returns"),
-        (lambda: rs.plot_designs(table, x="method"), "unknown column of designs 'method'"),
+        (lambda: rs.plot.plot_designs("table"), "must be what explore_designs returns"),
+        (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
         (
-            lambda: rs.plot_designs(table, mark={"other": other}),
+            lambda: rs.plot.plot_designs(table, mark={"other": other}),
             "must answer the same question as table: allocated, 4 targets a positioner, not indep",
         ),
     ):

@@ -20,7 +20,7 @@ def designs_of(rng, n):
 
 def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
     l1, l2, pitch, distance = designs_of(rng, 40)
-    got = rs.surrogate_probability(l1 * MM, l2 * MM, pitch * MM, distance * MM)
+    got = rs.probability.surrogate_probability(l1 * MM, l2 * MM, pitch * MM, distance * MM)
     jobs = zip(l1 / pitch, l2 / l1, distance / pitch, rng.spawn(40), strict=True)
     want = np.array([interior_risk((a, b, c), 512, own)[0] for a, b, c, own in jobs])
     assert np.abs(got - want).max() < 0.005
@@ -41,18 +41,20 @@ def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
     error = 2 * np.sqrt(
         rate * (1 - rate) / (n * middle.sum())
     )  # neighbors share collisions: at most twice the variance
-    assert abs(rs.surrogate_probability(9 * MM, 14 * MM, 27 * MM, 4 * MM) - rate) < 3 * error + 0.003
+    assert abs(rs.probability.surrogate_probability(9 * MM, 14 * MM, 27 * MM, 4 * MM) - rate) < 3 * error + 0.003
 
 
 def test_only_the_shape_matters():
-    one = rs.surrogate_probability(8 * MM, 12 * MM, 26 * MM, 4 * MM)
-    assert one == pytest.approx(rs.surrogate_probability(0.8 * u.cm, 1.2 * u.cm, 2.6 * u.cm, 0.4 * u.cm), abs=1e-12)
-    assert one == pytest.approx(rs.surrogate_probability(80 * MM, 120 * MM, 260 * MM, 40 * MM), abs=1e-12)
+    one = rs.probability.surrogate_probability(8 * MM, 12 * MM, 26 * MM, 4 * MM)
+    assert one == pytest.approx(
+        rs.probability.surrogate_probability(0.8 * u.cm, 1.2 * u.cm, 2.6 * u.cm, 0.4 * u.cm), abs=1e-12
+    )
+    assert one == pytest.approx(rs.probability.surrogate_probability(80 * MM, 120 * MM, 260 * MM, 40 * MM), abs=1e-12)
 
 
 def test_arms_that_cannot_touch_never_collide():
-    assert rs.surrogate_probability(7.25 * MM, 7.25 * MM, 35 * MM, 1 * MM) == 0
-    assert rs.surrogate_probability([7.25] * 2 * MM, 7.25 * MM, 35 * MM, 1 * MM).tolist() == [0, 0]
+    assert rs.probability.surrogate_probability(7.25 * MM, 7.25 * MM, 35 * MM, 1 * MM) == 0
+    assert rs.probability.surrogate_probability([7.25] * 2 * MM, 7.25 * MM, 35 * MM, 1 * MM).tolist() == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -69,14 +71,14 @@ def test_arms_that_cannot_touch_never_collide():
 )
 def test_the_surrogate_does_not_extrapolate(design, words):
     with pytest.raises(rs.InputError, match=words):
-        rs.surrogate_probability(*(v * MM for v in design))
+        rs.probability.surrogate_probability(*(v * MM for v in design))
 
 
 def test_arguments_of_the_surrogate_need_units_and_fitting_shapes():
     with pytest.raises(rs.InputError, match="central_arm must be a Quantity"):
-        rs.surrogate_probability(8, 8 * MM, 25 * MM, 4 * MM)
+        rs.probability.surrogate_probability(8, 8 * MM, 25 * MM, 4 * MM)
     with pytest.raises(rs.InputError, match="shapes that fit"):
-        rs.surrogate_probability([8, 9] * MM, [8, 9, 10] * MM, 25 * MM, 4 * MM)
+        rs.probability.surrogate_probability([8, 9] * MM, [8, 9, 10] * MM, 25 * MM, 4 * MM)
 
 
 def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
@@ -89,7 +91,7 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
     with np.load(tmp_path / "some.npz") as data:
         risk = data["risk"]
     assert risk.shape == tuple(len(n) for n in few.values())
-    shipped = rs.surrogate_probability(
+    shipped = rs.probability.surrogate_probability(
         few["central arm over pitch"][1] * PITCH * MM,
         few["central arm over pitch"][1] * few["eccentric over central arm"][1] * PITCH * MM,
         PITCH * MM,
@@ -103,28 +105,28 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
 def test_the_polynomial_is_found_exactly_where_there_is_one(rng):
     l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
     value = 0.3 + 0.02 * l1 - 0.01 * pitch + 0.1 * ratio**2 + 0.003 * l1 * ratio - 0.0005 * ratio * pitch
-    fit = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    fit = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
     assert fit.r2_held_back > 1 - 1e-9
     assert fit.predict([9, 10] * MM, [1.5, 1.2], [30, 26] * MM) == pytest.approx(
         [0.3 + 0.18 - 0.3 + 0.225 + 0.0405 - 0.0225, 0.3 + 0.2 - 0.26 + 0.144 + 0.036 - 0.0156], abs=1e-5
     )
-    again = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    again = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
     assert (fit.coefficients == again.coefficients).all()
 
 
 def test_held_back_designs_have_no_say(rng):
     l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
     value = rng.random(60)
-    fit = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    fit = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
     assert fit.r2_held_back < 0.5  # there is nothing to learn
     assert fit.r2_held_back < fit.r2 < 0.6
 
 
 def test_a_penalty_shrinks_what_noise_suggests(rng):
     l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (40, 3)).T
-    noisy = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, rng.random(40), rng=1)
+    noisy = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, rng.random(40), rng=1)
     assert noisy.penalty > 1e-3
-    left = rs.fit_polynomial(l1 * MM, ratio, pitch * MM, l1 * ratio, rng=1)  # there is nothing to shrink
+    left = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, l1 * ratio, rng=1)  # there is nothing to shrink
     assert left.penalty < 1e-6
 
 
@@ -142,7 +144,7 @@ def test_a_fit_that_makes_no_sense_is_refused(rng, change, words):
     l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (30, 3)).T
     options = {"central_arm": l1 * MM, "ratio": ratio, "pitch": pitch * MM, "probability": ratio, **change}
     with pytest.raises(rs.InputError, match=words):
-        rs.fit_polynomial(**options)
+        rs.probability.fit_polynomial(**options)
 
 
 def test_environments_of_an_irregular_plane_are_all_different(rng):

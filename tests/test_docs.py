@@ -16,9 +16,13 @@ DOCS = ROOT / "docs"
 
 def test_every_public_name_is_on_the_api_page_once():
     lines = (DOCS / "api.rst").read_text().splitlines()
-    listed = [line.strip() for line in lines if re.fullmatch(r"    \w+", line)]
+    listed = [line.strip() for line in lines if re.fullmatch(r"    [\w.]+", line)]
     listed += [line.split()[-1] for line in lines if line.startswith(".. py:data::")]
-    assert sorted(listed) == sorted(rs.__all__)
+    assert sorted(name for name in listed if "." not in name) == sorted(rs.__all__)
+    assert len(set(listed)) == len(listed)
+    for package in ("plot", "benchmark"):
+        public = [name for name in getattr(rs, package).__all__ if name.startswith(f"{package}_")]
+        assert sorted(name.split(".")[1] for name in listed if name.startswith(f"{package}.")) == sorted(public)
 
 
 CONSOLE = [

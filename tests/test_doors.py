@@ -102,7 +102,7 @@ CALLS = {
     "the allocators to compare are given by allocators, not by allocator": lambda: rs.compare_allocators(
         rs.Catalog(TWO), "moons", CENTER, allocator="lamost"
     ),
-    "axes must be two Axes, got 1": lambda: rs.plot_speed_accuracy(
+    "axes must be two Axes, got 1": lambda: rs.plot.plot_speed_accuracy(
         QTable(
             {
                 "method": ["exact"],

@@ -23,7 +23,7 @@ GRID = {"l1": [7.25, 9] * MM, "ratio": [1, 1.8], "pitch": [25.6, 31] * MM, "clea
 
 
 def explore(**changes):
-    return rs.explore_designs(**{**LAMOST, **changes})
+    return rs.design.explore_designs(**{**LAMOST, **changes})
 
 
 @pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (3.0, 3.0), (9.0, 12.0)])
@@ -137,11 +137,11 @@ def test_targets_by_area_leave_more_to_each_fiber_of_a_wide_pitch():
 
 
 def test_a_grid_has_all_combinations_and_sobol_points_fill_the_box():
-    grid = rs.explore_designs(**GRID)
+    grid = rs.design.explore_designs(**GRID)
     assert {tuple(map(float, d)) for d in zip(grid["l1"].value, grid["ratio"], grid["pitch"].value, strict=True)} == {
         (a, b, c) for a in (7.25, 9) for b in (1, 1.8) for c in (25.6, 31)
     }
-    more, fewer = (rs.explore_designs(**GRID, n_designs=n, rng=3) for n in (64, 40))
+    more, fewer = (rs.design.explore_designs(**GRID, n_designs=n, rng=3) for n in (64, 40))
     assert (fewer["loss"] == more["loss"][:40]).all()
     for name, (low, high) in {"l1": (7.25, 9), "ratio": (1, 1.8), "pitch": (25.6, 31)}.items():
         values = np.asarray(getattr(more[name], "value", more[name]))
@@ -188,10 +188,10 @@ def test_each_design_has_random_numbers_of_its_own():
 
 def test_nothing_depends_on_the_executor():
     options = {**GRID, "n_designs": 20, "estimand": "allocated", "n_skies": 2}
-    alone = rs.explore_designs(**options)
+    alone = rs.design.explore_designs(**options)
     for pool in (ThreadPoolExecutor(2), ProcessPoolExecutor(1, get_context("spawn"))):
         with pool:
-            assert (rs.explore_designs(executor=pool, **options) == alone).all()
+            assert (rs.design.explore_designs(executor=pool, **options) == alone).all()
 
 
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
@@ -199,7 +199,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     """What was done so far is in the file all the time, and is not done again."""
     options = {**GRID, "n_designs": 30, "rng": 5}
     whole, path = tmp_path / f"whole.{ending}", tmp_path / f"stopped.{ending}"
-    expected = rs.explore_designs(path=whole, **options)
+    expected = rs.design.explore_designs(path=whole, **options)
     calls, method = [], METHODS["surrogate"]
 
     def stop(*arguments):
@@ -212,15 +212,17 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     monkeypatch.setattr(_checkpoint, "EVERY", -1.0)
     monkeypatch.setitem(METHODS, "surrogate", stop)
     with pytest.raises(KeyboardInterrupt):
-        rs.explore_designs(path=path, **options)
+        rs.design.explore_designs(path=path, **options)
     done = len(QTable.read(path))
     assert 0 < done < 30
     calls[:] = [0] * 100
-    found = rs.explore_designs(path=path, resume=True, **options)
+    found = rs.design.explore_designs(path=path, resume=True, **options)
     assert len(calls) == 100 + np.count_nonzero(expected["method"][done:] == "surrogate")
     assert (found == expected).all()
     assert path.read_bytes() == whole.read_bytes()
-    again = rs.explore_designs(path=path, resume=True, objectives={"usable": "max", "coverage": "max"}, **options)
+    again = rs.design.explore_designs(
+        path=path, resume=True, objectives={"usable": "max", "coverage": "max"}, **options
+    )
     assert len(calls) == 100 + np.count_nonzero(expected["method"][done:] == "surrogate")
     assert again["pareto"].sum() > 0
 
@@ -300,7 +302,7 @@ def scan(figure, **axes):
 def test_shares_of_a_grid_are_those_of_the_analysis_of_variance(rng):
     """Variances of marginal means, for a figure of random numbers on a grid."""
     table = scan(lambda *a: rng.random(a[0].size), l1=[7, 8, 10.0], ratio=[1, 1.1, 1.5, 2.0], pitch=[20.0, 30.0])
-    found = rs.design_sensitivities(table, figures="loss")
+    found = rs.design.design_sensitivities(table, figures="loss")
     cube = np.asarray(table["loss"]).reshape(3, 4, 2)
     main = [cube.mean(axis=axes).var() / cube.var() for axes in ((1, 2), (0, 2), (0, 1))]
     np.testing.assert_allclose(found["share"], [*main, 1 - sum(main)], rtol=1e-9)
@@ -308,14 +310,14 @@ def test_shares_of_a_grid_are_those_of_the_analysis_of_variance(rng):
 
 def test_shares_and_slopes_of_known_functions():
     axes = {"l1": np.linspace(7, 9, 9), "pitch": np.linspace(20, 30, 9)}
-    sum_of_two = rs.design_sensitivities(scan(lambda a, b, c, d: 3 * a + 0.5 * c, **axes), figures=["loss"])
+    sum_of_two = rs.design.design_sensitivities(scan(lambda a, b, c, d: 3 * a + 0.5 * c, **axes), figures=["loss"])
     # variances 9 and 0.25 times those of the axes; slopes by hand at (8, 25)
     want = np.array([9 * axes["l1"].var(), 0.25 * axes["pitch"].var()])
     np.testing.assert_allclose(sum_of_two["share"], [*want / want.sum(), 0], atol=1e-12)
     np.testing.assert_allclose(sum_of_two["slope"][:2], [24 / 36.5, 12.5 / 36.5])
-    product = rs.design_sensitivities(scan(lambda a, b, c, d: (a - 8) * (c - 25), **axes), figures=["loss"])
+    product = rs.design.design_sensitivities(scan(lambda a, b, c, d: (a - 8) * (c - 25), **axes), figures=["loss"])
     np.testing.assert_allclose(product["share"], [0, 0, 1], atol=1e-12)
-    flat = rs.design_sensitivities(scan(lambda a, b, c, d: 0 * a + 1, **axes), figures=["loss"])
+    flat = rs.design.design_sensitivities(scan(lambda a, b, c, d: 0 * a + 1, **axes), figures=["loss"])
     assert np.isnan(flat["share"]).all()
 
 
@@ -329,29 +331,29 @@ def test_shares_and_slopes_of_known_functions():
 )
 def test_sensitivities_that_make_no_sense_are_refused(table, words):
     with pytest.raises(rs.InputError, match=words):
-        rs.design_sensitivities(table, figures=["loss"])
+        rs.design.design_sensitivities(table, figures=["loss"])
     with pytest.raises(rs.InputError, match=r"unknown figure of designs|must be what"):
-        rs.design_sensitivities(table, figures=["reason"])
+        rs.design.design_sensitivities(table, figures=["reason"])
 
 
 def test_few_fibers_without_a_loss_are_no_proof_of_none():
     """A dozen fibers that did not collide once were said to lose 0, with an error of 0, and led the front."""
     scan = {"l1": np.linspace(8, 10, 8) * u.mm, "ratio": 2.0, "pitch": 25 * u.mm, "clearance": 0.5 * u.mm}
-    found = rs.explore_designs(**scan, targets_per_positioner=0.1, estimand="allocated")
+    found = rs.design.explore_designs(**scan, targets_per_positioner=0.1, estimand="allocated")
     assert (found["loss"] == 0).any()
     assert (found["loss_error"] > 0).all()
 
 
 def test_a_sky_that_nobody_reaches_is_a_sky_like_others():
     scan = {"l1": 7 * u.mm, "ratio": 1.5, "pitch": 25 * u.mm, "clearance": 2 * u.mm}
-    (row,) = rs.explore_designs(**scan, targets_per_positioner=1e-3, estimand="allocated")
+    (row,) = rs.design.explore_designs(**scan, targets_per_positioner=1e-3, estimand="allocated")
     assert row["reason"] in ("", "no fiber has a target")
 
 
 def test_rivals_of_neighbors_compete_too():
     """With neighbors at the edge of the patch, who had no rivals, losses were too small by 1.4 percent."""
     scan = {"l1": 7.4 * u.mm, "ratio": 2.0, "pitch": 22.4 * u.mm, "clearance": 1.5 * u.mm}
-    (row,) = rs.explore_designs(**scan, estimand="allocated", n_skies=100, rng=2)
+    (row,) = rs.design.explore_designs(**scan, estimand="allocated", n_skies=100, rng=2)
     robot = rs.Positioner(7.4 * u.mm, 14.8 * u.mm, 1.5 * u.mm)
     wide = rs.FocalPlane.hexagonal(robot, rings=18, pitch=22.4 * u.mm)
     middle = np.hypot(*wide.xy.value.T) < 10 * 22.4

@@ -24,7 +24,7 @@ def test_a_formula_of_a_package(small, hers):
         rs.InputError, match="interval='bootstrap' belongs to iterations, which 'quarter' does not make"
     ):
         rs.collision_probability(plane, method="quarter", interval="bootstrap")
-    table = rs.benchmark_probability(small, efforts={"quarter": [0]}, repeats=1, precision=0.01)
+    table = rs.benchmark.benchmark_probability(small, efforts={"quarter": [0]}, repeats=1, precision=0.01)
     assert (table["method"][0], table["value"][0]) == ("quarter", 0.25)
 
 

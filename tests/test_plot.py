@@ -31,7 +31,7 @@ def artists(ax, kind, color):
 
 
 def test_every_arm_is_drawn_once_in_its_color(tile):
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     t = tile.table
     for color, rows in ((COLLISION, t["in_collision"]), (ARM, (t["status"] == "assigned") & ~t["in_collision"])):
         central, eccentric = artists(ax, LineCollection, color)
@@ -47,7 +47,7 @@ def test_every_arm_is_drawn_once_in_its_color(tile):
 def test_a_part_shows_the_same_as_the_whole_does_there(tile):
     """What is out of sight is not drawn: pages on results would be large, and legends name what nobody sees."""
     low, high = np.array([40.0, -130.0]), np.array([140.0, 0.0])
-    ax = rs.plot_focal_plane(tile, region=[low, high] * u.mm)
+    ax = rs.plot.plot_focal_plane(tile, region=[low, high] * u.mm)
     t, seen = tile.table, {}
     for color, rows in ((COLLISION, t["in_collision"]), (ARM, (t["status"] == "assigned") & ~t["in_collision"])):
         whole = np.column_stack([t["tip_x"].value, t["tip_y"].value])[rows]
@@ -56,12 +56,12 @@ def test_a_part_shows_the_same_as_the_whole_does_there(tile):
         assert ((drawn > low) & (drawn < high)).all(axis=1).sum() == seen[color]
         assert len(drawn) < len(whole)
     assert min(seen.values()) > 0
-    away = rs.plot_focal_plane(tile, region=[[1000, 1000], [1100, 1100]] * u.mm)
+    away = rs.plot.plot_focal_plane(tile, region=[[1000, 1000], [1100, 1100]] * u.mm)
     assert away.get_legend() is None
 
 
 def test_shades_are_half_the_safe_distance_wide(tile):
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     body = artists(ax, PolyCollection, COLLISION)[0].get_paths()[0].vertices
     row = np.flatnonzero(tile.table["in_collision"])[0]
     for name in ("elbow", "arm"):
@@ -73,7 +73,7 @@ def test_shades_are_half_the_safe_distance_wide(tile):
 
 
 def test_unassigned_positioners_are_gray_and_obstacles_are_there(tile, presets):
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     gray = artists(ax, EllipseCollection, IDLE)
     assert len(gray[0].get_offsets()) == (tile.table["status"] != "assigned").sum()
     circles = [
@@ -86,7 +86,7 @@ def test_unassigned_positioners_are_gray_and_obstacles_are_there(tile, presets):
 
 def test_axes_region_and_style_can_be_given(tile):
     ax = Figure().add_subplot()
-    assert rs.plot_focal_plane(tile, ax=ax, region=[[-50, -40], [50, 40]] * u.mm, alpha=0.5) is ax
+    assert rs.plot.plot_focal_plane(tile, ax=ax, region=[[-50, -40], [50, 40]] * u.mm, alpha=0.5) is ax
     assert ax.get_xlim() == (50, -50)
     assert ax.get_ylim() == (-40, 40)
     arms = [c for c in artists(ax, LineCollection, COLLISION) if c.get_linewidths()[0] > 2]
@@ -107,11 +107,11 @@ def test_axes_region_and_style_can_be_given(tile):
 )
 def test_what_cannot_be_drawn_is_refused(thing, options, message):
     with pytest.raises(rs.InputError, match=message):
-        rs.plot_focal_plane(thing, **options)
+        rs.plot.plot_focal_plane(thing, **options)
 
 
 def test_collisions_show_without_color(tile):
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     for color, hatched in ((COLLISION, True), (ARM, False)):
         (shade,) = artists(ax, PolyCollection, color)
         assert bool(shade.get_hatch()) == hatched
@@ -120,7 +120,7 @@ def test_collisions_show_without_color(tile):
 
 
 def test_shades_are_all_points_within_half_the_safe_distance(tile):
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     rows = tile.table["in_collision"]
     for path, row in zip(artists(ax, PolyCollection, COLLISION)[0].get_paths(), tile.table[rows], strict=True):
         segment = shapely.LineString([(row[f"{e}_x"].value, row[f"{e}_y"].value) for e in ("elbow", "arm")])
@@ -137,7 +137,9 @@ def test_only_fiber_tips_are_shaded_where_only_they_collide(small):
         CENTER,
     )
     t = tile.table[(tile.table["status"] == "assigned") & ~tile.table["in_collision"]]
-    bodies = np.array([p.vertices[:-1] for p in artists(rs.plot_focal_plane(tile), PolyCollection, ARM)[0].get_paths()])
+    bodies = np.array(
+        [p.vertices[:-1] for p in artists(rs.plot.plot_focal_plane(tile), PolyCollection, ARM)[0].get_paths()]
+    )
     tips = np.column_stack([t["tip_x"], t["tip_y"]]).value
     np.testing.assert_allclose(np.linalg.norm(bodies - tips[:, None], axis=2), 2.25)
 
@@ -149,7 +151,7 @@ def test_a_focal_plane_without_a_tile_shows_what_cannot_move(small):
     disabled = np.arange(n) == 7
     circles = [[12.8, 7.4, 1.5]] * u.mm
     plane = replace(small.focal_plane, stuck=stuck * u.deg, disabled=disabled, obstacles=circles)
-    ax = rs.plot_focal_plane(plane, linewidths=3)
+    ax = rs.plot.plot_focal_plane(plane, linewidths=3)
     assert ax.get_title() == "37 positioners, 1 obstacles"
     free, not_free = (
         next(c for c in artists(ax, EllipseCollection, color) if c.get_linewidths()[0] == 3) for color in (PATROL, IDLE)
@@ -166,21 +168,21 @@ def test_a_focal_plane_without_a_tile_shows_what_cannot_move(small):
 
 
 def test_groups_are_disks_and_words_in_the_legend(presets):
-    ax = rs.plot_focal_plane(presets["sdss_apo"], color="fiber_type")
+    ax = rs.plot.plot_focal_plane(presets["sdss_apo"], color="fiber_type")
     sizes = {len(c.get_offsets()) for c in ax.collections}
     assert {202, 298} <= sizes
     assert {"fiber type BOSS", "fiber type BOSS+APOGEE"} <= {t.get_text() for t in ax.get_legend().get_texts()}
-    ax = rs.plot_focal_plane(presets["lamost"], color="spectrograph")
+    ax = rs.plot.plot_focal_plane(presets["lamost"], color="spectrograph")
     assert {t.get_text() for t in ax.texts} >= {str(k) for k in range(16)}
     fills = {to_hex(c.get_facecolor()[0]) for c in ax.collections if isinstance(c, EllipseCollection)}
     assert len(fills) == 16
     plane = replace(presets["sdss_apo"].focal_plane, spectrograph=np.arange(500))
     with pytest.raises(rs.InputError, match="spectrograph must have at most 24 values"):
-        rs.plot_focal_plane(plane, color="spectrograph")
+        rs.plot.plot_focal_plane(plane, color="spectrograph")
 
 
 def test_thousands_of_positioners_are_few_artists_and_the_legend_hides_none(presets):
-    for ax in (rs.plot_focal_plane(presets["desi"]), rs.plot_coverage(presets["desi"], n_pixels=50)):
+    for ax in (rs.plot.plot_focal_plane(presets["desi"]), rs.plot.plot_coverage(presets["desi"], n_pixels=50)):
         assert len(ax.collections) + len(ax.lines) + len(ax.images) < 20
         ax.figure.draw_without_rendering()
         box, labels = ax.get_legend().get_window_extent(), ax.xaxis.label.get_window_extent()

@@ -41,7 +41,7 @@ def sky():
 def test_the_compass_points_where_the_projection_puts_north_and_east(presets, sky, position_angle, orientation):
     apo = presets["sdss_apo"]
     tile = rs.plan_tile(sky, apo, CENTER, position_angle=position_angle * u.deg)
-    for draw in (rs.plot_focal_plane, rs.plot_collision_map):
+    for draw in (rs.plot.plot_focal_plane, rs.plot.plot_collision_map):
         ax = draw(tile, orientation=orientation)
         found = arrows(ax)
         assert set(found) == {"N", "E"}
@@ -59,7 +59,7 @@ def test_the_compass_points_where_the_projection_puts_north_and_east(presets, sk
         assert apart @ (found["E"] - found["N"]) > 0.9 * np.linalg.norm(apart) * np.sqrt(2)
 
 
-@pytest.mark.parametrize("draw", [rs.plot_focal_plane, rs.plot_coverage])
+@pytest.mark.parametrize("draw", [rs.plot.plot_focal_plane, rs.plot.plot_coverage])
 def test_instruments_are_drawn_at_position_angle_zero(presets, draw):
     up, left, right = [0, 1], [-1, 0], [1, 0]
     found = arrows(draw("sdss_apo"))
@@ -70,16 +70,16 @@ def test_instruments_are_drawn_at_position_angle_zero(presets, draw):
 
 def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
     tiling = rs.place_tiles(sky, small)
-    assert rs.plot_tiling(tiling).xaxis_inverted()
-    assert rs.plot_focal_plane(small).xaxis_inverted()
-    assert not rs.plot_focal_plane(small, orientation="focal plane").xaxis_inverted()
+    assert rs.plot.plot_tiling(tiling).xaxis_inverted()
+    assert rs.plot.plot_focal_plane(small).xaxis_inverted()
+    assert not rs.plot.plot_focal_plane(small, orientation="focal plane").xaxis_inverted()
 
 
 @pytest.mark.parametrize("position_angle", [0, 45, 123.456, 315.25])
 def test_the_compass_is_inside_the_axes(presets, sky, position_angle):
     """The label of an angle with three decimals went over the frame."""
     tile = rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=position_angle * u.deg)
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     ax.figure.draw_without_rendering()
     frame, boxes = ax.get_window_extent(), {t.get_text(): t.get_window_extent() for t in ax.texts}
     assert set(boxes) == {"N", "E", f"PA {round(position_angle, 1):g}\N{DEGREE SIGN}"}
@@ -94,7 +94,7 @@ def test_the_compass_hides_as_little_as_it_can(small):
     """In a corner with a collision it hid the arms."""
     corners = {(1, 1): [-85, 85], (0, 1): [85, 85], (0, 0): [85, -85], (1, 0): [-85, -85]}
     for free, point in corners.items():
-        ax = rs.plot_focal_plane(small, region=[[-100, -100], [100, 100]] * u.mm)
+        ax = rs.plot.plot_focal_plane(small, region=[[-100, -100], [100, 100]] * u.mm)
         for artist in [*ax.artists, *ax.texts, *ax.findobj(FancyArrowPatch)]:
             artist.remove()
         add_compass(ax, 0.0, np.array([p for p in corners.values() if p != point]))
@@ -109,4 +109,4 @@ def test_no_compass_where_the_position_angle_is_unknown(small):
     table = QTable({"positioner": small.focal_plane.id[:3], "x": xy[:, 0], "y": xy[:, 1]})
     tile = rs.score_tile(table, small)
     assert "position_angle_deg" not in tile.provenance["parameters"]
-    assert not arrows(rs.plot_focal_plane(tile))
+    assert not arrows(rs.plot.plot_focal_plane(tile))

@@ -32,7 +32,7 @@ def places(table, name):
 
 
 def test_large_planes_have_dots_in_place_of_arms(tile):
-    ax = rs.plot_focal_plane(tile)
+    ax = rs.plot.plot_focal_plane(tile)
     assert arms(ax) == 0
     t, found = tile.table, dots(ax)
     assert set(found) == {color.lower() for color in (ARM, COLLISION, FADED)}
@@ -56,24 +56,24 @@ def test_large_planes_have_dots_in_place_of_arms(tile):
 
 
 def test_a_part_of_a_large_plane_has_arms(tile):
-    ax = rs.plot_focal_plane(tile, region=[[-40, -40], [40, 40]] * u.mm)
+    ax = rs.plot.plot_focal_plane(tile, region=[[-40, -40], [40, 40]] * u.mm)
     assert arms(ax) > 50
     assert not dots(ax)
 
 
 def test_arms_can_be_asked_for(tile, presets):
-    assert arms(rs.plot_focal_plane(tile, arms=True)) > 1000
+    assert arms(rs.plot.plot_focal_plane(tile, arms=True)) > 1000
     sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=200, rng=1)
     few = rs.plan_tile(sky, presets["sdss_apo"], CENTER)
-    assert arms(rs.plot_focal_plane(few)) > 200
-    assert arms(rs.plot_focal_plane(few, arms=False)) == 0
+    assert arms(rs.plot.plot_focal_plane(few)) > 200
+    assert arms(rs.plot.plot_focal_plane(few, arms=False)) == 0
 
 
 @pytest.mark.parametrize("name", ["lamost", "desi"])
 def test_thousands_of_positioners_are_dots(presets, name):
     model = presets[name]
     sky = rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=3000, rng=1)
-    ax = rs.plot_focal_plane(rs.plan_tile(sky, model, CENTER, allocator="balanced"))
+    ax = rs.plot.plot_focal_plane(rs.plan_tile(sky, model, CENTER, allocator="balanced"))
     assert arms(ax) == 0
     assert len(ax.collections) < 12
 
@@ -82,7 +82,7 @@ def test_targets_are_crosses_where_they_are_projected_to(presets, tile):
     pfs = presets["pfs"]
     coord = SkyCoord([95, 95.3] * u.deg, [23.1, 22.9] * u.deg)
     xy = pfs.projection(CENTER).to_focal_plane(coord)
-    ax = rs.plot_focal_plane(tile, targets=xy)
+    ax = rs.plot.plot_focal_plane(tile, targets=xy)
     (crosses,) = [c for c in ax.collections if c.get_label() == "target"]
     np.testing.assert_array_equal(crosses.get_offsets(), xy.value)
     assert "target" in [text.get_text() for text in ax.get_legend().get_texts()]
@@ -91,6 +91,6 @@ def test_targets_are_crosses_where_they_are_projected_to(presets, tile):
 def test_groups_are_pale_below_dots(tile):
     """Dots could not be seen on a spectrograph of the same color."""
     for thing, opacity in ((tile, 0.4), ("pfs", 1.0)):
-        ax = rs.plot_focal_plane(thing, color="spectrograph")
+        ax = rs.plot.plot_focal_plane(thing, color="spectrograph")
         fills = [c for c in ax.collections if isinstance(c, EllipseCollection) and c.get_zorder() == 0.9]
         assert [c.get_alpha() for c in fills] == [opacity] * 4

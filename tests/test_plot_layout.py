@@ -79,8 +79,8 @@ def results(presets, small):
         "scan": scan,
         "speed": speed,
         "accuracy": accuracy,
-        "designs": rs.explore_designs(l1=8 * u.mm, ratio=[1, 1.5], pitch=[24, 26] * u.mm, clearance=2.25 * u.mm),
-        "more designs": rs.explore_designs(
+        "designs": rs.design.explore_designs(l1=8 * u.mm, ratio=[1, 1.5], pitch=[24, 26] * u.mm, clearance=2.25 * u.mm),
+        "more designs": rs.design.explore_designs(
             l1=8.25 * u.mm, ratio=[1.0, 2.0], pitch=[22.0, 32.0] * u.mm, clearance=2.25 * u.mm, n_designs=64, rng=1
         ),
         "strip": rs.place_tiles(rs.Region.box(ra=[100, 150] * u.deg, dec=[20, 26] * u.deg), "lamost", passes=2),
@@ -91,32 +91,34 @@ def results(presets, small):
 
 
 PLOTS = {
-    "focal plane of a tile": lambda r: rs.plot_focal_plane(r["tile"]),
-    "focal plane with x to the right": lambda r: rs.plot_focal_plane(r["tile"], orientation="focal plane"),
-    "part of a tile": lambda r: rs.plot_focal_plane(r["tile"], region=[[0, -50], [200, 0]] * u.mm),
-    "dots": lambda r: rs.plot_focal_plane(r["tile"], arms=False),
-    "instrument": lambda r: rs.plot_focal_plane("lamost"),
-    "fiber types": lambda r: rs.plot_focal_plane("sdss_apo", color="fiber_type"),
-    "spectrographs": lambda r: rs.plot_focal_plane("lamost", color="spectrograph"),
-    "coverage": lambda r: rs.plot_coverage("sdss_apo"),
-    "map of an estimate": lambda r: rs.plot_collision_map(r["estimate"], "sdss_apo"),
-    "map of a tile": lambda r: rs.plot_collision_map(r["tile"]),
-    "tiles of a survey": lambda r: rs.plot_tiling(r["survey"], region=rs.Region.cap(CENTER, 1 * u.deg), targets=CENTER),
-    "strip of tiles": lambda r: rs.plot_tiling(r["strip"]),
-    "tower of tiles": lambda r: rs.plot_tiling(r["tower"]),
-    "tiles about a pole": lambda r: rs.plot_tiling(r["pole"]),
-    "tiles of the whole sky": lambda r: rs.plot_tiling(r["sky"], color="tile"),
-    "completeness": lambda r: rs.plot_completeness(r["survey"]),
+    "focal plane of a tile": lambda r: rs.plot.plot_focal_plane(r["tile"]),
+    "focal plane with x to the right": lambda r: rs.plot.plot_focal_plane(r["tile"], orientation="focal plane"),
+    "part of a tile": lambda r: rs.plot.plot_focal_plane(r["tile"], region=[[0, -50], [200, 0]] * u.mm),
+    "dots": lambda r: rs.plot.plot_focal_plane(r["tile"], arms=False),
+    "instrument": lambda r: rs.plot.plot_focal_plane("lamost"),
+    "fiber types": lambda r: rs.plot.plot_focal_plane("sdss_apo", color="fiber_type"),
+    "spectrographs": lambda r: rs.plot.plot_focal_plane("lamost", color="spectrograph"),
+    "coverage": lambda r: rs.plot.plot_coverage("sdss_apo"),
+    "map of an estimate": lambda r: rs.plot.plot_collision_map(r["estimate"], "sdss_apo"),
+    "map of a tile": lambda r: rs.plot.plot_collision_map(r["tile"]),
+    "tiles of a survey": lambda r: rs.plot.plot_tiling(
+        r["survey"], region=rs.Region.cap(CENTER, 1 * u.deg), targets=CENTER
+    ),
+    "strip of tiles": lambda r: rs.plot.plot_tiling(r["strip"]),
+    "tower of tiles": lambda r: rs.plot.plot_tiling(r["tower"]),
+    "tiles about a pole": lambda r: rs.plot.plot_tiling(r["pole"]),
+    "tiles of the whole sky": lambda r: rs.plot.plot_tiling(r["sky"], color="tile"),
+    "completeness": lambda r: rs.plot.plot_completeness(r["survey"]),
     "survey": lambda r: draw_survey(r["survey"]),
-    "instruments": lambda r: rs.plot_instruments(r["instruments"]),
+    "instruments": lambda r: rs.plot.plot_instruments(r["instruments"]),
     "comparison": lambda r: draw_instruments(r["instruments"]),
-    "allocators": lambda r: rs.plot_allocators(r["allocators"]),
-    "few designs": lambda r: rs.plot_designs(r["designs"]),
-    "many designs": lambda r: rs.plot_designs(r["more designs"], mark={"one": r["designs"][:1]}),
-    "probability": lambda r: rs.plot_probability(r["scan"], values=["value", "closed_form"]),
-    "residuals": lambda r: rs.plot_residuals(r["scan"]),
-    "speed": lambda r: rs.plot_speed_accuracy(r["speed"])[0],
-    "accuracy": lambda r: rs.plot_probability_accuracy(r["accuracy"])[0],
+    "allocators": lambda r: rs.plot.plot_allocators(r["allocators"]),
+    "few designs": lambda r: rs.plot.plot_designs(r["designs"]),
+    "many designs": lambda r: rs.plot.plot_designs(r["more designs"], mark={"one": r["designs"][:1]}),
+    "probability": lambda r: rs.plot.plot_probability(r["scan"], values=["value", "closed_form"]),
+    "residuals": lambda r: rs.plot.plot_residuals(r["scan"]),
+    "speed": lambda r: rs.plot.plot_speed_accuracy(r["speed"])[0],
+    "accuracy": lambda r: rs.plot.plot_probability_accuracy(r["accuracy"])[0],
 }
 
 
@@ -130,7 +132,7 @@ def test_all_that_is_drawn_is_inside_the_figure(results, name):
 
 
 def test_every_public_plot_is_tested_here():
-    public = {name for name in rs.__all__ if name.startswith("plot_")}
+    public = {name for name in rs.plot.__all__ if name.startswith("plot_")}
     used = {name for draw in PLOTS.values() for name in draw.__code__.co_names}
     assert public <= used
 
@@ -148,7 +150,7 @@ def test_points_at_zero_are_whole(results):
 
 def test_colors_of_values_can_be_told_from_a_dark_page(results):
     """Dark purple designs and the darkest blue of the reach could not be seen on the dark page of a report."""
-    points = np.vstack([c.get_facecolor() for c in rs.plot_designs(results["designs"]).collections])
+    points = np.vstack([c.get_facecolor() for c in rs.plot.plot_designs(results["designs"]).collections])
     reach = draw_instruments(results["instruments"]).axes[0]
     bars = np.array([patch.get_facecolor() for container in reach.containers[1:] for patch in container])
     for color in (*points, *bars):

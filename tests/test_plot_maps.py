@@ -19,7 +19,7 @@ def words(ax):
 
 def test_pixels_count_the_annuli_around_them():
     plane = rs.FocalPlane.hexagonal(ROBOT, rings=2, pitch=15 * u.mm, disabled=np.arange(19) == 9)
-    ax = rs.plot_coverage(plane, region=[[-20, -10], [30, 15]] * u.mm, n_pixels=50, alpha=0.5)
+    ax = rs.plot.plot_coverage(plane, region=[[-20, -10], [30, 15]] * u.mm, n_pixels=50, alpha=0.5)
     (image,) = ax.images
     assert tuple(image.get_extent()) == (-20, 30, -10, 15)
     assert (ax.get_xlim(), ax.get_ylim()) == ((30, -20), (-10, 15))
@@ -33,7 +33,7 @@ def test_pixels_count_the_annuli_around_them():
 
 def test_the_legend_gives_the_parts_of_the_footprint(presets):
     parts = 100 * presets["moons"].focal_plane.coverage()
-    ax = rs.plot_coverage("moons", n_pixels=20)
+    ax = rs.plot.plot_coverage("moons", n_pixels=20)
     shown = [float(text.split("(")[1].removesuffix(" %)").removeprefix("< ")) for text in words(ax)]
     assert shown == pytest.approx(parts, rel=0.05, abs=0.2)
     assert words(ax)[0].startswith("no positioner")
@@ -44,17 +44,17 @@ def test_the_legend_gives_the_parts_of_the_footprint(presets):
 def test_many_positioners_are_put_together_and_a_line_has_no_footprint():
     unit = replace(ROBOT, central_arm=14 * u.mm, eccentric_arm=15 * u.mm)
     dense = rs.FocalPlane.hexagonal(unit, rings=3, pitch=15 * u.mm)
-    texts = words(rs.plot_coverage(dense, n_pixels=20))
+    texts = words(rs.plot.plot_coverage(dense, n_pixels=20))
     assert texts[-1].startswith("6 or more")
     assert sum(float(t.split("(")[1].removesuffix(" %)")) for t in texts if "<" not in t) == pytest.approx(100, abs=0.5)
     two = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, ROBOT)
-    ax = rs.plot_coverage(two, n_pixels=100)
+    ax = rs.plot.plot_coverage(two, n_pixels=100)
     assert words(ax) == ["no positioner", "1 positioner", "2 positioners"]
     assert not ax.get_lines()
     with pytest.raises(rs.InputError, match="n_pixels must be a whole number"):
-        rs.plot_coverage(two, n_pixels=0)
+        rs.plot.plot_coverage(two, n_pixels=0)
     with pytest.raises(rs.InputError, match="must be a name, an Instrument or a FocalPlane"):
-        rs.plot_coverage(7)
+        rs.plot.plot_coverage(7)
 
 
 def disks(ax):
@@ -65,7 +65,7 @@ def test_estimates_are_disks_colored_by_probability(small):
     plane = replace(small.focal_plane, disabled=np.arange(37) < 3)
     estimate = rs.collision_probability(plane, method="quadrature", max_iterations=64)
     into = Figure().add_subplot()
-    ax = rs.plot_collision_map(estimate, plane, ax=into, cmap="gray")
+    ax = rs.plot.plot_collision_map(estimate, plane, ax=into, cmap="gray")
     assert ax is into
     filled, open_ones = disks(ax)
     np.testing.assert_array_equal(filled.get_array(), estimate.per_positioner[3:])
@@ -85,11 +85,11 @@ def test_counts_are_parts_of_the_configurations(small):
     tips = np.full((4, 37, 2), np.nan)
     tips[:2, :2] = plane.xy.value[:2] + [[[12, 0], [-12, 0]]]  # the first two touch in half of the configurations
     counts = rs.count_collisions(plane, tips * u.mm, parked_obstacles=False)
-    ax = rs.plot_collision_map(counts, small)
+    ax = rs.plot.plot_collision_map(counts, small)
     assert disks(ax)[0].get_array().tolist() == [0.5, 0.5] + [0] * 35
     assert ax.child_axes[0].get_ylabel() == "fraction of configurations in collision"
     with pytest.raises(rs.InputError, match="at least one configuration"):
-        rs.plot_collision_map(rs.count_collisions(plane, tips[:0] * u.mm), small)
+        rs.plot.plot_collision_map(rs.count_collisions(plane, tips[:0] * u.mm), small)
 
 
 def test_a_report_and_its_tile_give_the_same_map(small):
@@ -102,7 +102,7 @@ def test_a_report_and_its_tile_give_the_same_map(small):
     tips[t["status"] != "assigned"] = np.nan
     report = rs.find_collisions(small.focal_plane, tips)
     assert len(report.pairs) > 1
-    for ax in (rs.plot_collision_map(report, small), rs.plot_collision_map(tile)):
+    for ax in (rs.plot.plot_collision_map(report, small), rs.plot.plot_collision_map(tile)):
         free, colliding = disks(ax)
         np.testing.assert_array_equal(colliding.get_offsets(), small.focal_plane.xy.value[t["in_collision"]])
         assert len(free.get_offsets()) == 37 - t["in_collision"].sum()
@@ -112,7 +112,7 @@ def test_a_report_and_its_tile_give_the_same_map(small):
         np.testing.assert_array_equal(links.get_segments(), small.focal_plane.xy.value[report.pairs])
         assert words(ax) == ["no collision", "in collision", "colliding pair"]
     with pytest.raises(rs.InputError, match="a Tile brings its own positioners"):
-        rs.plot_collision_map(tile, small)
+        rs.plot.plot_collision_map(tile, small)
 
 
 @pytest.mark.parametrize(
@@ -126,13 +126,13 @@ def test_a_report_and_its_tile_give_the_same_map(small):
 )
 def test_what_is_no_map_is_refused(collisions, plane, message, small):
     with pytest.raises(rs.InputError, match=message):
-        rs.plot_collision_map(collisions, small if plane else None)
+        rs.plot.plot_collision_map(collisions, small if plane else None)
 
 
 def test_one_positioner_is_a_map(small):
     one = rs.FocalPlane([[0, 0]] * u.mm, ROBOT)
-    assert len(disks(rs.plot_collision_map(np.array([np.nan]), one))) == 2
-    (free,) = [c for c in disks(rs.plot_collision_map(np.array([False]), one)) if len(c.get_offsets())]
+    assert len(disks(rs.plot.plot_collision_map(np.array([np.nan]), one))) == 2
+    (free,) = [c for c in disks(rs.plot.plot_collision_map(np.array([False]), one)) if len(c.get_offsets())]
     assert len(free.get_offsets()) == 1
 
 
@@ -140,10 +140,10 @@ def test_maps_of_large_instruments_have_contrast(presets):
     """On a scale from 0, all of DESI had one color, and points that one and two positioners reach hardly differed."""
     desi = presets["desi"]
     estimate = rs.collision_probability(desi, method="quadrature", max_iterations=32)
-    filled = disks(rs.plot_collision_map(estimate, desi))[0]
+    filled = disks(rs.plot.plot_collision_map(estimate, desi))[0]
     light = filled.to_rgba([np.nanmin(estimate.per_positioner), np.nanmax(estimate.per_positioner)])[:, :3].sum(axis=1)
     assert light[0] - light[1] > 1.7
-    (image,) = rs.plot_coverage(desi).images
+    (image,) = rs.plot.plot_coverage(desi).images
     none, one, two = image.to_rgba(np.arange(3))[:, :3].sum(axis=1)
     assert none - one > 0.7
     assert one - two > 0.7
@@ -152,6 +152,6 @@ def test_maps_of_large_instruments_have_contrast(presets):
 
 
 def test_equal_probabilities_have_one_color(small):
-    filled = disks(rs.plot_collision_map(np.full(37, 0.25), small))[0]
+    filled = disks(rs.plot.plot_collision_map(np.full(37, 0.25), small))[0]
     assert filled.get_clim() == (0, 0.25)
-    assert disks(rs.plot_collision_map(np.zeros(37), small))[0].get_clim() == (0, 1)
+    assert disks(rs.plot.plot_collision_map(np.zeros(37), small))[0].get_clim() == (0, 1)

@@ -22,7 +22,7 @@ def survey(small):
 
 
 def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
-    ax = rs.plot_tiling(survey)
+    ax = rs.plot.plot_tiling(survey)
     (circles,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
     (edges,) = [c for c in ax.collections if isinstance(c, LineCollection)]
     corners = np.array([path.vertices for path in circles.get_paths()])[:, :-1]
@@ -49,7 +49,7 @@ def test_wide_tilings_show_the_whole_sky():
     """Fields in the middle, across the edge of the map, and over a pole: their outlines are where they should be."""
     tiling = rs.Tiling.from_table(QTable({"ra": [180, 0.5, 77, 300] * u.deg, "dec": [0, 30, 89, -30] * u.deg}))
     radius = 3 * u.deg
-    ax = rs.plot_tiling(tiling, radius=radius, color="tile")
+    ax = rs.plot.plot_tiling(tiling, radius=radius, color="tile")
     assert ax.name == "aitoff"
     polygons, tile_of = outlines_of_whole_sky(tiling.coord, 3.0)
     drawn, values = outlines(ax)
@@ -72,12 +72,12 @@ def test_wide_tilings_show_the_whole_sky():
     assert polygons[-1][:, 0].mean() < 0
     figure = matplotlib.figure.Figure()
     region = figure.subplots()
-    assert rs.plot_tiling(tiling, ax=region) is region
+    assert rs.plot.plot_tiling(tiling, ax=region) is region
 
 
 def test_fields_about_a_pole_keep_their_shape():
     tiling = rs.Tiling.from_table(QTable({"ra": [0, 120, 240] * u.deg, "dec": [86, 86, 86] * u.deg}))
-    ax = rs.plot_tiling(tiling, radius=3 * u.deg)
+    ax = rs.plot.plot_tiling(tiling, radius=3 * u.deg)
     assert ax.name == "rectilinear"
     polygons, _ = outlines(ax)
     middles = np.array([polygon.mean(axis=0) for polygon in polygons])
@@ -89,33 +89,33 @@ def test_fields_about_a_pole_keep_their_shape():
 
 def test_the_scale_fits_the_values(survey):
     tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
-    (scale,) = rs.plot_tiling(tiling).child_axes
+    (scale,) = rs.plot.plot_tiling(tiling).child_axes
     assert [t.get_text() for t in scale.get_yticklabels()] == ["1", "2"]
-    assert not rs.plot_tiling(rs.Tiling(tiling.table[:2])).child_axes  # one value needs no scale
+    assert not rs.plot.plot_tiling(rs.Tiling(tiling.table[:2])).child_axes  # one value needs no scale
 
 
 def test_a_tiling_is_colored_by_pass_or_any_column(survey):
     tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
-    assert np.array_equal(rs.plot_tiling(tiling).collections[0].get_array(), [1, 1, 2])
-    assert rs.plot_tiling(survey, color="n_observed").collections[0].get_array().sum() > 10
+    assert np.array_equal(rs.plot.plot_tiling(tiling).collections[0].get_array(), [1, 1, 2])
+    assert rs.plot.plot_tiling(survey, color="n_observed").collections[0].get_array().sum() > 10
     with pytest.raises(rs.InputError, match="color must be a column of numbers"):
-        rs.plot_tiling(tiling, color="completeness")
+        rs.plot.plot_tiling(tiling, color="completeness")
     with pytest.raises(rs.InputError, match="must be a Tiling or a Survey"):
-        rs.plot_tiling(CENTER)
+        rs.plot.plot_tiling(CENTER)
     with pytest.raises(rs.InputError, match="at least one tile"):
-        rs.plot_tiling(rs.Tiling(tiling.table[:0]))
+        rs.plot.plot_tiling(rs.Tiling(tiling.table[:0]))
 
 
 def test_style_can_be_given_and_one_value_is_neither_dark_nor_pale(survey):
-    fields = rs.plot_tiling(survey, color="n_observed", cmap="cividis", clim=(0, 500)).collections[0]
+    fields = rs.plot.plot_tiling(survey, color="n_observed", cmap="cividis", clim=(0, 500)).collections[0]
     assert (fields.get_cmap().name, fields.get_clim()) == ("cividis", (0, 500))
-    one = rs.plot_tiling(rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"][:2])).collections[0]
+    one = rs.plot.plot_tiling(rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"][:2])).collections[0]
     np.testing.assert_allclose(one.norm(one.get_array()), 0.5)
-    assert rs.plot_completeness(survey, linewidth=4).get_lines()[0].get_linewidth() == 4
+    assert rs.plot.plot_completeness(survey, linewidth=4).get_lines()[0].get_linewidth() == 4
 
 
 def test_completeness_rises_to_what_the_summary_says(survey):
-    ax = rs.plot_completeness(survey)
+    ax = rs.plot.plot_completeness(survey)
     lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}
     curve = lines["all visits"]
     assert curve[0].tolist() == [0, 0]
@@ -127,14 +127,14 @@ def test_completeness_rises_to_what_the_summary_says(survey):
         assert lines[f"priority {row['priority']}"][-1].tolist() == [3, row["completeness"]]
     assert {t.get_text() for t in ax.texts} == {"pass 1", "pass 2"}
     with pytest.raises(rs.InputError, match="must be a Survey"):
-        rs.plot_completeness(survey.tiles)
+        rs.plot.plot_completeness(survey.tiles)
 
 
 def test_the_curve_follows_the_order_of_observing(small):
     sky = rs.synthetic_catalog("poisson", CENTER, 2 * u.deg, density=200 / u.deg**2, rng=3)
     table = QTable({"ra": [359.0, 359.5] * u.deg, "dec": [20, 21] * u.deg, "pass": [2, 1]})
     survey = rs.plan_survey(sky, small, table)
-    curve = rs.plot_completeness(survey).get_lines()[0].get_ydata()
+    curve = rs.plot.plot_completeness(survey).get_lines()[0].get_ydata()
     observed = survey.tiles["n_observed"]
     assert observed[0] != observed[1]
     assert curve[1] == observed[1] / len(sky)
@@ -145,13 +145,13 @@ def test_twenty_thousand_tiles_are_one_collection():
     tiling = rs.Tiling.from_table(
         QTable({"ra": rng.uniform(0, 360, 20_000) * u.deg, "dec": rng.uniform(-60, 60, 20_000) * u.deg})
     )
-    ax = rs.plot_tiling(tiling)
+    ax = rs.plot.plot_tiling(tiling)
     assert len(ax.collections) == 1
 
 
 def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey):
     """With limits of 0 and 1, all tiles of a survey had the same color; translucent ones read as other values."""
-    fields = rs.plot_tiling(survey).collections[0]
+    fields = rs.plot.plot_tiling(survey).collections[0]
     values = survey.tiles["completeness"]
     assert fields.get_clim() == (values.min(), values.max())
     assert values.max() < 0.9
@@ -165,7 +165,7 @@ def test_targets_and_the_border_of_a_region_are_drawn():
     box = rs.Region.box(ra=[350 * u.deg, 10 * u.deg], dec=[10, 20] * u.deg)
     tiling = rs.place_tiles(box, "lamost")
     targets = SkyCoord([359, 3, 200] * u.deg, [15, 12, -80] * u.deg)
-    ax = rs.plot_tiling(tiling, targets=targets, region=box)
+    ax = rs.plot.plot_tiling(tiling, targets=targets, region=box)
     *sides, dots = ax.get_lines()
     np.testing.assert_allclose(np.sort(dots.get_xdata() % 360), [3, 200, 359])
     corners = np.vstack([line.get_xydata() for line in sides])
@@ -176,9 +176,9 @@ def test_targets_and_the_border_of_a_region_are_drawn():
     assert np.ptp(ax.get_ylim()) < 40
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["region", "3 targets"]
     with pytest.raises(rs.InputError, match="region must be a Region, got str"):
-        rs.plot_tiling(tiling, region="sky")
+        rs.plot.plot_tiling(tiling, region="sky")
     with pytest.raises(rs.InputError, match="targets must be a SkyCoord, got"):
-        rs.plot_tiling(tiling, targets=[1, 2])
+        rs.plot.plot_tiling(tiling, targets=[1, 2])
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_targets_and_the_border_of_a_region_are_drawn():
 def test_borders_divide_inside_from_outside(region, projection):
     tiling = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
     ax = matplotlib.figure.Figure().add_subplot(projection=projection)
-    lines = rs.plot_tiling(tiling, region=region, ax=ax).get_lines()
+    lines = rs.plot.plot_tiling(tiling, region=region, ax=ax).get_lines()
     assert lines
     points = np.vstack([line.get_xydata() for line in lines])[::7]
     ra, dec = (np.pi - points[:, 0], points[:, 1]) if projection else np.deg2rad(points.T)
@@ -209,7 +209,7 @@ def test_borders_divide_inside_from_outside(region, projection):
 def test_a_wide_region_has_a_low_figure():
     """A strip of the sky left 40 % of the height of its figure empty."""
     strip = rs.place_tiles(rs.Region.box(ra=[100, 150] * u.deg, dec=[20, 26] * u.deg), "lamost")
-    figure = rs.plot_tiling(strip).figure
+    figure = rs.plot.plot_tiling(strip).figure
     figure.draw_without_rendering()
     box = figure.get_tightbbox()
     assert box.height > 0.8 * figure.get_figheight()
@@ -218,13 +218,13 @@ def test_a_wide_region_has_a_low_figure():
 
 def test_fields_of_later_passes_have_a_legend_entry(survey):
     """Nothing on a saved plot told why fills differ in size."""
-    labels = [text.get_text() for text in rs.plot_tiling(survey).get_legend().get_texts()]
+    labels = [text.get_text() for text in rs.plot.plot_tiling(survey).get_legend().get_texts()]
     assert labels == ["field (fill is smaller in later passes)"]
     one = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
-    assert rs.plot_tiling(one).get_legend() is None
+    assert rs.plot.plot_tiling(one).get_legend() is None
 
 
 def test_few_fields_are_round(survey):
     """Large circles had visible corners."""
-    (edges,) = [c for c in rs.plot_tiling(survey).collections if isinstance(c, LineCollection)]
+    (edges,) = [c for c in rs.plot.plot_tiling(survey).collections if isinstance(c, LineCollection)]
     assert {len(segment) for segment in edges.get_segments()} == {145}

@@ -27,7 +27,7 @@ def band(collection):
 
 
 def test_lines_have_their_intervals():
-    ax = rs.plot_probability(SCAN, "pitch", values=["value", "formula"], linewidth=3)
+    ax = rs.plot.plot_probability(SCAN, "pitch", values=["value", "formula"], linewidth=3)
     value, formula = ax.get_lines()
     np.testing.assert_array_equal(value.get_xydata(), [[26, 0.4], [30, 0.2], [35, 0.1]])
     np.testing.assert_array_equal(formula.get_ydata(), [0.1, np.nan, 0])
@@ -43,7 +43,7 @@ def test_lines_have_their_intervals():
 
 def test_groups_have_lines_of_their_own():
     into = Figure().add_subplot()
-    ax = rs.plot_probability(SCAN["pitch", "value", "arms"], "pitch", by="arms", ax=into)
+    ax = rs.plot.plot_probability(SCAN["pitch", "value", "arms"], "pitch", by="arms", ax=into)
     assert ax is into
     lines = {line.get_label(): line.get_xydata().tolist() for line in ax.get_lines()}
     assert lines == {"long": [[30, 0.2], [35, 0.1]], "short": [[26, 0.4]]}
@@ -53,14 +53,17 @@ def test_groups_have_lines_of_their_own():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: rs.plot_probability([1]), "table must be a QTable, got list"),
-        (lambda: rs.plot_probability(SCAN), "table must have the column ratio; it has pitch"),
-        (lambda: rs.plot_probability(SCAN, "pitch", values="arms"), "arms must be a column of numbers"),
-        (lambda: rs.plot_probability(SCAN, "pitch", values=[]), "values must name at least one column"),
-        (lambda: rs.plot_probability(SCAN[:0], "pitch"), "table must have at least one row"),
-        (lambda: rs.plot_residuals(SCAN, "value", "nothing"), "table must have the column nothing"),
-        (lambda: rs.plot_residuals(SCAN[2:], "value", "formula", x="pitch"), "must have a row in which both are known"),
-        (lambda: rs.plot_allocators(SCAN), "table must come from compare_allocators, but it has no allocator"),
+        (lambda: rs.plot.plot_probability([1]), "table must be a QTable, got list"),
+        (lambda: rs.plot.plot_probability(SCAN), "table must have the column ratio; it has pitch"),
+        (lambda: rs.plot.plot_probability(SCAN, "pitch", values="arms"), "arms must be a column of numbers"),
+        (lambda: rs.plot.plot_probability(SCAN, "pitch", values=[]), "values must name at least one column"),
+        (lambda: rs.plot.plot_probability(SCAN[:0], "pitch"), "table must have at least one row"),
+        (lambda: rs.plot.plot_residuals(SCAN, "value", "nothing"), "table must have the column nothing"),
+        (
+            lambda: rs.plot.plot_residuals(SCAN[2:], "value", "formula", x="pitch"),
+            "must have a row in which both are known",
+        ),
+        (lambda: rs.plot.plot_allocators(SCAN), "table must come from compare_allocators, but it has no allocator"),
     ],
 )
 def test_other_tables_are_refused(call, message):
@@ -77,7 +80,7 @@ def test_residuals_point_where_they_go():
             "there": [0.1, 0.4, 0.2, np.nan],
         }
     )
-    ax = rs.plot_residuals(table, "here", "there", s=7)
+    ax = rs.plot.plot_residuals(table, "here", "there", s=7)
     up, down, zero = ax.collections[:3]
     assert up.get_offsets().tolist() == [[1, 26]]
     assert down.get_offsets().tolist() == [[1.2, 28]]
@@ -101,7 +104,7 @@ def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
         },
         meta={"blind_science": 95, "instrument": "mine"},
     )
-    ax = rs.plot_allocators(table, height=0.5)
+    ax = rs.plot.plot_allocators(table, height=0.5)
     bars = {c.get_label(): [(p.get_x(), p.get_width()) for p in c.patches] for c in ax.containers}
     assert bars == {
         "usable science fibers": [(0, 60), (0, 70)],
@@ -117,7 +120,7 @@ def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
     hatches = {c.patches[0].get_hatch() for c in ax.containers}
     assert len(hatches) == 3
     table["missing"] = 0
-    assert len(rs.plot_allocators(table).containers) == 2
+    assert len(rs.plot.plot_allocators(table).containers) == 2
 
 
 def test_coverages_of_intervals_are_drawn_beside_each_other_and_bars_end_at_one():

@@ -36,7 +36,7 @@ def shrink(monkeypatch):
 def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
     if size == "few":
         shrink(monkeypatch)
-    claims = rs.reproduce(experiment, tmp_path / "out", quick=True, workers=2)
+    claims = rs.reproduction.reproduce(experiment, tmp_path / "out", quick=True, workers=2)
     assert len(claims) > 0
     assert set(claims["experiment"]) == {experiment}
     assert set(claims["verdict"]) <= {"reproduced", "not reproduced", "cannot be decided from the text"}
@@ -49,11 +49,11 @@ def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
     page = (tmp_path / "out" / "claims.rst").read_text()
     assert all(claim in page for claim in claims["claim"])
     with pytest.raises(rs.InputError, match="exists"):
-        rs.reproduce(experiment, tmp_path / "out", quick=True)
+        rs.reproduction.reproduce(experiment, tmp_path / "out", quick=True)
 
 
 def test_results_do_not_depend_on_workers(tmp_path):
-    one, two = (rs.reproduce("small", tmp_path / str(n), quick=True, workers=n) for n in (1, 2))
+    one, two = (rs.reproduction.reproduce("small", tmp_path / str(n), quick=True, workers=n) for n in (1, 2))
     assert one["ours"].tolist() == two["ours"].tolist()
     assert (tmp_path / "1" / "small.ecsv").read_text() == (tmp_path / "2" / "small.ecsv").read_text()
 
@@ -207,10 +207,10 @@ def test_the_page_of_claims():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda p: rs.reproduce("large scale", p), "unknown experiment 'large scale'"),
-        (lambda p: rs.reproduce("small", p, rng=-1), "rng must be a seed"),
-        (lambda p: rs.reproduce("small", p, workers=0), "workers must be a whole number"),
-        (lambda p: rs.reproduce("small", __file__), "must be a folder"),
+        (lambda p: rs.reproduction.reproduce("large scale", p), "unknown experiment 'large scale'"),
+        (lambda p: rs.reproduction.reproduce("small", p, rng=-1), "rng must be a seed"),
+        (lambda p: rs.reproduction.reproduce("small", p, workers=0), "workers must be a whole number"),
+        (lambda p: rs.reproduction.reproduce("small", __file__), "must be a folder"),
     ],
 )
 def test_bad_input_is_named(call, words, tmp_path):

@@ -76,7 +76,7 @@ def assert_readable(axes):
 
 def test_zeros_are_upper_limits_with_arrows():
     table = collisions()
-    above, below = rs.plot_speed_accuracy(table)
+    above, below = rs.plot.plot_speed_accuracy(table)
     arrows = [t for t in above.texts if isinstance(t, Annotation) and t.arrow_patch is not None]
     assert sorted(a.xy[0] for a in arrows) == [0.03, 0.06, 0.2]
     assert {a.xy[1] for a in arrows} == {1 / 577}
@@ -89,7 +89,7 @@ def test_zeros_are_upper_limits_with_arrows():
 
 def test_fractions_of_misclassified_pairs_have_standard_errors():
     table = collisions()
-    above, below = rs.plot_speed_accuracy(table)
+    above, below = rs.plot.plot_speed_accuracy(table)
     assert not below.containers
     ends = np.concatenate([np.array(bars.lines[2][0].get_segments())[:, :, 1] for bars in above.containers])
     value = np.array([v for v in table["misclassified"] if v > 0])
@@ -99,21 +99,23 @@ def test_fractions_of_misclassified_pairs_have_standard_errors():
 
 
 def test_the_chart_states_machine_and_better_corner():
-    above, _ = rs.plot_speed_accuracy(collisions())
+    above, _ = rs.plot.plot_speed_accuracy(collisions())
     for words in ("mine: 500 positioners, 577 colliding pairs", "a processor, 2 cores", "lower left is better"):
         assert words in above.get_title()
 
 
 @pytest.mark.parametrize("size", [(7.5, 7), (6, 6)])
 def test_labels_of_collisions_can_be_read(size):
-    assert_readable(rs.plot_speed_accuracy(collisions(), axes=tuple(Figure(size, layout="constrained").subplots(2))))
+    assert_readable(
+        rs.plot.plot_speed_accuracy(collisions(), axes=tuple(Figure(size, layout="constrained").subplots(2)))
+    )
 
 
 def test_labels_of_probabilities_can_be_read():
     table = probabilities()
     table["time"][2] = 2.1 * u.ms
     table["error"][2] = 0.0098
-    assert_readable(rs.plot_probability_accuracy(table))
+    assert_readable(rs.plot.plot_probability_accuracy(table))
 
 
 def test_ticks_of_a_short_axis_do_not_overlap():
@@ -129,13 +131,13 @@ def test_ticks_of_a_short_axis_do_not_overlap():
             "truth_error": [2e-4] * 4,
         }
     )
-    axes = rs.plot_probability_accuracy(table, axes=(Figure((4.5, 4), layout="constrained").add_subplot(),))
+    axes = rs.plot.plot_probability_accuracy(table, axes=(Figure((4.5, 4), layout="constrained").add_subplot(),))
     assert_readable(axes)
     assert {"5", "10", "20"} <= {t.get_text() for t in ticks_of(axes[0].xaxis)}
 
 
 def test_estimands_have_panels_of_their_own():
-    allocated, independent = rs.plot_probability_accuracy(probabilities())
+    allocated, independent = rs.plot.plot_probability_accuracy(probabilities())
     assert [ax.get_title() for ax in (allocated, independent)] == ["allocated targets", "independent targets"]
     assert [t.get_text() for t in independent.get_legend().get_texts()] == ["closed_form", "quadrature"]
     assert [t.get_text() for t in allocated.get_legend().get_texts()] == ["conditional"]
@@ -151,10 +153,10 @@ def test_estimands_have_panels_of_their_own():
 
 def test_options_reach_the_lines_and_axes_are_those_given():
     axes = tuple(Figure().subplots(1, 2))
-    assert rs.plot_probability_accuracy(probabilities(), axes=axes, markersize=9) == axes
+    assert rs.plot.plot_probability_accuracy(probabilities(), axes=axes, markersize=9) == axes
     assert axes[0].containers[0][0].get_markersize() == 9
     with pytest.raises(rs.InputError, match="axes must be 2 Axes, one for each estimand, got 1"):
-        rs.plot_probability_accuracy(probabilities(), axes=axes[:1])
+        rs.plot.plot_probability_accuracy(probabilities(), axes=axes[:1])
 
 
 def test_errors_of_repeated_runs_have_errors_of_their_own():
@@ -162,7 +164,7 @@ def test_errors_of_repeated_runs_have_errors_of_their_own():
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane.hexagonal(robot, rings=1, pitch=25.6 * u.mm)
     options = {"efforts": {"conditional": [32]}, "repeats": 20, "precision": 1e-3}
-    tables = [rs.benchmark_probability(plane, rng=k, **options) for k in range(30)]
+    tables = [rs.benchmark.benchmark_probability(plane, rng=k, **options) for k in range(30)]
     errors = np.array([t["error"][0] for t in tables])
     stated = np.mean([t["error_error"][0] for t in tables])
     # a standard deviation of 30 values is known to 13 %, the mean of the stated ones to 6 %: three times their sum

@@ -30,4 +30,4 @@ for name, reached, limit in tile.summary["aims"]:
 # Patrol areas are rings, since the arms are not equal; black discs are fiducials, which no arm may touch.
 
 fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
-rs.plot_focal_plane(tile, ax=ax)
+rs.plot.plot_focal_plane(tile, ax=ax)

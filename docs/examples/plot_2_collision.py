@@ -28,7 +28,7 @@ region = u.Quantity([middle - 45 * u.mm, middle + 45 * u.mm])
 dots = rs.Instrument.preset("sdss_apo").projection(center).to_focal_plane(stars).value
 fig, axes = plt.subplots(1, 2, figsize=(11, 5.9), layout="constrained", sharey=True)
 for ax, tile, name in zip(axes, (rule, best), ("LAMOST's rule", "optimum"), strict=True):
-    rs.plot_focal_plane(tile, ax=ax, region=region)
+    rs.plot.plot_focal_plane(tile, ax=ax, region=region)
     ax.plot(*dots.T, ".", color="#009E73", markersize=5, zorder=0)
     ax.set_title(f"{name}: {tile.summary['n_assigned']} assigned, {tile.summary['n_colliding']} in collision")
     ax.get_legend().remove()

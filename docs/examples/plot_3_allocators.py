@@ -22,4 +22,4 @@ table["allocator", "science", "colliding", "usable", "loss", "gap"].pprint()
 # ``sdss`` assigns the most, and loses a quarter. ``optimal`` and ``repair`` leave no collision.
 
 fig, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
-rs.plot_allocators(table, ax=ax).set_title("Usable fibers of six allocators on a field of MOONS")
+rs.plot.plot_allocators(table, ax=ax).set_title("Usable fibers of six allocators on a field of MOONS")

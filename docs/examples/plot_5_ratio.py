@@ -29,7 +29,7 @@ values = np.array([one.value for one in found])
 errors = np.abs([[one.low, one.high] for one in found] - values[:, None]).T
 ax.errorbar(ratios, values, errors, fmt="o", capsize=4, color="#0072B2", label="allocated, four targets per positioner")
 line = np.linspace(1, 2, 101)
-independent = rs.surrogate_probability(8.25 * u.mm, 8.25 * line * u.mm, 25.6 * u.mm, 4.5 * u.mm)
+independent = rs.probability.surrogate_probability(8.25 * u.mm, 8.25 * line * u.mm, 25.6 * u.mm, 4.5 * u.mm)
 ax.plot(line, independent, color="#E69F00", label="independent, uniform, no edge")
 ax.set(xlabel="eccentric over central arm", ylabel="collision probability", ylim=(0, None))
 ax.set_title("Collision probability against the ratio of the arms")

@@ -28,5 +28,5 @@ print(where_stars_are, f"for {where_stars_are.summary['completeness']:.0%} of {l
 
 fig, axes = plt.subplots(1, 2, figsize=(12, 5.4), layout="constrained")
 for ax, tiles, name in zip(axes, (covering, where_stars_are), ("hexagonal", "max_density"), strict=True):
-    rs.plot_tiling(tiles, ax=ax, targets=stars, region=region)
+    rs.plot.plot_tiling(tiles, ax=ax, targets=stars, region=region)
     ax.set_title(f"{name}: {len(tiles)} tiles")

@@ -27,5 +27,5 @@ for outcome, number in survey.summary["outcomes"].items():
 # A tile visits a star once, so that the first pass can hardly make more than half of the visits to bright stars.
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
-rs.plot_tiling(survey, ax=left).set_title("completeness of each field")
-rs.plot_completeness(survey, ax=right).set_title("completeness after each tile")
+rs.plot.plot_tiling(survey, ax=left).set_title("completeness of each field")
+rs.plot.plot_completeness(survey, ax=right).set_title("completeness after each tile")

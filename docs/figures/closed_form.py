@@ -15,7 +15,7 @@ for pitch, color in ((25.6, "#0072B2"), (30.0, "#E69F00"), (35.0, "#009E73")):
         unit = rs.Positioner(8.25 * u.mm, 8.25 * ratio * u.mm, 2.25 * u.mm)
         plane = rs.FocalPlane.hexagonal(unit, rings=4, pitch=pitch * u.mm)
         formula.append(rs.collision_probability(plane, method="closed_form").per_positioner[len(plane) // 2])
-    truth = rs.surrogate_probability(8.25 * u.mm, 8.25 * ratios * u.mm, pitch * u.mm, 4.5 * u.mm)
+    truth = rs.probability.surrogate_probability(8.25 * u.mm, 8.25 * ratios * u.mm, pitch * u.mm, 4.5 * u.mm)
     left.plot(ratios, truth, color=color, label=f"pitch {pitch:g} mm")
     left.plot(ratios, formula, "--", color=color)
     some = np.array(formula) > 0

@@ -7,7 +7,7 @@ import numpy as np
 import rfpsurvey as rs
 
 ratio, pitch = np.meshgrid(np.linspace(1, 2, 101), np.linspace(24.6, 35, 101))
-risk = rs.surrogate_probability(8.25 * u.mm, 8.25 * ratio * u.mm, pitch * u.mm, 4.5 * u.mm)
+risk = rs.probability.surrogate_probability(8.25 * u.mm, 8.25 * ratio * u.mm, pitch * u.mm, 4.5 * u.mm)
 figure, ax = plt.subplots(figsize=(5.5, 4), layout="constrained")
 lines = ax.contourf(ratio, pitch, risk, levels=np.linspace(0, 0.6, 13), cmap="viridis")
 figure.colorbar(lines, label="collision probability")

@@ -7,7 +7,7 @@ import rfpsurvey as rs
 
 unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 plane = rs.FocalPlane.hexagonal(unit, rings=12, pitch=25.6 * u.mm)
-table = rs.benchmark_probability(plane, repeats=30)
+table = rs.benchmark.benchmark_probability(plane, repeats=30)
 table.meta["instrument"] = "LAMOST's arms"
 figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-rs.plot_probability_accuracy(table, axes=tuple(axes))
+rs.plot.plot_probability_accuracy(table, axes=tuple(axes))

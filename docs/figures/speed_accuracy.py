@@ -6,4 +6,4 @@ import rfpsurvey as rs
 
 figure, axes = plt.subplots(2, 2, figsize=(13, 8), sharex="col", layout="constrained")
 for column, name in zip(axes.T, ("lamost", "sdss_apo"), strict=True):
-    rs.plot_speed_accuracy(rs.benchmark_collisions(name, repeats=5), axes=tuple(column))
+    rs.plot.plot_speed_accuracy(rs.benchmark.benchmark_collisions(name, repeats=5), axes=tuple(column))

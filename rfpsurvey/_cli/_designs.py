@@ -62,8 +62,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
     """Draw the front and write a page where asked, and print the front and the sensitivities."""
     page = {"title": f"{len(table)} designs", "data": output}
     if report is not None:
-        page["figures"] = {FIGURE: rs.plot_designs(table)}
-    draw = (plot, lambda: rs.plot_designs(table).figure)
+        page["figures"] = {FIGURE: rs.plot.plot_designs(table)}
+    draw = (plot, lambda: rs.plot.plot_designs(table).figure)
     with _app.files(overwrite=overwrite, plot=draw, report=(report, table, page)):
         front = table[table["pareto"]]
         wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
@@ -73,7 +73,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
         if len(front) > MOST_ROWS:
             print(f"and {len(front) - MOST_ROWS} more")
         try:
-            found = rs.design_sensitivities(table)
+            found = rs.design.design_sensitivities(table)
         except rs.InputError as error:  # one design, or a few
             print(f"no sensitivities: {error}")
         else:

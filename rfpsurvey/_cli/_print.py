@@ -63,7 +63,7 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path
     with files(
         overwrite=overwrite,
         output=(output, tile.write),
-        plot=(plot, lambda: rs.plot_focal_plane(tile).figure),
+        plot=(plot, lambda: rs.plot.plot_focal_plane(tile).figure),
         report=(report, tile, {"data": output}),
     ):
         print_summary(tile)
@@ -77,7 +77,7 @@ def finish_tiling(
     with files(
         overwrite=overwrite,
         output=(output, tiling.write),
-        plot=(plot, lambda: rs.plot_tiling(tiling, **shown).figure),
+        plot=(plot, lambda: rs.plot.plot_tiling(tiling, **shown).figure),
         report=(report, tiling, {"data": output}),
     ):
         for name, value in tiling.summary.items():
@@ -90,7 +90,7 @@ def finish_comparison(table, output: Path | None, plot: Path | None, report: Pat
     with files(
         overwrite=overwrite,
         output=(output, partial(write_table, table)),
-        plot=(plot, lambda: rs.plot_allocators(table).figure),
+        plot=(plot, lambda: rs.plot.plot_allocators(table).figure),
         report=(report, table, {"data": output}),
     ):
         print(
@@ -111,7 +111,7 @@ def finish_estimate(
     table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
 
     def draw():
-        return rs.plot_collision_map(estimate, plane).figure
+        return rs.plot.plot_collision_map(estimate, plane).figure
 
     page = {"title": f"Collision probability of {model.name}"}
     if report is not None:

@@ -29,8 +29,8 @@ def collisions(
     """Chart the speed of every method of finding collisions against its errors."""
     output = _app.check_chart(plot, report, overwrite=overwrite)
     options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
-    table = rs.benchmark_collisions(as_instrument(instrument), **options)
-    _app.finish_table(table, rs.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
+    table = rs.benchmark.benchmark_collisions(as_instrument(instrument), **options)
+    _app.finish_table(table, rs.plot.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
 
 
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
@@ -39,4 +39,4 @@ def batches(
     repeats: Annotated[int, typer.Option(help="Calls of each kind, of which the median counts.")] = 5,
 ) -> None:
     """Time the scoring of many configurations at once, on processor threads and a GPU if there is one."""
-    _app.print_table(rs.benchmark_batches(as_instrument(instrument), repeats=repeats))
+    _app.print_table(rs.benchmark.benchmark_batches(as_instrument(instrument), repeats=repeats))

@@ -25,6 +25,6 @@ def probability(
 ) -> None:
     """Chart the time of every method of collision probability against its error; print the bias of densities."""
     output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
-    _app.print_table(rs.benchmark_densities(model, rng=seed))
-    table = rs.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
-    _app.finish_table(table, rs.plot_probability_accuracy, output, plot, report, overwrite=overwrite)
+    _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
+    table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
+    _app.finish_table(table, rs.plot.plot_probability_accuracy, output, plot, report, overwrite=overwrite)

@@ -38,5 +38,5 @@ def design(
     scan |= {"n_designs": n_designs, "n_skies": n_skies, "rng": seed, "progress": sys.stderr.isatty()}
     scan |= {"path": output, "resume": resume, "overwrite": overwrite}
     with _surveys.workers(workers, None, processes=processes) as executor:
-        table = rs.explore_designs(executor=executor, **scan)
+        table = rs.design.explore_designs(executor=executor, **scan)
     _designs.finish(table, output, plot, report, overwrite=again)

@@ -25,7 +25,7 @@ def reproduce(
     """Rerun the experiments of Chen et al. (2024), arXiv:2409.07288, and judge each claim."""
     _app.check_outputs(None, report=report, overwrite=overwrite)
     options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
-    claims = rs.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)
+    claims = rs.reproduction.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)
     with _app.files(overwrite=overwrite, report=(report, claims, {"data": "claims.ecsv"})):
         for row in claims:
             print(f"{row['experiment']}: {row['claim']}\n    paper: {row['paper']}\n    here: {row['ours']}")

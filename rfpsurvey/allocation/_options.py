@@ -45,7 +45,8 @@ class AllocationOptions:
         units with ``parked_obstacles``, disabled and stuck units) count as other arms; two idle arms that collide
         with each other, or an idle arm at an obstacle, are left as they are.
         ``repair``: the plan ``start``, its collisions removed by local moves. Another name is that
-        of an allocator of an installed package; a function of an `AllocationProblem` is taken as it is.
+        of an allocator of an installed package; a function of an `~rfpsurvey.allocation.AllocationProblem` is taken as
+        it is.
     requirements : list of Requirement or str, or "instrument", optional
         What the plan must hold, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``; ``"instrument"``: the
         requirements of the instrument. Minima come before science, are met as far as possible and reported where they

@@ -56,7 +56,7 @@ class AllocationAnswer(NamedTuple):
     Examples
     --------
     >>> import rfpsurvey as rs
-    >>> rs.AllocationAnswer([2, -1, 0]).target_of_positioner
+    >>> rs.allocation.AllocationAnswer([2, -1, 0]).target_of_positioner
     [2, -1, 0]
     """
 
@@ -75,8 +75,9 @@ def _no_start() -> AllocationAnswer:
 class AllocationProblem:
     """Targets on a focal plane, what they are worth, and what a plan must hold: numbers in mm, arrays that are locked.
 
-    Built-in allocators and those of other packages are functions from this to an `AllocationAnswer`; an array of the
-    target of each positioner, or a tuple of that and the elbows ("right" or "left"), is short for one.
+    Built-in allocators and those of other packages are functions from this to an
+    `~rfpsurvey.allocation.AllocationAnswer`; an array of the target of each positioner, or a tuple of that and the
+    elbows ("right" or "left"), is short for one.
 
     Parameters
     ----------

@@ -56,7 +56,8 @@ def benchmark_batches(
     Examples
     --------
     >>> import rfpsurvey as rs
-    >>> rs.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)["device", "size"].pformat()[2:]
+    >>> table = rs.benchmark.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)
+    >>> table["device", "size"].pformat()[2:]
     ['   CPU    1', '   CPU   10']
     """
     plane = as_focal_plane(instrument)

@@ -58,7 +58,7 @@ def shapely(case: Configuration) -> Found:
 
 
 COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
-"""Everything that `benchmark_collisions` can time; the last three are there for comparison alone."""
+"""All that `~rfpsurvey.benchmark.benchmark_collisions` can time; the last three are there for comparison alone."""
 
 WITH_POINTS = {"sampled": (3, 5, 9, 17, 33, 65, 129), "sweep": (9, 65)}
 
@@ -84,8 +84,8 @@ def benchmark_collisions(
     instrument : str, Instrument or FocalPlane, optional
         Preset, instrument or focal plane.
     methods : sequence of str, optional
-        Methods of `find_collisions`, and for comparison ``every_pair`` (no broad phase), ``endpoints`` (no test for
-        crossings) and ``shapely`` (if it is installed). None: all that can run here.
+        Methods of `~rfpsurvey.find_collisions`, and for comparison ``every_pair`` (no broad phase), ``endpoints`` (no
+        test for crossings) and ``shapely`` (if it is installed). None: all that can run here.
     n_configurations : int, optional
         Configurations that each method is tried on.
     repeats : int, optional
@@ -114,7 +114,7 @@ def benchmark_collisions(
     Examples
     --------
     >>> import rfpsurvey as rs
-    >>> table = rs.benchmark_collisions("sdss_apo", methods=["exact", "endpoints"], repeats=1)
+    >>> table = rs.benchmark.benchmark_collisions("sdss_apo", methods=["exact", "endpoints"], repeats=1)
     >>> table["method", "n_spurious"].pformat()[2:]
     ['    exact          0', 'endpoints          0']
     """

@@ -47,7 +47,7 @@ def benchmark_probability(
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Preset, instrument or focal plane; random targets as `collision_probability` has them by default.
+        Preset, instrument or focal plane; random targets as `~rfpsurvey.collision_probability` has them by default.
     efforts : mapping of str to sequence of int, optional
         Iterations, realizations or points of each method; 0 for formulas.
     repeats : int, optional
@@ -78,7 +78,7 @@ def benchmark_probability(
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm)
     >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm)
-    >>> table = rs.benchmark_probability(plane, efforts={"quadrature": [64, 128]}, repeats=2, precision=2e-3)
+    >>> table = rs.benchmark.benchmark_probability(plane, efforts={"quadrature": [64, 128]}, repeats=2, precision=2e-3)
     >>> table["method", "effort"].pformat()[2:]
     ['quadrature     64', 'quadrature    128']
     """
@@ -176,7 +176,7 @@ def benchmark_densities(
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm)
     >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm)
-    >>> rs.benchmark_densities(plane, precision=0.01, n_allocations=2)["density"].tolist()
+    >>> rs.benchmark.benchmark_densities(plane, precision=0.01, n_allocations=2)["density"].tolist()
     ['allocated', 'uniform', 'shared', 'voronoi', 'empirical']
     """
     plane = as_focal_plane(instrument)

@@ -148,7 +148,7 @@ def compare_instruments(
     See Also
     --------
     compare_allocators : All methods on one field of one instrument.
-    plot_instruments : The chart.
+    rfpsurvey.plot.plot_instruments : The chart.
 
     Notes
     -----

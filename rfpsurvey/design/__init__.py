@@ -1,4 +1,4 @@
-"""Which arms, pitch and clearance: a table of methods behind `explore_designs`."""
+"""Which arms, pitch and clearance: a table of methods behind `~rfpsurvey.design.explore_designs`."""
 
 from rfpsurvey.design._explore import explore_designs
 from rfpsurvey.design._losses import ESTIMANDS, METHODS

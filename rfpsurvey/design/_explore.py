@@ -56,7 +56,8 @@ def explore_designs(
 
     * ``independent``: every positioner draws a target of its own, uniform over its patrol area; lost is who is in
       collision.
-    * ``allocated``: targets fall at random and queue up (`allocate`, ``balanced``); every fiber takes one of its
+    * ``allocated``: targets fall at random and queue up (`~rfpsurvey.allocate`, ``balanced``); every fiber takes one of
+    its
       queue; lost is who is in collision.
     * ``collision_free``: the plan avoids collisions; lost are the fibers that it leaves idle and a plan blind to
       collisions would not.
@@ -75,7 +76,7 @@ def explore_designs(
         So many designs instead of a grid, between limits: each parameter is one value, or (low, high). They are
         scrambled points of Sobol; fewer designs of the same seed are the first of more.
     step : Quantity, optional
-        Angle of one step of the motors, of which the safe distance depends, see `Positioner`.
+        Angle of one step of the motors, of which the safe distance depends, see `~rfpsurvey.Positioner`.
     estimand : {"independent", "allocated", "collision_free"}, optional
         Which loss; ``independent`` by default.
     method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
@@ -136,15 +137,15 @@ def explore_designs(
 
     See Also
     --------
-    design_sensitivities : What the figures depend on.
-    plot_designs : Draws the front.
-    collision_probability : One instrument as it is.
+    rfpsurvey.design.design_sensitivities : What the figures depend on.
+    rfpsurvey.plot.plot_designs : Draws the front.
+    rfpsurvey.collision_probability : One instrument as it is.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> table = rs.explore_designs(l1=8.25 * u.mm, ratio=[1, 1.5, 2], pitch=25.6 * u.mm, clearance=2.25 * u.mm)
+    >>> table = rs.design.explore_designs(l1=8.25 * u.mm, ratio=[1, 1.5, 2], pitch=25.6 * u.mm, clearance=2.25 * u.mm)
     >>> table["coverage"].round(2).tolist(), table["loss"].round(2).tolist()
     ([1.0, 0.91, 1.0], [0.11, 0.27, 0.44])
     >>> table["pareto"].tolist()

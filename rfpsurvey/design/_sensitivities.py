@@ -27,7 +27,7 @@ def design_sensitivities(
     Parameters
     ----------
     table : QTable
-        What `explore_designs` returns; designs without figures are left out.
+        What `~rfpsurvey.design.explore_designs` returns; designs without figures are left out.
     figures : sequence of str, optional
         Columns to explain.
 
@@ -46,7 +46,7 @@ def design_sensitivities(
 
     See Also
     --------
-    explore_designs : Scans a box of designs.
+    rfpsurvey.design.explore_designs : Scans a box of designs.
 
     References
     ----------
@@ -58,7 +58,7 @@ def design_sensitivities(
     >>> import numpy as np
     >>> import rfpsurvey as rs
     >>> options = {"l1": [7, 8, 9] * u.mm, "ratio": [1, 1.2], "pitch": [24, 26] * u.mm, "clearance": 2.25 * u.mm}
-    >>> found = rs.design_sensitivities(rs.explore_designs(**options), figures=["loss"])
+    >>> found = rs.design.design_sensitivities(rs.design.explore_designs(**options), figures=["loss"])
     >>> [str(name) for name in found["parameter"]]
     ['l1', 'ratio', 'pitch', 'rest']
     """

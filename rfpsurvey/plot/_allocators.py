@@ -21,7 +21,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     Parameters
     ----------
     table : QTable
-        What `compare_allocators` returns.
+        What `~rfpsurvey.compare_allocators` returns.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default, with the legend below the axes.
     **kwargs
@@ -45,7 +45,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     >>> import rfpsurvey as rs
     >>> center = SkyCoord("6h20m +23d")
     >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=2000, rng=1)
-    >>> ax = rs.plot_allocators(rs.compare_allocators(sky, "moons", center, allocators=["lamost", "repair"]))
+    >>> ax = rs.plot.plot_allocators(rs.compare_allocators(sky, "moons", center, allocators=["lamost", "repair"]))
     >>> [text.get_text() for text in ax.get_yticklabels()]
     ['lamost', 'repair']
     """

@@ -75,7 +75,7 @@ def plot_collision_map(
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
     >>> estimate = rs.collision_probability(plane, method="quadrature")
-    >>> rs.plot_collision_map(estimate, plane).get_title().split(":")[0]
+    >>> rs.plot.plot_collision_map(estimate, plane).get_title().split(":")[0]
     'quadrature, independent targets'
     """
     centers, outer = _places(collisions, focal_plane)

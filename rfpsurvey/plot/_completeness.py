@@ -48,7 +48,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("poisson", SkyCoord("6h20m +23d"), 1 * u.deg, density=500 / u.deg**2, rng=1)
     >>> survey = rs.plan_survey(sky, "moons", SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg))
-    >>> rs.plot_completeness(survey).get_xlabel()
+    >>> rs.plot.plot_completeness(survey).get_xlabel()
     'tiles'
     """
     if not isinstance(survey, Survey):

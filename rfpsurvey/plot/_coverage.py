@@ -34,8 +34,8 @@ def plot_coverage(
     """Draw how many positioners reach each point: the darker, the more.
 
     No positioner reaches the white points within the dashed line, which is the footprint. The legend gives the
-    fractions of the footprint, as `FocalPlane.coverage` finds them. The colors run from white to dark blue, whatever
-    the largest number is.
+    fractions of the footprint, as `~rfpsurvey.FocalPlane.coverage` finds them. The colors run from white to dark blue,
+    whatever the largest number is.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def plot_coverage(
     Examples
     --------
     >>> import rfpsurvey as rs
-    >>> ax = rs.plot_coverage("lamost")
+    >>> ax = rs.plot.plot_coverage("lamost")
     >>> [text.get_text() for text in ax.get_legend().get_texts()][1]
     '1 positioner (54 %)'
     """

@@ -47,7 +47,7 @@ def plot_designs(
     Parameters
     ----------
     table : QTable
-        What `explore_designs` returns.
+        What `~rfpsurvey.design.explore_designs` returns.
     x, y : str, optional
         Columns; the objectives by default. The front is that of the objectives, whatever is drawn, and is joined by
         a line where these are drawn.
@@ -55,7 +55,7 @@ def plot_designs(
         Column that gives the color; by default ``ratio`` if it varies, else the parameter with most values.
     mark : dict of str to QTable, optional
         Designs to point out by name, such as an instrument that is there: tables of one design, or of a few, by
-        `explore_designs` with the same targets.
+        `~rfpsurvey.design.explore_designs` with the same targets.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
     **kwargs
@@ -69,15 +69,15 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table does not come from `explore_designs`, a column is missing, or designs to mark answer another
-        question.
+        If a table does not come from `~rfpsurvey.design.explore_designs`, a column is missing, or designs to mark
+        answer another question.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> table = rs.explore_designs(l1=[7, 8, 9] * u.mm, ratio=1.5, pitch=25 * u.mm, clearance=2 * u.mm)
-    >>> rs.plot_designs(table).get_ylabel()
+    >>> table = rs.design.explore_designs(l1=[7, 8, 9] * u.mm, ratio=1.5, pitch=25 * u.mm, clearance=2 * u.mm)
+    >>> rs.plot.plot_designs(table).get_ylabel()
     'fraction of fibers lost to collisions (independent)'
     """
     from matplotlib.cm import ScalarMappable

@@ -86,10 +86,10 @@ def plot_focal_plane(
     >>> import rfpsurvey as rs
     >>> center = SkyCoord("6h20m +23d")
     >>> sky = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=300 / u.deg**2, rng=1)
-    >>> ax = rs.plot_focal_plane(rs.plan_tile(sky, "sdss_apo", center))
+    >>> ax = rs.plot.plot_focal_plane(rs.plan_tile(sky, "sdss_apo", center))
     >>> ax.get_xlabel()
     'x [mm]'
-    >>> rs.plot_focal_plane("sdss_apo", color="fiber_type").get_title()
+    >>> rs.plot.plot_focal_plane("sdss_apo", color="fiber_type").get_title()
     'sdss_apo: 500 positioners, 46 obstacles, by fiber type'
     """
     if color not in (None, *GROUPS):

@@ -26,7 +26,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     Parameters
     ----------
     table : QTable
-        What `compare_instruments` returns.
+        What `~rfpsurvey.compare_instruments` returns.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
     **kwargs
@@ -47,7 +47,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     --------
     >>> import rfpsurvey as rs
     >>> table = rs.compare_instruments("poisson", ["sdss_apo", "pfs"], n_realizations=1)
-    >>> rs.plot_instruments(table).get_xlabel()
+    >>> rs.plot.plot_instruments(table).get_xlabel()
     'fraction of the positioners'
     """
     check_columns(table, COLUMNS, "compare_instruments")

@@ -69,7 +69,7 @@ def plot_probability(
     ...     plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=25.6 * u.mm)
     ...     found = rs.collision_probability(plane, n_targets=200, precision=0.01)
     ...     rows.append((ratio, found.value, found.low, found.high))
-    >>> ax = rs.plot_probability(QTable(rows=rows, names=["ratio", "value", "low", "high"]))
+    >>> ax = rs.plot.plot_probability(QTable(rows=rows, names=["ratio", "value", "low", "high"]))
     >>> ax.get_ylabel()
     'collision probability'
     """
@@ -151,9 +151,9 @@ def plot_residuals(
     >>> import rfpsurvey as rs
     >>> designs = QTable({"ratio": [1, 1.5, 2], "pitch": [26, 26, 30] * u.mm})
     >>> l1, l2 = 8.25 * u.mm, 8.25 * u.mm * designs["ratio"]
-    >>> designs["value"] = rs.surrogate_probability(l1, l2, designs["pitch"], 4.5 * u.mm)
-    >>> designs["wider"] = rs.surrogate_probability(l1, l2, designs["pitch"], 5.5 * u.mm)
-    >>> rs.plot_residuals(designs, "wider", "value").get_ylabel()
+    >>> designs["value"] = rs.probability.surrogate_probability(l1, l2, designs["pitch"], 4.5 * u.mm)
+    >>> designs["wider"] = rs.probability.surrogate_probability(l1, l2, designs["pitch"], 5.5 * u.mm)
+    >>> rs.plot.plot_residuals(designs, "wider", "value").get_ylabel()
     'pitch [mm]'
     """
     check_columns(table, {x, y, value, reference})

@@ -77,7 +77,7 @@ def plot_tiling(
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
     >>> region = rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg)
-    >>> ax = rs.plot_tiling(rs.place_tiles(region, "lamost"), region=region)
+    >>> ax = rs.plot.plot_tiling(rs.place_tiles(region, "lamost"), region=region)
     >>> ax.get_xlabel()
     'right ascension [deg]'
     """

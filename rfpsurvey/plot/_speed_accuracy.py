@@ -30,7 +30,7 @@ def plot_speed_accuracy(
     Parameters
     ----------
     table : QTable
-        What `benchmark_collisions` returns.
+        What `~rfpsurvey.benchmark.benchmark_collisions` returns.
     axes : tuple of matplotlib.axes.Axes, optional
         Where to draw misclassified pairs, and the largest error of a distance; a new figure by default.
     **kwargs
@@ -51,8 +51,8 @@ def plot_speed_accuracy(
     Examples
     --------
     >>> import rfpsurvey as rs
-    >>> table = rs.benchmark_collisions("sdss_apo", methods=["exact", "sampled"], repeats=1)
-    >>> above, below = rs.plot_speed_accuracy(table)
+    >>> table = rs.benchmark.benchmark_collisions("sdss_apo", methods=["exact", "sampled"], repeats=1)
+    >>> above, below = rs.plot.plot_speed_accuracy(table)
     >>> below.get_xlabel()
     'time per tile [ms]'
     """
@@ -125,7 +125,7 @@ def plot_probability_accuracy(
     Parameters
     ----------
     table : QTable
-        What `benchmark_probability` returns.
+        What `~rfpsurvey.benchmark.benchmark_probability` returns.
     axes : tuple of matplotlib.axes.Axes, optional
         Where to draw, one for each estimand of the table, in alphabetic order; a new figure by default.
     **kwargs
@@ -148,8 +148,8 @@ def plot_probability_accuracy(
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm)
     >>> plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm)
-    >>> table = rs.benchmark_probability(plane, efforts={"quadrature": [64]}, repeats=2, precision=2e-3)
-    >>> (ax,) = rs.plot_probability_accuracy(table)
+    >>> table = rs.benchmark.benchmark_probability(plane, efforts={"quadrature": [64]}, repeats=2, precision=2e-3)
+    >>> (ax,) = rs.plot.plot_probability_accuracy(table)
     >>> ax.get_xlabel()
     'time [ms]'
     """

@@ -73,7 +73,7 @@ def collision_probability(
         Without an error: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (part of the patrol area
         that others reach), ``close_pair`` (chance that another observed target lies within the safe distance).
         ``auto``: the cheapest one of the estimand that has an error. Another name is that of a method of an installed
-        package; a function of a `ProbabilityQuestion` is taken as it is.
+        package; a function of a `~rfpsurvey.probability.ProbabilityQuestion` is taken as it is.
     estimand : {"allocated", "independent"}, optional
         For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
     targets : Catalog, Quantity (n, 2), callable or str, optional

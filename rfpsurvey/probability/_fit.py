@@ -39,7 +39,7 @@ class PolynomialFit:
     >>> import numpy as np
     >>> import rfpsurvey as rs
     >>> l1, ratio, pitch = np.random.default_rng(1).uniform((8, 1, 25), (14, 2, 35), (80, 3)).T
-    >>> fit = rs.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, 0.1 * ratio**2)
+    >>> fit = rs.probability.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, 0.1 * ratio**2)
     >>> fit.predict([10] * u.mm, [1.5], [30] * u.mm).round(3)
     array([0.225])
     """
@@ -119,8 +119,8 @@ def fit_polynomial(
     >>> import numpy as np
     >>> import rfpsurvey as rs
     >>> l1, ratio, pitch = np.random.default_rng(1).uniform((8, 1, 25), (14, 2, 35), (80, 3)).T
-    >>> p = rs.surrogate_probability(l1 * u.mm, ratio * l1 * u.mm, pitch * u.mm, 4.5 * u.mm)
-    >>> rs.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, p).r2_held_back > 0.97
+    >>> p = rs.probability.surrogate_probability(l1 * u.mm, ratio * l1 * u.mm, pitch * u.mm, 4.5 * u.mm)
+    >>> rs.probability.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, p).r2_held_back > 0.97
     True
     """
     designs, value = _designs(central_arm, ratio, pitch), np.asarray(probability, dtype=float)

@@ -30,9 +30,10 @@ class ProbabilityQuestion:
     """What a method of collision probability of one's own is asked.
 
     The method returns an array of float, shape (n_positioners,): the probability of each positioner to be in
-    collision, NaN for those that never count. Or a dict with any of the fields of `Estimate` that it knows, but
-    ``method``, ``estimand`` and ``seconds``: ``per_positioner`` or ``value`` at least; with a ``standard_error`` the
-    interval follows. Its attribute ``estimand``, "independent" unless it is set to "allocated", says what it estimates.
+    collision, NaN for those that never count. Or a dict with any of the fields of `~rfpsurvey.Estimate` that it knows,
+    but ``method``, ``estimand`` and ``seconds``: ``per_positioner`` or ``value`` at least; with a ``standard_error``
+    the interval follows. Its attribute ``estimand``, "independent" unless it is set to "allocated", says what it
+    estimates.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ class ProbabilityQuestion:
         The only source of random numbers to use, so that an estimate can be made again.
     realize : callable or None
         For allocated targets: ``question.realize(rng)`` draws targets and allocates them as the user asks, and returns
-        the `Allocation`, with queues. None for independent ones.
+        the `~rfpsurvey.Allocation`, with queues. None for independent ones.
 
     Examples
     --------

@@ -41,8 +41,8 @@ def surrogate_probability(
     """Return the collision probability of positioners on a hexagonal lattice without an edge, by interpolation.
 
     For independent targets, uniform over each patrol area, right-handed arms from elbow to tip: what the method
-    ``quadrature`` of `collision_probability` finds for a positioner far from the edge. A cubic spline through 3969
-    quadratures; its errors are in the documentation.
+    ``quadrature`` of `~rfpsurvey.collision_probability` finds for a positioner far from the edge. A cubic spline
+    through 3969 quadratures; its errors are in the documentation.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def surrogate_probability(
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> rs.surrogate_probability(8.25 * u.mm, [8.25, 10] * u.mm, 25.6 * u.mm, 4.5 * u.mm).round(2)
+    >>> rs.probability.surrogate_probability(8.25 * u.mm, [8.25, 10] * u.mm, 25.6 * u.mm, 4.5 * u.mm).round(2)
     array([0.11, 0.17])
     """
     values = {"central_arm": central_arm, "eccentric_arm": eccentric_arm, "pitch": pitch}

@@ -71,7 +71,7 @@ def write_report(
     ----------
     result : Tile, Survey, Tiling, Estimate, Table or QTable
         What the page is about. A table is shown with its ``meta``; those of `compare_allocators`,
-        `compare_instruments` and `reproduce` get pages of their own.
+        `compare_instruments` and `~rfpsurvey.reproduction.reproduce` get pages of their own.
     path : str or path-like
         Ends in ``.html`` or ``.htm``.
     overwrite : bool, optional
@@ -79,8 +79,8 @@ def write_report(
     title : str, optional
         Heading of the page; by default it says what the result is.
     figures : matplotlib Figure or Axes, sequence of them, or dict, optional
-        Further figures, for example ``rs.plot_speed_accuracy(table)``; the keys of a dict are their captions, whose
-        first sentence is in bold.
+        Further figures, for example ``rs.plot.plot_speed_accuracy(table)``; the keys of a dict are their captions,
+        whose first sentence is in bold.
     data : str or path-like, optional
         File that holds the whole result. Where a table leaves out rows, the page names this file, without its folder.
     max_rows : int, optional

@@ -96,7 +96,7 @@ def reproduce(
     >>> import tempfile
     >>> import rfpsurvey as rs
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     claims = rs.reproduce("small", f"{folder}/paper", quick=True)
+    ...     claims = rs.reproduction.reproduce("small", f"{folder}/paper", quick=True)
     >>> print(claims["claim"][0])
     the probability increases rapidly with the arm ratio
     """

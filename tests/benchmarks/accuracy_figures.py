@@ -59,7 +59,9 @@ if __name__ == "__main__":
         plane = make_plane(*geometry)
         middles, axes, colliding = np.mean([kept(plane, rng) for _ in range(20)], axis=0)
         print(f"{name}: neighbors let through by middles {middles:.3f}, by axes {axes:.3f}; colliding {colliding:.3f}")
-        row = rs.benchmark_collisions(plane, methods=["endpoints"], n_configurations=20, repeats=1, seconds=0)[0]
+        row = rs.benchmark.benchmark_collisions(
+            plane, methods=["endpoints"], n_configurations=20, repeats=1, seconds=0
+        )[0]
         print(f"{name}: colliding pairs that four ends miss {row['n_missed'] / row['n_colliding']:.4f}")
         tip, elbow = moved_by_single_precision(plane, rng)
         print(f"{name}: single precision moves tips by {tip:.1e} mm, elbows at full stretch by {elbow:.1e} mm")

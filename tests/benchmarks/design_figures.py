@@ -42,7 +42,7 @@ NAMED = {
 def scan(n, executor, **options):
     """Return a scan of the paper's box and its seconds."""
     start = perf_counter()
-    table = rs.explore_designs(**BOX, n_designs=n, executor=executor, **options)
+    table = rs.design.explore_designs(**BOX, n_designs=n, executor=executor, **options)
     return table, perf_counter() - start
 
 
@@ -67,7 +67,9 @@ def surrogate_errors(n):
     rng = np.random.default_rng(11)
     low, high = ([nodes[k] for nodes in AXES.values()] for k in (0, -1))
     shapes = rng.uniform(low, high, (n, 3))
-    found = rs.surrogate_probability(shapes[:, 0] * MM, shapes[:, 0] * shapes[:, 1] * MM, 1 * MM, shapes[:, 2] * MM)
+    found = rs.probability.surrogate_probability(
+        shapes[:, 0] * MM, shapes[:, 0] * shapes[:, 1] * MM, 1 * MM, shapes[:, 2] * MM
+    )
     truth = np.array([interior_risk(tuple(s), 512, own)[0] for s, own in zip(shapes, rng.spawn(n), strict=True)])
     for name, rows in (("at least 0.01", found >= 0.01), ("less than 0.01", (found < 0.01) & (found > 0))):
         away = np.abs(found - truth)[rows]
@@ -89,14 +91,14 @@ def losses():
     """Print the losses of arms that are there, by each question."""
     for name, (l1, l2, pitch, clearance) in NAMED.items():
         design = {"l1": l1 * MM, "ratio": l2 / l1, "pitch": pitch * MM, "clearance": clearance * MM}
-        row = rs.explore_designs(**design)[0]
+        row = rs.design.explore_designs(**design)[0]
         print(
             f"{name}: coverage {row['coverage']:.4f}, multiplicity {row['multiplicity']:.3f}, alone {row['loss']:.3f}"
         )
         for each in (1.0, 2.0, 4.0):
             line = f"  {each:g} targets a positioner:"
             for method in ("conditional", "repair", "optimal"):
-                row = rs.explore_designs(**design, method=method, targets_per_positioner=each, n_skies=32)[0]
+                row = rs.design.explore_designs(**design, method=method, targets_per_positioner=each, n_skies=32)[0]
                 line += f" {method} {row['loss']:.4f} +- {row['loss_error']:.4f} of {row['assigned']:.3f};"
             print(line, flush=True)
 
@@ -107,7 +109,7 @@ def edges():
     for method in ("conditional", "optimal"):
         for core, n_skies in ((_losses.CORE, 800), (2.4 * _losses.CORE, 150)):
             with mock.patch.object(_losses, "CORE", core):
-                row = rs.explore_designs(**design, method=method, n_skies=n_skies)[0]
+                row = rs.design.explore_designs(**design, method=method, n_skies=n_skies)[0]
             print(f"{method}, {core:g} pitches about the middle: {row['loss']:.4f} +- {row['loss_error']:.4f}")
 
 

@@ -32,13 +32,13 @@ if __name__ == "__main__":
     tile = rs.plan_tile(sky, desi, CENTER, allocator="balanced")
     estimate = rs.collision_probability(desi, method="quadrature", max_iterations=32)
     pictures = {
-        "plot_focal_plane of a tile": lambda: rs.plot_focal_plane(tile),
-        "a part of it": lambda: rs.plot_focal_plane(tile, region=[[-60, -60], [60, 60]] * u.mm),
-        "plot_focal_plane of an instrument": lambda: rs.plot_focal_plane(desi),
-        "by spectrograph": lambda: rs.plot_focal_plane(desi, color="spectrograph"),
-        "plot_coverage": lambda: rs.plot_coverage(desi),
-        "plot_collision_map of an estimate": lambda: rs.plot_collision_map(estimate, desi),
-        "plot_collision_map of a tile": lambda: rs.plot_collision_map(tile),
+        "plot_focal_plane of a tile": lambda: rs.plot.plot_focal_plane(tile),
+        "a part of it": lambda: rs.plot.plot_focal_plane(tile, region=[[-60, -60], [60, 60]] * u.mm),
+        "plot_focal_plane of an instrument": lambda: rs.plot.plot_focal_plane(desi),
+        "by spectrograph": lambda: rs.plot.plot_focal_plane(desi, color="spectrograph"),
+        "plot_coverage": lambda: rs.plot.plot_coverage(desi),
+        "plot_collision_map of an estimate": lambda: rs.plot.plot_collision_map(estimate, desi),
+        "plot_collision_map of a tile": lambda: rs.plot.plot_collision_map(tile),
     }
     print(f"{len(desi.focal_plane)} positioners, {tile.summary['n_colliding']} in collision\n")
     print(f"{'':36}{'drawn [s]':>10}{'written [s]':>13}")

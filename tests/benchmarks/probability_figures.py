@@ -77,7 +77,7 @@ def main():
     ((seconds, _),) = medians(lambda seed: rs.collision_probability(plane, rng=seed, **disc))
     print(f"Poisson-disc targets, 1.5 mm apart, with the simulation: {1e3 * seconds / 16:.1f} ms a set")
     l1 = np.random.default_rng(1).uniform(7.25, 14.5, 100_000) * u.mm
-    ((seconds, _),) = medians(lambda seed: rs.surrogate_probability(l1, 1.5 * l1, 30 * u.mm, 4.5 * u.mm))
+    ((seconds, _),) = medians(lambda seed: rs.probability.surrogate_probability(l1, 1.5 * l1, 30 * u.mm, 4.5 * u.mm))
     print(f"surrogate: {1e6 * seconds / len(l1):.2f} microseconds a design")
 
 

@@ -150,7 +150,7 @@ def main():
     if isinstance(targets, rs.Catalog):
         print(f"finding the targets of a field: {field_ms(targets, tiling):.2f} ms")
     if options.plot:
-        rs.plot_completeness(survey).figure.savefig(options.plot, dpi=150)
+        rs.plot.plot_completeness(survey).figure.savefig(options.plot, dpi=150)
     if options.folder is None:
         shutil.rmtree(folder)
     return None

@@ -53,45 +53,45 @@ def survey():
 
 @kept
 def test_focal_plane_with_unequal_arms():
-    return rs.plot_focal_plane(tile("sdss_apo"), ax=axes()).figure
+    return rs.plot.plot_focal_plane(tile("sdss_apo"), ax=axes()).figure
 
 
 @kept
 def test_part_of_a_focal_plane_with_equal_arms():
     region = [[-120, -120], [120, 120]] * u.mm
-    return rs.plot_focal_plane(tile("lamost", allocator="balanced"), ax=axes(), region=region).figure
+    return rs.plot.plot_focal_plane(tile("lamost", allocator="balanced"), ax=axes(), region=region).figure
 
 
 @kept
 def test_focal_plane_as_dots_at_a_position_angle():
-    return rs.plot_focal_plane(tile("pfs", position_angle=30 * u.deg), ax=axes()).figure
+    return rs.plot.plot_focal_plane(tile("pfs", position_angle=30 * u.deg), ax=axes()).figure
 
 
 @kept
 def test_part_of_a_worn_focal_plane(worn):
     region = [[-90, -90], [90, 90]] * u.mm
-    return rs.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
+    return rs.plot.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
 
 
 @kept
 def test_focal_plane_by_fiber_type(worn):
-    return rs.plot_focal_plane(worn, ax=axes(), region=[[-90, -90], [90, 90]] * u.mm, color="fiber_type").figure
+    return rs.plot.plot_focal_plane(worn, ax=axes(), region=[[-90, -90], [90, 90]] * u.mm, color="fiber_type").figure
 
 
 @kept
 def test_coverage(worn):
-    return rs.plot_coverage(worn, ax=axes(), n_pixels=200, region=[[0, -90], [180, 90]] * u.mm).figure
+    return rs.plot.plot_coverage(worn, ax=axes(), n_pixels=200, region=[[0, -90], [180, 90]] * u.mm).figure
 
 
 @kept
 def test_collision_map(worn):
     estimate = rs.collision_probability(worn, method="quadrature", max_iterations=32)
-    return rs.plot_collision_map(estimate, worn, ax=axes()).figure
+    return rs.plot.plot_collision_map(estimate, worn, ax=axes()).figure
 
 
 @kept
 def test_collision_map_of_a_tile(worn):
-    return rs.plot_collision_map(tile(worn), ax=axes()).figure
+    return rs.plot.plot_collision_map(tile(worn), ax=axes()).figure
 
 
 @kept
@@ -99,14 +99,14 @@ def test_probability():
     ratio = np.linspace(1, 3, 9)
     table = QTable({"ratio": ratio, "value": ratio**2 / 20, "low": ratio**2 / 22, "high": ratio**2 / 19})
     table["closed_form"] = ratio / 40
-    return rs.plot_probability(table, values=["value", "closed_form"], ax=axes(6, 5)).figure
+    return rs.plot.plot_probability(table, values=["value", "closed_form"], ax=axes(6, 5)).figure
 
 
 @kept
 def test_residuals():
     ratio, pitch = np.random.default_rng(1).uniform((1, 25), (2, 35), (40, 2)).T
     table = QTable({"ratio": ratio, "pitch": pitch * u.mm, "value": ratio, "closed_form": pitch / 20})
-    return rs.plot_residuals(table, ax=axes(6, 5)).figure
+    return rs.plot.plot_residuals(table, ax=axes(6, 5)).figure
 
 
 @kept
@@ -121,12 +121,12 @@ def test_allocators():
         },
         meta={"blind_science": 905, "instrument": "mine"},
     )
-    return rs.plot_allocators(table, ax=axes(7, 5)).figure
+    return rs.plot.plot_allocators(table, ax=axes(7, 5)).figure
 
 
 @kept
 def test_tiles_by_completeness(survey):
-    return rs.plot_tiling(survey, ax=axes(6, 5)).figure
+    return rs.plot.plot_tiling(survey, ax=axes(6, 5)).figure
 
 
 @kept
@@ -134,7 +134,7 @@ def test_tiles_of_two_passes_with_targets_and_a_region(survey):
     tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
     sky = rs.synthetic_catalog("uniform", CENTER, 0.7 * u.deg, n_targets=200, rng=1)
     region = rs.Region.cap(CENTER, 0.5 * u.deg)
-    return rs.plot_tiling(tiling, radius=0.4 * u.deg, targets=sky, region=region, ax=axes(6, 5)).figure
+    return rs.plot.plot_tiling(tiling, radius=0.4 * u.deg, targets=sky, region=region, ax=axes(6, 5)).figure
 
 
 @kept
@@ -142,12 +142,12 @@ def test_tiles_on_the_whole_sky():
     rng = np.random.default_rng(1)
     table = QTable({"ra": rng.uniform(0, 360, 200) * u.deg, "dec": rng.uniform(-60, 60, 200) * u.deg})
     table["pass"] = np.arange(200) % 3 + 1
-    return rs.plot_tiling(rs.Tiling.from_table(table), radius=4 * u.deg, ax=axes(8, 4.5, "aitoff")).figure
+    return rs.plot.plot_tiling(rs.Tiling.from_table(table), radius=4 * u.deg, ax=axes(8, 4.5, "aitoff")).figure
 
 
 @kept
 def test_completeness(survey):
-    return rs.plot_completeness(survey, ax=axes(6, 5)).figure
+    return rs.plot.plot_completeness(survey, ax=axes(6, 5)).figure
 
 
 @kept
@@ -164,7 +164,7 @@ def test_speed_against_accuracy():
         meta={"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"},
     )
     figure = Figure(figsize=(9, 9))
-    return rs.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
+    return rs.plot.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
 
 
 @kept
@@ -182,16 +182,16 @@ def test_probability_against_time():
         meta={"instrument": "mine", "n_positioners": 37, "repeats": 30},
     )
     figure, room = Figure(figsize=(9, 5)), {"top": 0.8, "wspace": 0.35}
-    return rs.plot_probability_accuracy(table, axes=tuple(figure.subplots(1, 2, gridspec_kw=room)))[0].figure
+    return rs.plot.plot_probability_accuracy(table, axes=tuple(figure.subplots(1, 2, gridspec_kw=room)))[0].figure
 
 
 @kept
 def test_instruments_side_by_side():
     table = rs.compare_instruments("uniform", ["sdss_apo", "pfs"], n_realizations=1, rng=1)
-    return rs.plot_instruments(table, ax=Figure(figsize=(7, 5)).add_axes((0.24, 0.25, 0.64, 0.66))).figure
+    return rs.plot.plot_instruments(table, ax=Figure(figsize=(7, 5)).add_axes((0.24, 0.25, 0.64, 0.66))).figure
 
 
 @kept
 def test_front_of_designs():
     scan = {"l1": 8.25 * u.mm, "ratio": [1.0, 2.0], "pitch": [22.0, 32.0] * u.mm, "clearance": 2.25 * u.mm}
-    return rs.plot_designs(rs.explore_designs(n_designs=64, rng=1, **scan), ax=axes()).figure
+    return rs.plot.plot_designs(rs.design.explore_designs(n_designs=64, rng=1, **scan), ax=axes()).figure

@@ -42,7 +42,7 @@ def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.S
         )
     print(survey)
     survey.completeness.pprint_all()
-    rs.plot_completeness(survey).figure.savefig("desi_footprint.png", dpi=150)
+    rs.plot.plot_completeness(survey).figure.savefig("desi_footprint.png", dpi=150)
     return survey
 
 

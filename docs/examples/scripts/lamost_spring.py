@@ -29,7 +29,7 @@ def main(path: str | Path = DATA) -> rs.Survey:
     for outcome, number in survey.summary["outcomes"].items():
         print(f"{number:>8} {outcome}")
     survey.tiles.write("lamost_spring.ecsv", overwrite=True)
-    rs.plot_tiling(survey).figure.savefig("lamost_spring.png", dpi=150)
+    rs.plot.plot_tiling(survey).figure.savefig("lamost_spring.png", dpi=150)
     return survey
 
 

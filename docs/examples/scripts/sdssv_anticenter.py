@@ -33,7 +33,7 @@ def main(path: str | Path = DATA, passes: int = 6) -> rs.Survey:
     survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="optimal", epoch=2026.5, progress=True)
     print(survey)
     survey.completeness.pprint_all()
-    rs.plot_completeness(survey).figure.savefig("sdssv_anticenter.png", dpi=150)
+    rs.plot.plot_completeness(survey).figure.savefig("sdssv_anticenter.png", dpi=150)
     return survey
 
 
