@@ -92,7 +92,7 @@ def test_packages_that_a_plan_does_not_need_are_imported_on_use(stages):
     names = {f"rfpsurvey.{name}" for name in ON_USE}
     assert not names & before
     assert names <= after
-    assert "rfpsurvey.plot" in loaded("from rfpsurvey import plot_coverage")[0]
+    assert "rfpsurvey.plot" in loaded("from rfpsurvey import plot")[0]
 
 
 def test_unknown_names_are_refused():

@@ -47,10 +47,10 @@ WORK = {
     "survey": "plan_survey",
     "compare-allocators": "compare_allocators",
     "compare": "compare_instruments",
-    "design": "explore_designs",
+    "design": "design.explore_designs",
     "probability": "collision_probability",
-    "reproduce": "reproduce",
-    "benchmark collisions": "benchmark_collisions",
+    "reproduce": "reproduction.reproduce",
+    "benchmark collisions": "benchmark.benchmark_collisions",
 }
 
 
@@ -60,7 +60,8 @@ def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path,
         raise AssertionError("the work was begun")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(rs, WORK[command], work)
+    package, _, name = WORK[command].rpartition(".")
+    monkeypatch.setattr(getattr(rs, package) if package else rs, name, work)
     (tmp_path / "old.html").write_text("old")
     for name, message in (("old.html", "old.html exists"), ("page.txt", "must end in .html or .htm")):
         code, _, err = run(*command.split(), "--report", name)
