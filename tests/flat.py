@@ -27,3 +27,8 @@ def plan_tile(catalog, instrument, center, allocator="lamost", **options):
 def plan_survey(catalog, instrument, tiling, allocator="lamost", **options):
     allocator, others = split(allocator, options)
     return rs.plan_survey(catalog, instrument, tiling, allocator=allocator, **others)
+
+
+def explore_designs(**options):
+    own = {field.name: options.pop(field.name) for field in fields(rs.design.LossOptions) if field.name in options}
+    return rs.design.explore_designs(loss=rs.design.LossOptions(**own), **options)

@@ -14,14 +14,14 @@ PITCH = 31.0
 
 def designs_of(rng, n):
     """Random shapes of the paper's box, none of them a node."""
-    l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1), (14.5, 2, 35, 7), (n, 4)).T
-    return l1, l1 * ratio, pitch, distance
+    central_arm, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1), (14.5, 2, 35, 7), (n, 4)).T
+    return central_arm, central_arm * ratio, pitch, distance
 
 
 def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
-    l1, l2, pitch, distance = designs_of(rng, 40)
-    got = rs.probability.surrogate_probability(l1 * MM, l2 * MM, pitch * MM, distance * MM)
-    jobs = zip(l1 / pitch, l2 / l1, distance / pitch, rng.spawn(40), strict=True)
+    central_arm, eccentric_arm, pitch, distance = designs_of(rng, 40)
+    got = rs.probability.surrogate_probability(central_arm * MM, eccentric_arm * MM, pitch * MM, distance * MM)
+    jobs = zip(central_arm / pitch, eccentric_arm / central_arm, distance / pitch, rng.spawn(40), strict=True)
     want = np.array([interior_risk((a, b, c), 512, own)[0] for a, b, c, own in jobs])
     assert np.abs(got - want).max() < 0.005
     assert 1 - ((got - want) ** 2).sum() / ((want - want.mean()) ** 2).sum() > 0.9999
@@ -103,30 +103,34 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
 
 
 def test_the_polynomial_is_found_exactly_where_there_is_one(rng):
-    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
-    value = 0.3 + 0.02 * l1 - 0.01 * pitch + 0.1 * ratio**2 + 0.003 * l1 * ratio - 0.0005 * ratio * pitch
-    fit = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
+    value = (
+        0.3 + 0.02 * central_arm - 0.01 * pitch + 0.1 * ratio**2 + 0.003 * central_arm * ratio - 0.0005 * ratio * pitch
+    )
+    fit = rs.probability.fit_polynomial(central_arm * MM, ratio, pitch * MM, value, rng=1)
     assert fit.r2_held_back > 1 - 1e-9
     assert fit.predict([9, 10] * MM, [1.5, 1.2], [30, 26] * MM) == pytest.approx(
         [0.3 + 0.18 - 0.3 + 0.225 + 0.0405 - 0.0225, 0.3 + 0.2 - 0.26 + 0.144 + 0.036 - 0.0156], abs=1e-5
     )
-    again = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    again = rs.probability.fit_polynomial(central_arm * MM, ratio, pitch * MM, value, rng=1)
     assert (fit.coefficients == again.coefficients).all()
 
 
 def test_held_back_designs_have_no_say(rng):
-    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
+    central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
     value = rng.random(60)
-    fit = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, value, rng=1)
+    fit = rs.probability.fit_polynomial(central_arm * MM, ratio, pitch * MM, value, rng=1)
     assert fit.r2_held_back < 0.5  # there is nothing to learn
     assert fit.r2_held_back < fit.r2 < 0.6
 
 
 def test_a_penalty_shrinks_what_noise_suggests(rng):
-    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (40, 3)).T
-    noisy = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, rng.random(40), rng=1)
+    central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (40, 3)).T
+    noisy = rs.probability.fit_polynomial(central_arm * MM, ratio, pitch * MM, rng.random(40), rng=1)
     assert noisy.penalty > 1e-3
-    left = rs.probability.fit_polynomial(l1 * MM, ratio, pitch * MM, l1 * ratio, rng=1)  # there is nothing to shrink
+    left = rs.probability.fit_polynomial(
+        central_arm * MM, ratio, pitch * MM, central_arm * ratio, rng=1
+    )  # there is nothing to shrink
     assert left.penalty < 1e-6
 
 
@@ -141,8 +145,8 @@ def test_a_penalty_shrinks_what_noise_suggests(rng):
     ],
 )
 def test_a_fit_that_makes_no_sense_is_refused(rng, change, words):
-    l1, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (30, 3)).T
-    options = {"central_arm": l1 * MM, "ratio": ratio, "pitch": pitch * MM, "probability": ratio, **change}
+    central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (30, 3)).T
+    options = {"central_arm": central_arm * MM, "ratio": ratio, "pitch": pitch * MM, "probability": ratio, **change}
     with pytest.raises(rs.InputError, match=words):
         rs.probability.fit_polynomial(**options)
 

@@ -4,6 +4,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.table import QTable
@@ -18,18 +19,22 @@ from rfpsurvey.design._losses import METHODS
 from rfpsurvey.design._work import Task
 
 MM = u.mm
-LAMOST = {"l1": 8.25 * MM, "ratio": 1.0, "pitch": 25.6 * MM, "clearance": 2.25 * MM}
-GRID = {"l1": [7.25, 9] * MM, "ratio": [1, 1.8], "pitch": [25.6, 31] * MM, "clearance": 2.25 * MM}
+LAMOST = {"central_arm": 8.25 * MM, "ratio": 1.0, "pitch": 25.6 * MM, "clearance": 2.25 * MM}
+GRID = {"central_arm": [7.25, 9] * MM, "ratio": [1, 1.8], "pitch": [25.6, 31] * MM, "clearance": 2.25 * MM}
 
 
 def explore(**changes):
-    return rs.design.explore_designs(**{**LAMOST, **changes})
+    return flat.explore_designs(**{**LAMOST, **changes})
 
 
-@pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (3.0, 3.0), (9.0, 12.0)])
-def test_coverage_is_that_of_an_exact_overlay_of_a_cell(l1, l2):
-    row = explore(l1=l1 * MM, ratio=l2 / l1)[0]
-    plane = rs.FocalPlane.hexagonal(rs.Positioner(l1 * MM, l2 * MM, 2 * MM), rings=3, pitch=25.6 * MM)
+@pytest.mark.parametrize(
+    ("central_arm", "eccentric_arm"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (3.0, 3.0), (9.0, 12.0)]
+)
+def test_coverage_is_that_of_an_exact_overlay_of_a_cell(central_arm, eccentric_arm):
+    row = explore(central_arm=central_arm * MM, ratio=eccentric_arm / central_arm)[0]
+    plane = rs.FocalPlane.hexagonal(
+        rs.Positioner(central_arm * MM, eccentric_arm * MM, 2 * MM), rings=3, pitch=25.6 * MM
+    )
     corners = 25.6 / np.sqrt(3) * np.exp(1j * np.pi * (1 / 6 + np.arange(6) / 3))
     truth = annuli_coverage(plane, np.column_stack([corners.real, corners.imag]))
     got = [row[f"reach_{k}"] for k in range(4)]
@@ -40,11 +45,11 @@ def test_coverage_is_that_of_an_exact_overlay_of_a_cell(l1, l2):
 
 
 def test_multiplicity_and_empty_patrol_areas_are_those_of_the_literature():
-    """m = 4 pi l1 l2 / cell, and exp(-t m) of the positioners have nothing in reach."""
-    table = explore(l1=[8.25, 8] * MM, targets_per_positioner=4)
+    """m = 4 pi central_arm eccentric_arm / cell, and exp(-t m) of the positioners have nothing in reach."""
+    table = explore(central_arm=[8.25, 8] * MM, targets_per_positioner=4)
     assert table["multiplicity"][0] == pytest.approx(1.5070, abs=1e-4)
     assert table["empty"][0] == pytest.approx(0.00241, abs=1e-5)
-    moons = explore(l1=8 * MM, ratio=17 / 8, pitch=25.058 * MM, targets_per_positioner=1)
+    moons = explore(central_arm=8 * MM, ratio=17 / 8, pitch=25.058 * MM, targets_per_positioner=1)
     assert moons["empty"][0] == pytest.approx(0.0432, abs=1e-4)
 
 
@@ -56,16 +61,16 @@ def test_collision_types_are_those_of_a_focal_plane(ratio, pitch):
 
 
 def test_the_safe_distance_is_that_of_a_positioner():
-    row = explore(l1=7.4 * MM, ratio=15 / 7.4, clearance=2.5 * MM, step=0.1 * u.deg)[0]
+    row = explore(central_arm=7.4 * MM, ratio=15 / 7.4, clearance=2.5 * MM, step=0.1 * u.deg)[0]
     assert row["min_separation"].value == pytest.approx(5.0782, abs=1e-4)
-    assert row["l2"].value == pytest.approx(15)
+    assert row["eccentric_arm"].value == pytest.approx(15)
 
 
 def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
     table = explore(ratio=[0.9, 1.0, 1.6], method="auto")
     assert table["method"].tolist() == ["quadrature", "surrogate", "surrogate"]
     for row in table:
-        unit = rs.Positioner(row["l1"], row["l2"], row["clearance"])
+        unit = rs.Positioner(row["central_arm"], row["eccentric_arm"], row["clearance"])
         plane = rs.FocalPlane.hexagonal(unit, rings=4, pitch=row["pitch"])
         truth = rs.collision_probability(plane, method="quadrature", max_iterations=512).per_positioner
         assert row["loss"] == pytest.approx(truth[len(plane) // 2], abs=0.002)
@@ -76,7 +81,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
 @pytest.mark.parametrize("each", [0.5, 4])
 def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
     """One configuration of each sky; parked arms stand in the way, but lose no target."""
-    row = explore(l1=11 * MM, estimand="allocated", n_skies=200, targets_per_positioner=each)[0]
+    row = explore(central_arm=11 * MM, estimand="allocated", n_skies=200, targets_per_positioner=each)[0]
     unit = rs.Positioner(11 * MM, 11 * MM, 2.25 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=9, pitch=25.6 * MM)
     middle = np.hypot(*plane.xy.to_value("mm").T) < 6 * 25.6
@@ -101,7 +106,7 @@ def test_collision_free_losses_are_counted_in_two_plans():
     far = explore(pitch=38 * MM, estimand="collision_free", targets_per_positioner=1)[0]
     assert (far["collision_type"], far["loss"], far["loss_error"]) == (1, 0, 0)
     # without competition, who has a target is who has one in reach
-    alone = explore(l1=4 * MM, estimand="collision_free", n_skies=40, targets_per_positioner=1)[0]
+    alone = explore(central_arm=4 * MM, estimand="collision_free", n_skies=40, targets_per_positioner=1)[0]
     assert alone["multiplicity"] < 1
     assert alone["assigned"] == pytest.approx(1 - alone["empty"], abs=0.03)
     best, mended = (
@@ -114,7 +119,13 @@ def test_collision_free_losses_are_counted_in_two_plans():
 
 
 def test_searches_that_are_cut_short_are_counted():
-    design = {"l1": 14 * MM, "ratio": 1.6, "estimand": "collision_free", "targets_per_positioner": 1, "n_skies": 2}
+    design = {
+        "central_arm": 14 * MM,
+        "ratio": 1.6,
+        "estimand": "collision_free",
+        "targets_per_positioner": 1,
+        "n_skies": 2,
+    }
     with pytest.warns(
         rs.RfpsurveyWarning, match="cut searches for 1 of 1 designs short: their loss is at most so large"
     ):
@@ -137,13 +148,13 @@ def test_targets_by_area_leave_more_to_each_fiber_of_a_wide_pitch():
 
 
 def test_a_grid_has_all_combinations_and_sobol_points_fill_the_box():
-    grid = rs.design.explore_designs(**GRID)
-    assert {tuple(map(float, d)) for d in zip(grid["l1"].value, grid["ratio"], grid["pitch"].value, strict=True)} == {
-        (a, b, c) for a in (7.25, 9) for b in (1, 1.8) for c in (25.6, 31)
-    }
-    more, fewer = (rs.design.explore_designs(**GRID, n_designs=n, rng=3) for n in (64, 40))
+    grid = flat.explore_designs(**GRID)
+    assert {
+        tuple(map(float, d)) for d in zip(grid["central_arm"].value, grid["ratio"], grid["pitch"].value, strict=True)
+    } == {(a, b, c) for a in (7.25, 9) for b in (1, 1.8) for c in (25.6, 31)}
+    more, fewer = (flat.explore_designs(**GRID, n_designs=n, rng=3) for n in (64, 40))
     assert (fewer["loss"] == more["loss"][:40]).all()
-    for name, (low, high) in {"l1": (7.25, 9), "ratio": (1, 1.8), "pitch": (25.6, 31)}.items():
+    for name, (low, high) in {"central_arm": (7.25, 9), "ratio": (1, 1.8), "pitch": (25.6, 31)}.items():
         values = np.asarray(getattr(more[name], "value", more[name]))
         halves = np.bincount(((values - low) / (high - low) * 64).astype(int), minlength=64)
         assert halves.tolist() == [1] * 64  # one in each of 64 slices: a net
@@ -188,10 +199,10 @@ def test_each_design_has_random_numbers_of_its_own():
 
 def test_nothing_depends_on_the_executor():
     options = {**GRID, "n_designs": 20, "estimand": "allocated", "n_skies": 2}
-    alone = rs.design.explore_designs(**options)
+    alone = flat.explore_designs(**options)
     for pool in (ThreadPoolExecutor(2), ProcessPoolExecutor(1, get_context("spawn"))):
         with pool:
-            assert (rs.design.explore_designs(executor=pool, **options) == alone).all()
+            assert (flat.explore_designs(executor=pool, **options) == alone).all()
 
 
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
@@ -199,7 +210,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     """What was done so far is in the file all the time, and is not done again."""
     options = {**GRID, "n_designs": 30, "rng": 5}
     whole, path = tmp_path / f"whole.{ending}", tmp_path / f"stopped.{ending}"
-    expected = rs.design.explore_designs(path=whole, **options)
+    expected = flat.explore_designs(path=whole, **options)
     calls, method = [], METHODS["surrogate"]
 
     def stop(*arguments):
@@ -212,17 +223,15 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     monkeypatch.setattr(_checkpoint, "EVERY", -1.0)
     monkeypatch.setitem(METHODS, "surrogate", stop)
     with pytest.raises(KeyboardInterrupt):
-        rs.design.explore_designs(path=path, **options)
+        flat.explore_designs(path=path, **options)
     done = len(QTable.read(path))
     assert 0 < done < 30
     calls[:] = [0] * 100
-    found = rs.design.explore_designs(path=path, resume=True, **options)
+    found = flat.explore_designs(path=path, resume=True, **options)
     assert len(calls) == 100 + np.count_nonzero(expected["method"][done:] == "surrogate")
     assert (found == expected).all()
     assert path.read_bytes() == whole.read_bytes()
-    again = rs.design.explore_designs(
-        path=path, resume=True, objectives={"usable": "max", "coverage": "max"}, **options
-    )
+    again = flat.explore_designs(path=path, resume=True, objectives={"usable": "max", "coverage": "max"}, **options)
     assert len(calls) == 100 + np.count_nonzero(expected["method"][done:] == "surrogate")
     assert again["pareto"].sum() > 0
 
@@ -261,8 +270,8 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"l1": 8.25}, "l1 must be a Quantity"),
-        ({"l1": [8, -1] * MM}, "l1 must be finite and above 0, got -1"),
+        ({"central_arm": 8.25}, "central_arm must be a Quantity"),
+        ({"central_arm": [8, -1] * MM}, "central_arm must be finite and above 0, got -1"),
         ({"pitch": [[25, 26]] * MM}, r"pitch must be one value, or values along one axis, got the shape \(1, 2\)"),
         ({"clearance": np.nan * MM}, "clearance must be finite and of at least 0, got nan"),
         ({"ratio": "two"}, "ratio must be numbers"),
@@ -294,14 +303,16 @@ def test_bad_input_is_a_sentence(change, words):
 
 def scan(figure, **axes):
     """A table as of a scan, with a figure of one's own."""
-    names = ("l1", "ratio", "pitch", "clearance")
+    names = ("central_arm", "ratio", "pitch", "clearance")
     grid = np.stack(np.meshgrid(*(axes.get(name, [1.0]) for name in names), indexing="ij"), axis=-1).reshape(-1, 4)
     return QTable({**dict(zip(names, grid.T, strict=True)), "loss": figure(*grid.T)})
 
 
 def test_shares_of_a_grid_are_those_of_the_analysis_of_variance(rng):
     """Variances of marginal means, for a figure of random numbers on a grid."""
-    table = scan(lambda *a: rng.random(a[0].size), l1=[7, 8, 10.0], ratio=[1, 1.1, 1.5, 2.0], pitch=[20.0, 30.0])
+    table = scan(
+        lambda *a: rng.random(a[0].size), central_arm=[7, 8, 10.0], ratio=[1, 1.1, 1.5, 2.0], pitch=[20.0, 30.0]
+    )
     found = rs.design.design_sensitivities(table, figures="loss")
     cube = np.asarray(table["loss"]).reshape(3, 4, 2)
     main = [cube.mean(axis=axes).var() / cube.var() for axes in ((1, 2), (0, 2), (0, 1))]
@@ -309,10 +320,10 @@ def test_shares_of_a_grid_are_those_of_the_analysis_of_variance(rng):
 
 
 def test_shares_and_slopes_of_known_functions():
-    axes = {"l1": np.linspace(7, 9, 9), "pitch": np.linspace(20, 30, 9)}
+    axes = {"central_arm": np.linspace(7, 9, 9), "pitch": np.linspace(20, 30, 9)}
     sum_of_two = rs.design.design_sensitivities(scan(lambda a, b, c, d: 3 * a + 0.5 * c, **axes), figures=["loss"])
     # variances 9 and 0.25 times those of the axes; slopes by hand at (8, 25)
-    want = np.array([9 * axes["l1"].var(), 0.25 * axes["pitch"].var()])
+    want = np.array([9 * axes["central_arm"].var(), 0.25 * axes["pitch"].var()])
     np.testing.assert_allclose(sum_of_two["share"], [*want / want.sum(), 0], atol=1e-12)
     np.testing.assert_allclose(sum_of_two["slope"][:2], [24 / 36.5, 12.5 / 36.5])
     product = rs.design.design_sensitivities(scan(lambda a, b, c, d: (a - 8) * (c - 25), **axes), figures=["loss"])
@@ -325,8 +336,8 @@ def test_shares_and_slopes_of_known_functions():
     ("table", "words"),
     [
         (5, "must be what explore_designs returns"),
-        (scan(lambda a, b, c, d: a), "at least one of l1, ratio, pitch and clearance must vary"),
-        (scan(lambda a, b, c, d: a, l1=[1.0, 2.0]), "more than 2 designs with figures, got 2"),
+        (scan(lambda a, b, c, d: a), "at least one of central_arm, ratio, pitch and clearance must vary"),
+        (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with figures, got 2"),
     ],
 )
 def test_sensitivities_that_make_no_sense_are_refused(table, words):
@@ -338,22 +349,22 @@ def test_sensitivities_that_make_no_sense_are_refused(table, words):
 
 def test_few_fibers_without_a_loss_are_no_proof_of_none():
     """A dozen fibers that did not collide once were said to lose 0, with an error of 0, and led the front."""
-    scan = {"l1": np.linspace(8, 10, 8) * u.mm, "ratio": 2.0, "pitch": 25 * u.mm, "clearance": 0.5 * u.mm}
-    found = rs.design.explore_designs(**scan, targets_per_positioner=0.1, estimand="allocated")
+    scan = {"central_arm": np.linspace(8, 10, 8) * u.mm, "ratio": 2.0, "pitch": 25 * u.mm, "clearance": 0.5 * u.mm}
+    found = flat.explore_designs(**scan, targets_per_positioner=0.1, estimand="allocated")
     assert (found["loss"] == 0).any()
     assert (found["loss_error"] > 0).all()
 
 
 def test_a_sky_that_nobody_reaches_is_a_sky_like_others():
-    scan = {"l1": 7 * u.mm, "ratio": 1.5, "pitch": 25 * u.mm, "clearance": 2 * u.mm}
-    (row,) = rs.design.explore_designs(**scan, targets_per_positioner=1e-3, estimand="allocated")
+    scan = {"central_arm": 7 * u.mm, "ratio": 1.5, "pitch": 25 * u.mm, "clearance": 2 * u.mm}
+    (row,) = flat.explore_designs(**scan, targets_per_positioner=1e-3, estimand="allocated")
     assert row["reason"] in ("", "no fiber has a target")
 
 
 def test_rivals_of_neighbors_compete_too():
     """With neighbors at the edge of the patch, who had no rivals, losses were too small by 1.4 percent."""
-    scan = {"l1": 7.4 * u.mm, "ratio": 2.0, "pitch": 22.4 * u.mm, "clearance": 1.5 * u.mm}
-    (row,) = rs.design.explore_designs(**scan, estimand="allocated", n_skies=100, rng=2)
+    scan = {"central_arm": 7.4 * u.mm, "ratio": 2.0, "pitch": 22.4 * u.mm, "clearance": 1.5 * u.mm}
+    (row,) = flat.explore_designs(**scan, estimand="allocated", n_skies=100, rng=2)
     robot = rs.Positioner(7.4 * u.mm, 14.8 * u.mm, 1.5 * u.mm)
     wide = rs.FocalPlane.hexagonal(robot, rings=18, pitch=22.4 * u.mm)
     middle = np.hypot(*wide.xy.value.T) < 10 * 22.4

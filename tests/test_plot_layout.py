@@ -79,9 +79,16 @@ def results(presets, small):
         "scan": scan,
         "speed": speed,
         "accuracy": accuracy,
-        "designs": rs.design.explore_designs(l1=8 * u.mm, ratio=[1, 1.5], pitch=[24, 26] * u.mm, clearance=2.25 * u.mm),
+        "designs": rs.design.explore_designs(
+            central_arm=8 * u.mm, ratio=[1, 1.5], pitch=[24, 26] * u.mm, clearance=2.25 * u.mm
+        ),
         "more designs": rs.design.explore_designs(
-            l1=8.25 * u.mm, ratio=[1.0, 2.0], pitch=[22.0, 32.0] * u.mm, clearance=2.25 * u.mm, n_designs=64, rng=1
+            central_arm=8.25 * u.mm,
+            ratio=[1.0, 2.0],
+            pitch=[22.0, 32.0] * u.mm,
+            clearance=2.25 * u.mm,
+            n_designs=64,
+            rng=1,
         ),
         "strip": rs.place_tiles(rs.Region.box(ra=[100, 150] * u.deg, dec=[20, 26] * u.deg), "lamost", passes=2),
         "tower": rs.place_tiles(rs.Region.box(ra=[100, 106] * u.deg, dec=[10, 60] * u.deg), "lamost"),

@@ -8,7 +8,7 @@ import numpy as np
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
 
-__all__ = ["axes", "finish", "options"]
+__all__ = ["axes", "finish", "loss"]
 
 MOST_ROWS = 30
 FIGURE = (
@@ -18,7 +18,18 @@ FIGURE = (
 )
 USUAL, NODES = {"ratio": "1:2", "pitch": "24:34"}, 6
 """Limits where nothing else is asked, and the nodes of a grid between them."""
-COLUMNS = ("l1", "ratio", "pitch", "clearance", "collision_type", "coverage", "loss", "loss_error", "usable", "method")
+COLUMNS = (
+    "central_arm",
+    "ratio",
+    "pitch",
+    "clearance",
+    "collision_type",
+    "coverage",
+    "loss",
+    "loss_error",
+    "usable",
+    "method",
+)
 
 
 def axes(n_designs: int | None, **texts: str | None) -> dict:
@@ -27,6 +38,7 @@ def axes(n_designs: int | None, **texts: str | None) -> dict:
 
 
 def _axis(name, text, n_designs):
+    option = "--" + name.replace("_", "-")
     if text is None:
         text = USUAL[name] if n_designs is not None else f"{USUAL[name]}:{NODES}"
     words = text.split(":") if ":" in text else text.split(",")
@@ -37,25 +49,28 @@ def _axis(name, text, n_designs):
             raise ValueError
     except ValueError:
         raise rs.InputError(
-            f"--{name} must be a number, or several as 7,8,9 or LOW:HIGH:NODES, or LOW:HIGH with --n-designs, got "
+            f"{option} must be a number, or several as 7,8,9 or LOW:HIGH:NODES, or LOW:HIGH with --n-designs, got "
             f"{text!r}"
         ) from None
     if ":" not in text:
         return np.array(numbers)
     if n_designs is not None and nodes is not None:
-        raise rs.InputError(f"--{name} {text}: with --n-designs give limits only, as {words[0]}:{words[1]}")
+        raise rs.InputError(f"{option} {text}: with --n-designs give limits only, as {words[0]}:{words[1]}")
     if n_designs is None and (nodes is None or nodes < 2):
-        raise rs.InputError(f"--{name} {text}: a grid needs at least two nodes, as {words[0]}:{words[1]}:5")
+        raise rs.InputError(f"{option} {text}: a grid needs at least two nodes, as {words[0]}:{words[1]}:5")
     return np.array(numbers) if nodes is None else np.linspace(*numbers, nodes)
 
 
-def options(target_density: float | None, time_limit: float, objective: list[str] | None) -> dict:
-    """Return arguments of explore_designs that need more than to be handed on."""
-    return {
-        "target_density": None if target_density is None else target_density / u.mm**2,
-        "time_limit": time_limit * u.s,
-        "objectives": _app.parse_pairs(objective, "--objective") or None,
-    }
+def loss(estimand, method, each, density: float | None, n_skies: int, time_limit: float) -> "rs.design.LossOptions":
+    """Return the loss that options of the command ask for."""
+    return rs.design.LossOptions(
+        estimand,
+        method,
+        targets_per_positioner=each,
+        target_density=None if density is None else density / u.mm**2,
+        n_skies=n_skies,
+        time_limit=time_limit * u.s,
+    )
 
 
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:

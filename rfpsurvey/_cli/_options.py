@@ -106,7 +106,9 @@ SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask sch
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
 ]
-L1Option = Annotated[str, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH.")]
+CentralArmOption = Annotated[
+    str, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH.")
+]
 RatioOption = Annotated[str | None, typer.Option(help="Eccentric over central arm, likewise. None: from 1 to 2.")]
 PitchOption = Annotated[
     str | None, typer.Option(help="Distance of neighboring centers, mm, likewise. None: from 24 to 34.")
@@ -172,7 +174,7 @@ Examples:
 DESIGN_EXAMPLES = """\b
 Examples:
   rfpsurvey design --ratio 1:2:5 --pitch 22:30:9
-  rfpsurvey design --l1 7.25:14.5 --ratio 1:2 --pitch 24.6:35 --n-designs 4096 --plot front.png
+  rfpsurvey design --central-arm 7.25:14.5 --ratio 1:2 --pitch 24.6:35 --n-designs 4096 --plot front.png
   rfpsurvey design --ratio 1:2:5 --estimand allocated --output designs.ecsv --workers 2
   rfpsurvey design --ratio 1,1.5 --pitch 25:35:5 --estimand collision_free --targets-per-positioner 1 --processes
 """

@@ -8,7 +8,7 @@ from rfpsurvey._cli import _app, _designs, _options, _surveys
 
 @_app.app.command(epilog=_options.DESIGN_EXAMPLES)
 def design(
-    l1: _options.L1Option = "8.25",
+    central_arm: _options.CentralArmOption = "8.25",
     ratio: _options.RatioOption = None,
     pitch: _options.PitchOption = None,
     clearance: _options.ClearanceOption = "2.25",
@@ -32,10 +32,10 @@ def design(
     """Scan designs: what positioners reach, what they lose to collisions, and which designs no other one beats."""
     again = overwrite or resume
     _app.check_outputs(None, plot, report, overwrite=again)
-    scan = _designs.axes(n_designs, l1=l1, ratio=ratio, pitch=pitch, clearance=clearance)
-    scan |= _designs.options(target_density, time_limit, objective)
-    scan |= {"estimand": estimand, "method": method, "targets_per_positioner": targets_per_positioner}
-    scan |= {"n_designs": n_designs, "n_skies": n_skies, "rng": seed, "progress": sys.stderr.isatty()}
+    scan = _designs.axes(n_designs, central_arm=central_arm, ratio=ratio, pitch=pitch, clearance=clearance)
+    scan["loss"] = _designs.loss(estimand, method, targets_per_positioner, target_density, n_skies, time_limit)
+    scan["objectives"] = _app.parse_pairs(objective, "--objective") or None
+    scan |= {"n_designs": n_designs, "rng": seed, "progress": sys.stderr.isatty()}
     scan |= {"path": output, "resume": resume, "overwrite": overwrite}
     with _surveys.workers(workers, None, processes=processes) as executor:
         table = rs.design.explore_designs(executor=executor, **scan)

@@ -10,13 +10,13 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["AXES", "to_axes", "to_designs"]
 
-AXES = ("l1", "ratio", "pitch", "clearance")
+AXES = ("central_arm", "ratio", "pitch", "clearance")
 MOST = 10_000_000
 
 
-def to_axes(l1: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quantity) -> dict[str, np.ndarray]:
+def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quantity) -> dict[str, np.ndarray]:
     """Return the values of each axis, lengths in mm, checked."""
-    lengths = {"l1": l1, "pitch": pitch, "clearance": clearance}
+    lengths = {"central_arm": central_arm, "pitch": pitch, "clearance": clearance}
     axes = {name: to_mm(value, name) for name, value in lengths.items()}
     try:
         axes["ratio"] = to_plain(u.Quantity(ratio, u.dimensionless_unscaled).value).astype(float)
@@ -33,7 +33,7 @@ def to_axes(l1: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quant
 
 
 def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) -> np.ndarray:
-    """Return a design a row: l1, ratio, pitch, clearance."""
+    """Return a design a row: central_arm, ratio, pitch, clearance."""
     if n_designs is None:
         for name, values in axes.items():
             if len(np.unique(values)) < len(values):

@@ -1,4 +1,4 @@
-"""The one door of design studies."""
+"""Scan many designs of fiber positioners."""
 
 import warnings
 from concurrent.futures import Executor
@@ -8,38 +8,31 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._executors import map_in_order
-from rfpsurvey._units import to_radian, to_scalar, to_seed
+from rfpsurvey._units import to_radian, to_seed
 from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
-from rfpsurvey.design._losses import ESTIMANDS, METHODS
+from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
-from rfpsurvey.design._work import MOST_TARGETS, Task
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.design._work import Task
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.probability import Progress
 
 __all__ = ["explore_designs"]
 
 CHUNK = 8
 """Designs of one task. Results do not depend on it."""
-EACH = 4.0
-"""Targets a positioner where nothing says how many."""
 
 
 def explore_designs(
     *,
-    l1: u.Quantity,
+    central_arm: u.Quantity,
     ratio: np.ndarray,
     pitch: u.Quantity,
     clearance: u.Quantity,
     n_designs: int | None = None,
     step: u.Quantity = 0 * u.deg,
-    estimand: str | None = None,
-    method: str = "auto",
-    targets_per_positioner: float | None = None,
-    target_density: u.Quantity | None = None,
-    n_skies: int = 8,
-    time_limit: u.Quantity = 10 * u.s,
+    loss: LossOptions | str = "independent",
     objectives: dict[str, str] | None = None,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
@@ -56,15 +49,14 @@ def explore_designs(
 
     * ``independent``: every positioner draws a target of its own, uniform over its patrol area; lost is who is in
       collision.
-    * ``allocated``: targets fall at random and queue up (`~rfpsurvey.allocate`, ``balanced``); every fiber takes one of
-    its
-      queue; lost is who is in collision.
+    * ``allocated``: targets fall at random and queue up (`~rfpsurvey.allocate`, ``balanced``); every fiber takes
+      one of its queue; lost is who is in collision.
     * ``collision_free``: the plan avoids collisions; lost are the fibers that it leaves idle and a plan blind to
       collisions would not.
 
     Parameters
     ----------
-    l1 : Quantity, scalar or shape (k,)
+    central_arm : Quantity, scalar or shape (k,)
         Length of the central arm. Several values of a parameter are nodes of a grid of all combinations.
     ratio : float or array_like of float, shape (k,)
         Eccentric over central arm.
@@ -77,21 +69,8 @@ def explore_designs(
         scrambled points of Sobol; fewer designs of the same seed are the first of more.
     step : Quantity, optional
         Angle of one step of the motors, of which the safe distance depends, see `~rfpsurvey.Positioner`.
-    estimand : {"independent", "allocated", "collision_free"}, optional
-        Which loss; ``independent`` by default.
-    method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
-        ``surrogate`` and ``quadrature`` (independent), ``conditional`` (allocated; exact for each sky), ``optimal``
-        (collision_free; proven), ``repair`` (collision_free; LAMOST's rule, mended by local moves). ``auto``: the
-        cheapest one that is good enough for a design: ``surrogate`` within its box where it finds at least 0.01, else
-        ``quadrature``; ``conditional``; ``optimal``.
-    targets_per_positioner : float, optional
-        Poisson targets, on average, for each positioner; four by default.
-    target_density : Quantity, optional
-        Poisson targets per area of the focal plane instead: a larger pitch then leaves more of them to each fiber.
-    n_skies : int, optional
-        Skies over which ``conditional``, ``optimal`` and ``repair`` average, at 91 positioners each.
-    time_limit : Quantity, optional
-        Of each search of ``optimal``.
+    loss : LossOptions or {"independent", "allocated", "collision_free"}, optional
+        Which loss, and how it is found; a name alone stands for that loss by the cheapest method that is good enough.
     objectives : dict of str to str, optional
         Two columns and whether ``"max"`` or ``"min"`` is wanted, for the front; coverage and loss by default.
     rng : int, Generator or None, optional
@@ -110,9 +89,9 @@ def explore_designs(
     Returns
     -------
     QTable
-        A row for each design. ``l1``, ``l2``, ``ratio``, ``pitch``, ``clearance``, ``min_separation`` (the safe
-        distance D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors, 3: further ones
-        too); ``multiplicity`` (patrol area over that of a cell); ``reach_0`` to ``reach_3`` (parts of the plane that
+        A row for each design. ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
+        ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors, 3:
+        further ones too); ``multiplicity`` (patrol area over that of a cell); ``reach_0`` to ``reach_3`` (parts of the plane that
         none, one, two, and at least three positioners reach) and ``coverage`` (that any reaches); ``targets`` (a
         positioner) and ``empty`` (part of the positioners without any of them in reach); ``assigned`` (fibers with a
         target if arms could pass each other, a positioner; 1 for independent targets), ``loss`` of them,
@@ -145,7 +124,9 @@ def explore_designs(
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> table = rs.design.explore_designs(l1=8.25 * u.mm, ratio=[1, 1.5, 2], pitch=25.6 * u.mm, clearance=2.25 * u.mm)
+    >>> table = rs.design.explore_designs(
+    ...     central_arm=8.25 * u.mm, ratio=[1, 1.5, 2], pitch=25.6 * u.mm, clearance=2.25 * u.mm
+    ... )
     >>> table["coverage"].round(2).tolist(), table["loss"].round(2).tolist()
     ([1.0, 0.91, 1.0], [0.11, 0.27, 0.44])
     >>> table["pareto"].tolist()
@@ -154,21 +135,9 @@ def explore_designs(
     if executor is not None and not isinstance(executor, Executor):
         raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
-    seed, axes = to_seed(rng), to_axes(l1, ratio, pitch, clearance)
-    estimand, method = _question(estimand, method)
-    targets, by_area = _targets(targets_per_positioner, target_density)
-    if isinstance(n_skies, bool) or not isinstance(n_skies, int | np.integer) or n_skies < 2:
-        raise InputError(f"n_skies must be a whole number of at least 2, got {n_skies!r}")
-    task = Task(
-        estimand,
-        method,
-        float(to_radian(step, "step")),
-        targets,
-        by_area,
-        int(n_skies),
-        to_scalar(time_limit, u.s, "time_limit", low=0),
-        seed,
-    )
+    seed, axes = to_seed(rng), to_axes(central_arm, ratio, pitch, clearance)
+    loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
+    task = Task(*loss.question, float(to_radian(step, "step")), *loss.targets, loss.n_skies, loss.seconds, seed)
     designs = to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)
     request["n_designs"] = None if n_designs is None else int(n_designs)
@@ -179,30 +148,6 @@ def explore_designs(
     checkpoint.finish(table)
     _warn(table)
     return table
-
-
-def _question(estimand, method):
-    """Return which loss is asked for, and the method."""
-    check_choice(method, [*METHODS, "auto"], "method of design studies")
-    if estimand is not None:
-        check_choice(estimand, set(ESTIMANDS.values()), "estimand")
-    if method == "auto":
-        return estimand or "independent", method
-    if estimand not in (None, ESTIMANDS[method]):
-        raise InputError(f"{method!r} finds the loss {ESTIMANDS[method]!r}, not {estimand!r}")
-    return ESTIMANDS[method], method
-
-
-def _targets(each, density):
-    """Return how many targets there are, and whether a mm^2 is meant, not a positioner."""
-    if each is not None and density is not None:
-        raise InputError("give targets_per_positioner or target_density, not both")
-    if density is not None:
-        return to_scalar(density, u.mm**-2, "target_density", low=0, high=1e3), True
-    number = EACH if each is None else each
-    if isinstance(number, bool) or not isinstance(number, int | float | np.number) or not 0 < number <= MOST_TARGETS:
-        raise InputError(f"targets_per_positioner must be a number above 0 and up to {MOST_TARGETS:g}, got {each!r}")
-    return float(number), False
 
 
 def _run(task, designs, checkpoint, executor, *, progress):

@@ -43,8 +43,8 @@ class Lattice:
     @property
     def shape(self) -> tuple[float, float, float]:
         """What the probability depends on: central arm over pitch, ratio of the arms, safe distance over pitch."""
-        l1, l2 = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
-        return float(l1 / self.pitch), float(l2 / l1), self.separation / self.pitch
+        central_arm, eccentric_arm = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
+        return float(central_arm / self.pitch), float(eccentric_arm / central_arm), self.separation / self.pitch
 
     @property
     def multiplicity(self) -> float:
@@ -97,10 +97,12 @@ def _centers(reach: int) -> np.ndarray:
     return xy[np.hypot(*xy.T) <= reach + 1]
 
 
-def make_lattice(l1: float, ratio: float, pitch: float, clearance: float, step: float) -> tuple[Lattice | None, str]:
+def make_lattice(
+    central_arm: float, ratio: float, pitch: float, clearance: float, step: float
+) -> tuple[Lattice | None, str]:
     """Return a design, or None and why there is none; lengths in mm, the step in radians."""
     try:
-        unit = Positioner(l1 * u.mm, l1 * ratio * u.mm, clearance * u.mm, step=step * u.rad)
+        unit = Positioner(central_arm * u.mm, central_arm * ratio * u.mm, clearance * u.mm, step=step * u.rad)
     except InputError as error:
         return None, str(error)
     lattice = Lattice(unit, pitch)

@@ -48,8 +48,8 @@ class Skies(NamedTuple):
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
     """Interpolate among quadratures."""
-    l1, ratio, distance = lattice.shape
-    value = surrogate_probability(l1 * u.mm, l1 * ratio * u.mm, 1 * u.mm, distance * u.mm)
+    central_arm, ratio, distance = lattice.shape
+    value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
 
 

@@ -9,7 +9,7 @@ from rfpsurvey.design._axes import AXES
 __all__ = ["FIGURES", "ROW", "blank", "to_rows", "to_table"]
 
 UNITS = {
-    **dict.fromkeys(("l1", "l2", "pitch", "clearance", "min_separation"), u.mm),
+    **dict.fromkeys(("central_arm", "eccentric_arm", "pitch", "clearance", "min_separation"), u.mm),
     **dict.fromkeys(("positioners_per_area", "usable_per_area"), u.cm**-2),
 }
 FIGURES = (
@@ -30,7 +30,7 @@ FIGURES = (
 )
 ROW = np.dtype(
     [
-        *((name, float) for name in ("l1", "l2", "ratio", "pitch", "clearance", "min_separation")),
+        *((name, float) for name in ("central_arm", "eccentric_arm", "ratio", "pitch", "clearance", "min_separation")),
         ("collision_type", np.int64),
         *((name, float) for name in FIGURES),
         ("estimand", "U16"),
@@ -42,13 +42,13 @@ ROW = np.dtype(
 
 
 def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
-    """Return rows of designs (l1, ratio, pitch, clearance) without figures."""
+    """Return rows of designs (central_arm, ratio, pitch, clearance) without figures."""
     rows = np.zeros(len(designs), ROW)
     for name in ("min_separation", *FIGURES):
         rows[name] = np.nan
     for name, values in zip(AXES, designs.T, strict=True):
         rows[name] = values
-    rows["l2"], rows["estimand"] = rows["l1"] * rows["ratio"], estimand
+    rows["eccentric_arm"], rows["estimand"] = rows["central_arm"] * rows["ratio"], estimand
     return rows
 
 

@@ -57,10 +57,12 @@ def design_sensitivities(
     >>> import astropy.units as u
     >>> import numpy as np
     >>> import rfpsurvey as rs
-    >>> options = {"l1": [7, 8, 9] * u.mm, "ratio": [1, 1.2], "pitch": [24, 26] * u.mm, "clearance": 2.25 * u.mm}
-    >>> found = rs.design.design_sensitivities(rs.design.explore_designs(**options), figures=["loss"])
+    >>> table = rs.design.explore_designs(
+    ...     central_arm=[7, 8, 9] * u.mm, ratio=[1, 1.2], pitch=[24, 26] * u.mm, clearance=2.25 * u.mm
+    ... )
+    >>> found = rs.design.design_sensitivities(table, figures=["loss"])
     >>> [str(name) for name in found["parameter"]]
-    ['l1', 'ratio', 'pitch', 'rest']
+    ['central_arm', 'ratio', 'pitch', 'rest']
     """
     if not isinstance(table, QTable) or not {*AXES, "loss"} <= set(table.colnames):
         raise InputError("table must be what explore_designs returns")
@@ -72,7 +74,7 @@ def design_sensitivities(
     values = {name: _plain(table, name)[known] for name in AXES}
     axes = {name: v for name, v in values.items() if len(v) and np.ptp(v) > 0}
     if not axes:
-        raise InputError("at least one of l1, ratio, pitch and clearance must vary among designs with figures")
+        raise InputError("at least one of central_arm, ratio, pitch and clearance must vary among designs with figures")
     blocks = {name: _polynomials(v) for name, v in axes.items()}
     n_terms = 1 + sum(block.shape[1] for block in blocks.values())
     if known.sum() <= n_terms:

@@ -36,7 +36,7 @@ class Task:
         return rows
 
     def _fill(self, row, rng):
-        lattice, reason = make_lattice(row["l1"], row["ratio"], row["pitch"], row["clearance"], self.step)
+        lattice, reason = make_lattice(row["central_arm"], row["ratio"], row["pitch"], row["clearance"], self.step)
         if lattice is None:
             row["reason"] = reason
             return

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["plot_designs"]
 
 LABELS = {
-    "l1": "central arm",
-    "l2": "eccentric arm",
+    "central_arm": "central arm",
+    "eccentric_arm": "eccentric arm",
     "ratio": "ratio of the arms (eccentric over central)",
     "clearance": "clearance",
     "min_separation": "minimum separation D",
@@ -76,7 +76,7 @@ def plot_designs(
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> table = rs.design.explore_designs(l1=[7, 8, 9] * u.mm, ratio=1.5, pitch=25 * u.mm, clearance=2 * u.mm)
+    >>> table = rs.design.explore_designs(central_arm=[7, 8, 9] * u.mm, ratio=1.5, pitch=25 * u.mm, clearance=2 * u.mm)
     >>> rs.plot.plot_designs(table).get_ylabel()
     'fraction of fibers lost to collisions (independent)'
     """
@@ -155,7 +155,7 @@ def _question(table):
 
 def _parameter(table):
     """Return the ratio of the arms if it varies, else the parameter that has most values."""
-    numbers = {name: len(np.unique(values_of(table, name))) for name in ("ratio", "pitch", "l1", "clearance")}
+    numbers = {name: len(np.unique(values_of(table, name))) for name in ("ratio", "pitch", "central_arm", "clearance")}
     return "ratio" if numbers["ratio"] > 1 else max(numbers, key=numbers.get)
 
 

@@ -11,6 +11,7 @@ from time import perf_counter
 from unittest import mock
 
 import astropy.units as u
+import flat
 import numpy as np
 
 import rfpsurvey as rs
@@ -19,7 +20,7 @@ from rfpsurvey.design._lattice import make_lattice
 from rfpsurvey.probability._surrogate import AXES, interior_risk
 
 MM = u.mm
-BOX = {"l1": [7.25, 14.5] * MM, "ratio": [1, 2], "pitch": [24.6, 35] * MM, "clearance": 2.25 * MM}
+BOX = {"central_arm": [7.25, 14.5] * MM, "ratio": [1, 2], "pitch": [24.6, 35] * MM, "clearance": 2.25 * MM}
 """The paper's designs."""
 SCANS = (
     ("auto", 4.0, 1),
@@ -42,7 +43,7 @@ NAMED = {
 def scan(n, executor, **options):
     """Return a scan of the paper's box and its seconds."""
     start = perf_counter()
-    table = rs.design.explore_designs(**BOX, n_designs=n, executor=executor, **options)
+    table = flat.explore_designs(**BOX, n_designs=n, executor=executor, **options)
     return table, perf_counter() - start
 
 
@@ -80,8 +81,8 @@ def coverage_errors():
     """Print the largest error of coverages with the usual number of lines."""
     rng = np.random.default_rng(3)
     away = []
-    for l1, ratio, pitch in rng.uniform((5, 0.7, 22), (15, 3, 36), (300, 3)):
-        lattice, _ = make_lattice(l1, ratio, pitch, 2.0, 0.0)
+    for central_arm, ratio, pitch in rng.uniform((5, 0.7, 22), (15, 3, 36), (300, 3)):
+        lattice, _ = make_lattice(central_arm, ratio, pitch, 2.0, 0.0)
         if lattice is not None:
             away.append(np.abs(lattice.coverage() - lattice.coverage(8192)).max())
     print(f"coverage: {len(away)} designs, error rms {np.sqrt(np.mean(np.square(away))):.1e}, largest {max(away):.1e}")
@@ -89,27 +90,38 @@ def coverage_errors():
 
 def losses():
     """Print the losses of arms that are there, by each question."""
-    for name, (l1, l2, pitch, clearance) in NAMED.items():
-        design = {"l1": l1 * MM, "ratio": l2 / l1, "pitch": pitch * MM, "clearance": clearance * MM}
-        row = rs.design.explore_designs(**design)[0]
+    for name, (central_arm, eccentric_arm, pitch, clearance) in NAMED.items():
+        design = {
+            "central_arm": central_arm * MM,
+            "ratio": eccentric_arm / central_arm,
+            "pitch": pitch * MM,
+            "clearance": clearance * MM,
+        }
+        row = flat.explore_designs(**design)[0]
         print(
             f"{name}: coverage {row['coverage']:.4f}, multiplicity {row['multiplicity']:.3f}, alone {row['loss']:.3f}"
         )
         for each in (1.0, 2.0, 4.0):
             line = f"  {each:g} targets a positioner:"
             for method in ("conditional", "repair", "optimal"):
-                row = rs.design.explore_designs(**design, method=method, targets_per_positioner=each, n_skies=32)[0]
+                row = flat.explore_designs(**design, method=method, targets_per_positioner=each, n_skies=32)[0]
                 line += f" {method} {row['loss']:.4f} +- {row['loss_error']:.4f} of {row['assigned']:.3f};"
             print(line, flush=True)
 
 
 def edges():
     """Print losses in the middle of patches of two sizes: neighbors of the edge have an influence on who is idle."""
-    design = {"l1": 8.25 * MM, "ratio": 1.5, "pitch": 25.6 * MM, "clearance": 2.25 * MM, "targets_per_positioner": 1.0}
+    design = {
+        "central_arm": 8.25 * MM,
+        "ratio": 1.5,
+        "pitch": 25.6 * MM,
+        "clearance": 2.25 * MM,
+        "targets_per_positioner": 1.0,
+    }
     for method in ("conditional", "optimal"):
         for core, n_skies in ((_losses.CORE, 800), (2.4 * _losses.CORE, 150)):
             with mock.patch.object(_losses, "CORE", core):
-                row = rs.design.explore_designs(**design, method=method, n_skies=n_skies)[0]
+                row = flat.explore_designs(**design, method=method, n_skies=n_skies)[0]
             print(f"{method}, {core:g} pitches about the middle: {row['loss']:.4f} +- {row['loss_error']:.4f}")
 
 

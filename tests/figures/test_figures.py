@@ -193,5 +193,5 @@ def test_instruments_side_by_side():
 
 @kept
 def test_front_of_designs():
-    scan = {"l1": 8.25 * u.mm, "ratio": [1.0, 2.0], "pitch": [22.0, 32.0] * u.mm, "clearance": 2.25 * u.mm}
-    return rs.plot.plot_designs(rs.design.explore_designs(n_designs=64, rng=1, **scan), ax=axes()).figure
+    scan = {"central_arm": 8.25 * u.mm, "ratio": [1.0, 2.0], "pitch": [22.0, 32.0] * u.mm, "clearance": 2.25 * u.mm}
+    return rs.plot.plot_designs(flat.explore_designs(n_designs=64, rng=1, **scan), ax=axes()).figure

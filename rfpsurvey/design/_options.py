@@ -1,0 +1,98 @@
+"""Which loss a scan of designs looks for, and how."""
+
+from dataclasses import dataclass, field
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import to_scalar
+from rfpsurvey.design._losses import ESTIMANDS, METHODS
+from rfpsurvey.design._work import MOST_TARGETS
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["LossOptions"]
+
+PER_POSITIONER = 4.0
+"""Targets per positioner where nothing says how many."""
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """Which fraction of the fibers a design loses to collisions, and how it is found.
+
+    Parameters
+    ----------
+    estimand : {"independent", "allocated", "collision_free"}, optional
+        Which loss, see `~rfpsurvey.design.explore_designs`; that of the method, or ``independent``, by default.
+    method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
+        ``surrogate`` and ``quadrature`` (independent), ``conditional`` (allocated; exact for each sky), ``optimal``
+        (collision_free; proven), ``repair`` (collision_free; LAMOST's rule, repaired by local moves). ``auto``: the
+        cheapest one that is good enough for a design: ``surrogate`` within its box where it finds at least 0.01, else
+        ``quadrature``; ``conditional``; ``optimal``.
+    targets_per_positioner : float, optional
+        Poisson targets, on average, for each positioner; four by default.
+    target_density : Quantity, optional
+        Poisson targets per area of the focal plane instead: a larger pitch then leaves more of them to each fiber.
+    n_skies : int, optional
+        Skies over which ``conditional``, ``optimal`` and ``repair`` average, at 91 positioners each.
+    time_limit : Quantity, optional
+        Of each search of ``optimal``.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, method and estimand do not fit each other, or a number is impossible.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.design.LossOptions(method="repair", n_skies=4).question
+    ('collision_free', 'repair')
+    """
+
+    estimand: str | None = None
+    method: str = "auto"
+    targets_per_positioner: float | None = None
+    target_density: u.Quantity | None = None
+    n_skies: int = 8
+    time_limit: u.Quantity = field(default=10 * u.s)
+
+    def __post_init__(self):
+        self.question, self.targets, self.seconds  # noqa: B018  (raise where something is wrong)
+        n_skies = self.n_skies
+        if isinstance(n_skies, bool) or not isinstance(n_skies, int | np.integer) or n_skies < 2:
+            raise InputError(f"n_skies must be a whole number of at least 2, got {n_skies!r}")
+
+    @property
+    def question(self) -> tuple[str, str]:
+        """Estimand and method."""
+        check_choice(self.method, [*METHODS, "auto"], "method of design studies")
+        if self.estimand is not None:
+            check_choice(self.estimand, set(ESTIMANDS.values()), "estimand")
+        if self.method == "auto":
+            return self.estimand or "independent", self.method
+        own = ESTIMANDS[self.method]
+        if self.estimand not in (None, own):
+            raise InputError(f"{self.method!r} finds the loss {own!r}, not {self.estimand!r}")
+        return own, self.method
+
+    @property
+    def targets(self) -> tuple[float, bool]:
+        """Number of targets, and whether that is per mm^2, not per positioner."""
+        each = self.targets_per_positioner
+        if each is not None and self.target_density is not None:
+            raise InputError("give targets_per_positioner or target_density, not both")
+        if self.target_density is not None:
+            return to_scalar(self.target_density, u.mm**-2, "target_density", low=0, high=1e3), True
+        number = PER_POSITIONER if each is None else each
+        known = isinstance(number, int | float | np.number) and not isinstance(number, bool)
+        if not (known and 0 < number <= MOST_TARGETS):
+            raise InputError(
+                f"targets_per_positioner must be a number above 0 and up to {MOST_TARGETS:g}, got {each!r}"
+            )
+        return float(number), False
+
+    @property
+    def seconds(self) -> float:
+        """The time limit in seconds."""
+        return to_scalar(self.time_limit, u.s, "time_limit", low=0)
