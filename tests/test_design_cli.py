@@ -1,6 +1,6 @@
-import re
-
 """The command ``design``, and the chart that it draws."""
+
+import re
 
 import astropy.units as u
 import flat

@@ -11,7 +11,7 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from rfpsurvey.tiling import METHODS
-from rfpsurvey.tiling._serve import Fibers
+from rfpsurvey.tiling._serve import FreeFibers
 
 DEG = u.deg
 GREEDY = ("max_density", "density_gradient", "mean_shift")
@@ -213,7 +213,7 @@ def test_priority_comes_first(method):
     catalog = sky(n=60, radius=0.3)
     priority = np.arange(60) % 3
     catalog = rs.Catalog(catalog.coord, priority=priority)
-    serve = Fibers(20, priority.astype(float), None)
+    serve = FreeFibers(20, priority.astype(float), None)
     assert sorted(priority[serve(None, np.arange(60), SimpleNamespace(chances=None))]) == [2] * 20
     tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=20, method=method, n_tiles=1)
     assert tiling.table["n_new"].tolist() == [20]
@@ -223,7 +223,7 @@ def test_pairs_too_close_take_two_tiles(method):
     ra = np.array([10, 10.01, 10.2, 10.4, 10.41, 10.42])
     coord = SkyCoord(ra * DEG, np.zeros(6) * DEG)
     options = {"n_tiles": 2} if method == "sdss" else {"completeness": 1}
-    tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=6, method=method, min_separation=50 * u.arcsec, **options)
+    tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=rs.tiling.Fibers(6, 50 * u.arcsec), method=method, **options)
     # the ends of the chain of three go together
     assert tiling.table["n_new"][0] == 4
     assert tiling.summary["n_isolated"] == 1
@@ -353,13 +353,12 @@ def test_few_targets(method, coord):
         ({"fibers": None}, "give an instrument, or the number of fibers"),
         ({"radius": None}, "give an instrument, or the radius"),
         ({"allocator": "lamost"}, "an allocator needs the positioners of an instrument"),
-        ({"min_separation": 55}, "min_separation must be a Quantity"),
         ({"visits": [1, 2]}, "visits must be one number or have the shape"),
         ({"visits": 0}, "at least one science target outside of exclude that wants a visit"),
         ({"exclude": rs.Region.whole_sky()}, "at least one science target outside of exclude"),
         ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
         (
-            {"instrument": "lamost", "allocator": "lamost", "min_separation": 1 * u.arcsec},
+            {"instrument": "lamost", "allocator": "lamost", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
             "give min_separation or an allocator",
         ),
         ({"centers": 5}, "centers must be a SkyCoord"),
@@ -369,6 +368,11 @@ def test_few_targets(method, coord):
 def test_bad_requests_are_named(options, message):
     with pytest.raises(rs.InputError, match=message):
         rs.place_tiles(sky(n=20), **{"radius": 1 * DEG, "fibers": 20, **options})
+
+
+def test_a_separation_of_fibers_is_an_angle():
+    with pytest.raises(rs.InputError, match="min_separation must be a Quantity"):
+        rs.tiling.Fibers(20, 55)
 
 
 def test_nothing_to_observe_is_an_error(small):

@@ -14,7 +14,7 @@ from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling import _greedy
 from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow, _relax
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
-from rfpsurvey.tiling._serve import Fibers, neighbors_within
+from rfpsurvey.tiling._serve import FreeFibers, neighbors_within
 from rfpsurvey.tiling._visit import visit_all
 
 DEG = u.deg
@@ -32,7 +32,7 @@ def test_searches_never_lose_and_sometimes_gain(search):
     for seed in range(40):
         catalog = sky(n=25, radius=2, seed=seed)
         index = SkyIndex(catalog.arrays.vectors)
-        state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, Fibers(25, None, None)))
+        state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, FreeFibers(25, None, None)))
         begin = catalog.arrays.vectors[0]
         end = search(state, begin)
         assert np.linalg.norm(end) == pytest.approx(1)
@@ -42,7 +42,7 @@ def test_searches_never_lose_and_sometimes_gain(search):
 
 
 def test_targets_that_more_tiles_cover_can_wait():
-    serve = Fibers(2, None, None)
+    serve = FreeFibers(2, None, None)
     served = serve(None, np.arange(4), SimpleNamespace(chances=np.array([3, 1, 2, 1])))
     assert served.tolist() == [1, 3]
 
@@ -54,7 +54,7 @@ def test_overlaps_help_where_fibers_are_short(seed):
     ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
     coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
     index = SkyIndex(coord.cartesian.xyz.value.T)
-    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, Fibers(20, None, None)))
+    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, FreeFibers(20, None, None)))
     centers = SkyCoord([9.5, 11.0] * DEG, [0, 0] * DEG).cartesian.xyz.value.T
     assert visit_all(state, np.ascontiguousarray(centers), 1) == 2
     assert state.completeness == 1
@@ -70,7 +70,7 @@ def test_fibers_keep_their_distance(rng):
         close = coord[:, None].separation(coord[None]).deg
         close = (close < 0.35) & ~np.eye(9, dtype=bool)
         np.testing.assert_array_equal(np.diff(near[0]), close.sum(axis=1))
-        served = Fibers(9, None, near)(None, np.arange(9), SimpleNamespace(chances=None))
+        served = FreeFibers(9, None, near)(None, np.arange(9), SimpleNamespace(chances=None))
         assert not close[np.ix_(served, served)].any()
         sets = [s for n in range(10) for s in combinations(range(9), n) if not close[np.ix_(s, s)].any()]
         best = max(map(len, sets))
@@ -99,7 +99,7 @@ def test_tiles_move_to_what_they_are_given(rng):
     """Every target in a field at the end, from centers that are a bit off, and one that is of no use where it is."""
     clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
     vectors = np.vstack([c.arrays.vectors for c in clusters])
-    problem = TilingProblem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, Fibers(25, None, None))
+    problem = TilingProblem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, FreeFibers(25, None, None))
     cells = _Cells(problem)
     begin = SkyCoord([10.6, 13.4, 40] * DEG, [5, 5.4, -30] * DEG).cartesian.xyz.value.T
     before = _flow(problem, cells, begin)[-1]

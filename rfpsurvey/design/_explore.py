@@ -91,8 +91,8 @@ def explore_designs(
     QTable
         A row for each design. ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
         ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors, 3:
-        further ones too); ``multiplicity`` (patrol area over that of a cell); ``reach_0`` to ``reach_3`` (parts of the plane that
-        none, one, two, and at least three positioners reach) and ``coverage`` (that any reaches); ``targets`` (a
+        further ones too); ``multiplicity`` (patrol area over that of a cell); ``reach_0`` to ``reach_3`` (parts of the
+        plane that none, one, two, and at least three positioners reach) and ``coverage`` (that any reaches); ``targets`` (a
         positioner) and ``empty`` (part of the positioners without any of them in reach); ``assigned`` (fibers with a
         target if arms could pass each other, a positioner; 1 for independent targets), ``loss`` of them,
         ``loss_error`` (standard error), ``usable`` (what is left, a positioner); ``positioners_per_area`` and

@@ -18,7 +18,7 @@ from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
 from rfpsurvey.tiling._methods import COVERINGS, METHODS
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
-from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, neighbors_within
+from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
 
 __all__ = ["place_tiles"]
@@ -34,8 +34,7 @@ def place_tiles(
     passes: int = 1,
     n_tiles: int | None = None,
     completeness: float | None = None,
-    fibers: int | None = None,
-    min_separation: u.Quantity | None = None,
+    fibers: Fibers | int | None = None,
     allocator: AllocationOptions | str | Callable | None = None,
     radius: u.Quantity | None = None,
     position_angle: u.Quantity = 0 * u.deg,
@@ -68,10 +67,9 @@ def place_tiles(
         At most so many tiles; for ``sdss`` without ``completeness``, so many.
     completeness : float, optional
         Part of the wanted visits, above 0 and at most 1, at which no more tiles are placed.
-    fibers : int, optional
-        Targets that a tile observes at most; by default the positioners that are not disabled or stuck.
-    min_separation : Quantity, optional
-        No two targets of a tile are closer than this angle.
+    fibers : Fibers or int, optional
+        Targets that a tile observes at most, and how close to each other they may be; by default as many as there are
+        positioners that are not disabled or stuck.
     allocator : AllocationOptions or str or callable, optional
         Let the positioners of the instrument decide what a tile observes, see `AllocationOptions`; what is
         assigned counts, also where arms collide (``repair`` leaves no collisions).
@@ -121,6 +119,7 @@ def place_tiles(
     """
     check_choice(method, METHODS, "method to place tiles")
     model = None if instrument is None else as_instrument(instrument)
+    fibers = fibers if isinstance(fibers, Fibers) else Fibers(fibers)
     if allocator is not None and model is None:
         raise InputError("an allocator needs the positioners of an instrument, got none")
     if radius is None and model is None:
@@ -150,8 +149,7 @@ def place_tiles(
             "completeness": completeness,
             "visits": visits,
             "allocator": allocator,
-            "fibers": fibers,
-            "min_separation": min_separation,
+            "min_separation": fibers.min_separation,
         }
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
     if not isinstance(field, Catalog | PartitionedCatalog | SkyCoord | Table):
@@ -161,32 +159,30 @@ def place_tiles(
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise InputError(f"completeness must be a number above 0 and at most 1, got {completeness!r}")
-    if fibers is None and model is None:
+    if fibers.number is None and model is None:
         raise InputError("give an instrument, or the number of fibers of a tile")
     usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
-    fibers = usable if fibers is None else _whole(fibers, "fibers")
+    number = usable if fibers.number is None else int(fibers.number)
     index = SkyIndex(catalog.arrays.vectors)
     neighbors = None
-    if min_separation is not None:
+    if fibers.min_separation is not None:
         if allocator is not None:
-            raise InputError("give min_separation or an allocator, which knows its own positioners, not both")
-        neighbors = neighbors_within(
-            index.vectors, to_scalar(min_separation, u.rad, "min_separation", low=0, high=np.pi)
-        )
+            raise InputError("give min_separation or an allocator, which has positioners of its own, not both")
+        neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
     rng = to_generator(rng)
     if allocator is None:
         priority = None if catalog.priority is None else catalog.priority[index.order]
-        serve = Fibers(fibers, priority, neighbors)
+        serve = FreeFibers(number, priority, neighbors)
     else:
         options = as_options(allocator).for_instrument(model)
-        serve = FocalPlaneFibers(model, options, catalog, index, fibers, position_angle, rng)
+        serve = FocalPlaneFibers(model, options, catalog, index, number, position_angle, rng)
     problem = TilingProblem(
-        radius_rad, index, wanted[index.order], fibers, serve, allowed, passes, n_tiles, completeness
+        radius_rad, index, wanted[index.order], number, serve, allowed, passes, n_tiles, completeness
     )
     state = METHODS[method](problem)
-    summary.update(fibers=fibers, **_account(state, neighbors))
+    summary.update(fibers=number, **_account(state, neighbors))
     if completeness is not None and state.completeness < completeness - 1e-12:
         limit = "" if n_tiles is None or len(state.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
         warnings.warn(

@@ -1,18 +1,57 @@
 """What one tile observes: as many targets as it has fibers, or what a real focal plane reaches."""
 
+from dataclasses import dataclass
+
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
+from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldTargets, assign_field
 from rfpsurvey.tiling._tiling import to_ra_dec
 
-__all__ = ["Fibers", "FocalPlaneFibers", "neighbors_within"]
+__all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 
 
+@dataclass(frozen=True)
 class Fibers:
+    """What a tile observes at most: a number of targets, none closer to another than an angle.
+
+    Parameters
+    ----------
+    number : int, optional
+        Targets that a tile observes at most; by default the positioners that are not disabled or stuck.
+    min_separation : Quantity, optional
+        No two targets of a tile are closer than this angle.
+
+    Raises
+    ------
+    InputError
+        If the number is not whole and positive, or the separation no angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> rs.tiling.Fibers(640, min_separation=55 * u.arcsec).number
+    640
+    """
+
+    number: int | None = None
+    min_separation: u.Quantity | None = None
+
+    def __post_init__(self):
+        number = self.number
+        if number is not None and (isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1):
+            raise InputError(f"fibers must be a whole number of at least 1, got {number!r}")
+        if self.min_separation is not None:
+            to_scalar(self.min_separation, u.rad, "min_separation", low=0, high=np.pi)
+
+
+class FreeFibers:
     """Fibers that go anywhere in the field, no two closer than some separation.
 
     First come the targets of higher priority, then those that fewer of the tiles to come cover, then those with

@@ -15,7 +15,7 @@ from rfpsurvey.tiling import METHODS
 
 DATA = Path(__file__).parents[2] / "data"
 GOALS = (0.9, 0.95, 0.99)
-SDSS = {"radius": 1.49 * u.deg, "min_separation": 55 * u.arcsec}
+RADIUS, SEPARATION = 1.49 * u.deg, 55 * u.arcsec
 
 
 def place(*arguments, **options):
@@ -52,12 +52,13 @@ def blanton(density, fibers):
     catalog = rs.synthetic_catalog(
         "clustered", center, 10 * u.deg, density=density / u.deg**2, cluster_size=6, cluster_scale=0.15 * u.deg, rng=1
     )
-    lattice = rs.place_tiles(catalog, fibers=fibers, **SDSS)
+    limits = {"radius": RADIUS, "fibers": rs.tiling.Fibers(fibers, SEPARATION)}
+    lattice = rs.place_tiles(catalog, **limits)
     print(f"SDSS plates of {fibers} fibers, {len(catalog)} targets, {density} / deg2 over 314 deg2")
     print(f"  {'':<24}{'tiles':>6}{'all':>8}{'isolated':>10}{'fibers used':>13}{'seconds':>9}")
     report("hexagonal, one pass", lattice, 0.0)
     for n in sorted({len(lattice), *numbers(len(catalog), fibers)}):
-        tiling, seconds = place(catalog, fibers=fibers, method="sdss", n_tiles=n, **SDSS)
+        tiling, seconds = place(catalog, method="sdss", n_tiles=n, **limits)
         report("sdss", tiling, seconds)
 
 
