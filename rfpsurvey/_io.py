@@ -8,9 +8,10 @@ import gzip
 import io
 import json
 import os
+import secrets
 import shutil
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -146,11 +147,23 @@ def _with_meta(table, cards):
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
     """Write a file that appears whole or not at all; with ``sync``, also if the power fails."""
-    with _in_place_of(path) as temporary:
-        temporary.write_bytes(content)
-        if sync:
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
+    try:
+        # a new file with a random name: nobody else writes there, and no link is followed
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            with open(handle, "wb") as file:
+                file.write(content)
+                if sync:
+                    file.flush()
+                    os.fsync(handle)
+            os.replace(temporary, path)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
@@ -158,10 +171,14 @@ def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
 
     For thousands of small tables of one kind: astropy makes the header of the first, and the others change cards.
     """
-    primary, header, disk = _fits_template(rows.dtype)
-    header = header.copy()
-    header["NAXIS2"] = len(rows)
-    header.update(cards)
+    primary, header, places, disk = _fits_template(rows.dtype)
+    image = bytearray(header)
+    for name, card in {"NAXIS2": len(rows), **cards}.items():
+        value, comment = card if isinstance(card, tuple) else (card, "")
+        place = places.get(name, len(image))  # cards that the header does not have yet follow the others
+        image[place : place + 80] = fits_card(name, value, comment)
+    image += f"{'END':80}".encode("ascii")
+    image += b" " * (-len(image) % 2880)
     body = np.empty(len(rows), disk)
     for name in rows.dtype.names:
         column = rows[name]
@@ -169,7 +186,7 @@ def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
             body[name] = np.where(column, ord("T"), ord("F")) if column.dtype.kind == "b" else column
         except UnicodeEncodeError as error:
             raise InputError(f"FITS files hold ASCII text only, but the column {name!r} has other: {error}") from None
-    return b"".join([primary, header.tostring().encode("ascii"), body.tobytes(), bytes(-body.nbytes % 2880)])
+    return b"".join([primary, bytes(image), body.tobytes(), bytes(-body.nbytes % 2880)])
 
 
 @lru_cache(maxsize=32)
@@ -182,4 +199,42 @@ def _fits_template(dtype: np.dtype):
     header = fits.BinTableHDU(np.zeros(1, dtype)).header
     types = {"b": lambda t: np.dtype("u1"), "U": lambda t: np.dtype(f"S{max(t.itemsize // 4, 1)}")}
     disk = [(name, types.get(dtype[name].kind, lambda t: t.newbyteorder(">"))(dtype[name])) for name in dtype.names]
-    return file.getvalue(), header, np.dtype(disk)
+    places = {name: 80 * k for k, name in enumerate(header)}
+    image = header.tostring(sep="", endcard=False, padding=False).encode("ascii")
+    return file.getvalue(), image, places, np.dtype(disk)
+
+
+def fits_card(name: str, value: object, comment: str = "") -> bytes:
+    """Return a card of a FITS header as astropy writes it, many times sooner; what is not simple, astropy writes."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return _slow_card(name, value, comment)
+    if isinstance(value, str):
+        if not value.isascii() or not value.isprintable() or "'" in value or not value.strip():
+            return _slow_card(name, value, comment)
+        text = "'" + value.ljust(8) + "'"
+        text = f"{text:20}"
+    elif isinstance(value, int):
+        text = f"{value:20d}"
+    else:
+        text = _float_text(value)
+        if text is None:
+            return _slow_card(name, value, comment)
+        text = f"{text:>20}"
+    card = f"{name:8}= {text}" + (f" / {comment}" if comment else "")
+    if len(card) > 80 or len(name) > 8:
+        return _slow_card(name, value, comment)
+    return f"{card:80}".encode("ascii")
+
+
+def _float_text(value: float) -> str | None:
+    """Return a number as FITS headers have it, in at most 20 characters; None where that takes more thought."""
+    text = str(value)
+    if "e" in text or "n" in text or len(text) > 20:
+        return None
+    return text
+
+
+def _slow_card(name, value, comment) -> bytes:
+    from astropy.io import fits
+
+    return str(fits.Card(name, value, comment)).encode("ascii")

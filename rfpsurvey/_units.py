@@ -12,7 +12,7 @@ from astropy.coordinates import (
 )
 from astropy.utils.masked import Masked
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError
 
 MOST_VISITS = 255
 
@@ -46,7 +46,7 @@ def locked(array: np.ndarray) -> np.ndarray:
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     """Return ``value`` as a fresh float64 array in ``unit``, masked values as NaN; ``name`` is for the error."""
     if not isinstance(value, u.Quantity):
-        raise InputError(
+        raise InputTypeError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {_short(value)} without a unit"
         )
     if isinstance(value, Masked):
@@ -54,7 +54,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     try:
         return np.array(value.to_value(unit), dtype=np.float64, order="C")
     except u.UnitConversionError:
-        raise InputError(f"{name} must have a unit convertible to {unit}, got {value.unit}") from None
+        raise InputUnitsError(f"{name} must have a unit convertible to {unit}, got {value.unit}") from None
 
 
 def to_scalar(
@@ -93,7 +93,7 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
 def to_direction(coord: object, name: str = "coord") -> SkyCoord:
     """Return coordinates without distance and radial velocity, in the same frame, with their proper motions."""
     if not isinstance(coord, SkyCoord):
-        raise InputError(f"{name} must be a SkyCoord, got {_short(coord)}")
+        raise InputTypeError(f"{name} must be a SkyCoord, got {_short(coord)}")
     data = coord.data
     motion = data.differentials.get("s")
     place = data.without_differentials().represent_as(UnitSphericalRepresentation)

@@ -3,11 +3,25 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-__all__ = ["InputError", "RfpsurveyWarning"]
+from astropy.units import UnitsError
+
+__all__ = ["InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning", "check_choice"]
 
 
 class InputError(ValueError):
-    """What was given cannot be used; the message says what must be what, and what was given."""
+    """What was given cannot be used; the message says what must be what, and what was given.
+
+    An error that is due to a wrong type is a `TypeError` too, and one due to a wrong unit an
+    `~astropy.units.UnitsError`.
+    """
+
+
+class InputTypeError(InputError, TypeError):
+    """What was given is of another type than it must be; also a `TypeError`."""
+
+
+class InputUnitsError(InputError, UnitsError):
+    """What was given has another unit than it must have; also an `~astropy.units.UnitsError`."""
 
 
 class RfpsurveyWarning(UserWarning):

@@ -1,13 +1,18 @@
 """Files that are written: whole or not at all, by nobody else, and never in the place of another unasked."""
 
+import io
 import os
 import stat
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.io import fits
 from astropy.table import QTable
+from hypothesis import given
+from hypothesis import strategies as st
 
 import rfpsurvey as rs
 from rfpsurvey import _io
@@ -92,3 +97,32 @@ def test_temporary_names_are_random_and_closed_to_others(tmp_path):
     plain.write_text("x")
     assert (tmp_path / "a.npz").stat().st_mode == plain.stat().st_mode
     assert sorted(os.listdir(tmp_path)) == ["a.npz", "plain"]
+
+
+NUMBERS = st.one_of(
+    st.integers(-(10**18), 10**18),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.booleans(),
+    st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=70),
+)
+
+
+@given(NUMBERS, st.sampled_from(["", "deg", "targets in the field, still wanted"]))
+def test_cards_are_those_of_astropy(value, comment):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of comments that are cut
+        assert _io.fits_card("NREACH", value, comment).decode() == str(fits.Card("NREACH", value, comment))
+
+
+def test_parts_of_surveys_are_valid_fits_files():
+    rows = np.rec.fromarrays([np.arange(3), np.array(["a", "bc", "d"]), np.ones(3, dtype=bool)], names="id,name,flag")
+    content = _io.fits_bytes(rows, {"TILE": "t1", "RA": 1.5, "NREACH": (7, "in reach"), "TUNIT1": "deg"})
+    with fits.open(io.BytesIO(content)) as units:
+        units.verify("exception")
+        header, table = units[1].header, units[1].data
+        assert (header["TILE"], header["RA"], header["NREACH"], header["TUNIT1"]) == ("t1", 1.5, 7, "deg")
+        assert header.comments["NREACH"] == "in reach"
+        assert table["id"].tolist() == [0, 1, 2]
+        assert table["name"].tolist() == ["a", "bc", "d"]
+        assert table["flag"].all()
+    assert len(content) % 2880 == 0

@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import io
 import multiprocessing
 import os
 import signal
@@ -9,7 +10,6 @@ import sys
 import time
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import astropy.units as u
 import flat
@@ -337,18 +337,19 @@ def test_another_survey_in_the_folder_is_refused(case, tmp_path):
 
 
 def test_a_full_disk_keeps_what_is_there(case, tmp_path, undisturbed, monkeypatch):
-    real, written = Path.write_bytes, []
+    written = []
 
-    def write_bytes(path, data):
-        if len(written) == 30:
-            real(path, data[: len(data) // 2])
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(path)
-        return real(path, data)
+    class Full(io.FileIO):
+        def write(self, data):
+            if len(written) == 30:
+                super().write(data[: len(data) // 2])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            written.append(self)
+            return super().write(data)
 
     folder = tmp_path / "survey"
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", write_bytes)
+        patch.setattr(_io, "open", Full, raising=False)
         with pytest.raises(rs.InputError, match="cannot be written: No space left on device"):
             plan(case, folder)
     assert not list(folder.rglob(".*"))

@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import to_points_mm, to_radian
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
@@ -102,7 +102,7 @@ def check_plane(focal_plane):
     """Refuse what is no focal plane."""
     if not isinstance(focal_plane, FocalPlane):
         hint = "; an Instrument has one, its focal_plane" if hasattr(focal_plane, "focal_plane") else ""
-        raise InputError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
+        raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
 
 
 def check_arms(plane, posed):

@@ -15,7 +15,7 @@ from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
 from rfpsurvey.design._work import Task
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputTypeError, RfpsurveyWarning
 from rfpsurvey.probability import Progress
 
 __all__ = ["explore_designs"]
@@ -92,9 +92,10 @@ def explore_designs(
         A row for each design. ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
         ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors, 3:
         further ones too); ``multiplicity`` (patrol area over that of a cell); ``reach_0`` to ``reach_3`` (parts of the
-        plane that none, one, two, and at least three positioners reach) and ``coverage`` (that any reaches); ``targets`` (a
-        positioner) and ``empty`` (part of the positioners without any of them in reach); ``assigned`` (fibers with a
-        target if arms could pass each other, a positioner; 1 for independent targets), ``loss`` of them,
+        plane that none, one, two, and at least three positioners reach) and ``coverage`` (that any reaches);
+        ``targets`` (per positioner) and ``empty`` (fraction of the positioners without any of them in reach);
+        ``assigned`` (fibers with a target if arms could pass each other, per positioner; 1 for independent targets),
+        ``loss`` of them,
         ``loss_error`` (standard error), ``usable`` (what is left, a positioner); ``positioners_per_area`` and
         ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven`` (searches that the time limit
         cut short, so that the loss is too large, and not the same on another machine); ``reason`` why there are no
@@ -133,7 +134,7 @@ def explore_designs(
     [True, False, False]
     """
     if executor is not None and not isinstance(executor, Executor):
-        raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
     seed, axes = to_seed(rng), to_axes(central_arm, ratio, pitch, clearance)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)

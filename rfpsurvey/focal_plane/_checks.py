@@ -3,7 +3,7 @@
 import numpy as np
 
 from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["check_columns"]
@@ -12,7 +12,7 @@ __all__ = ["check_columns"]
 def check_columns(plane) -> None:
     """Check the columns of a focal plane, and put them into one form."""
     if not isinstance(plane.positioner, Positioner):
-        raise InputError(f"positioner must be a Positioner, got {type(plane.positioner).__name__}")
+        raise InputTypeError(f"positioner must be a Positioner, got {type(plane.positioner).__name__}")
     xy = to_points_mm(plane.xy, "xy")
     n = len(xy)
     if n == 0:

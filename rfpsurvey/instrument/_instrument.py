@@ -14,7 +14,7 @@ from astropy.table import Table
 
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
@@ -77,7 +77,7 @@ class Instrument:
 
     def __post_init__(self):
         if not isinstance(self.focal_plane, FocalPlane):
-            raise InputError(f"focal_plane must be a FocalPlane, got {type(self.focal_plane).__name__}")
+            raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(self.focal_plane).__name__}")
         check_choice(self.layout, LAYOUTS, "layout")
         if isinstance(self.distortion, dict):
             for name in self.distortion:
@@ -257,7 +257,7 @@ def as_instrument(instrument: Instrument | str) -> Instrument:
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):
-        raise InputError(
+        raise InputTypeError(
             f"instrument must be an Instrument, the name of a preset or the path of a TOML file, got {instrument!r}"
         )
     return instrument

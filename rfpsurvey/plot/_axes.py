@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_mm, to_plain
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.plot._compass import ORIENTATIONS
@@ -143,7 +143,7 @@ def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: obje
 def check_columns(table: QTable, columns: set[str], maker: str | None = None) -> None:
     """Refuse what is no table with these columns; ``maker`` is the function that makes one."""
     if not isinstance(table, QTable):
-        raise InputError(f"table must be a QTable, got {type(table).__name__}")
+        raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
     missing = ", ".join(sorted(columns - set(table.colnames)))
     if missing and maker:
         raise InputError(f"table must come from {maker}, but it has no {missing}")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputTypeError
 from rfpsurvey.plot._axes import new_axes
 from rfpsurvey.plot._sky import plot_tiling, radius_of
 from rfpsurvey.plot._sky_map import is_wide
@@ -52,7 +52,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     'tiles'
     """
     if not isinstance(survey, Survey):
-        raise InputError(f"survey must be a Survey, got {type(survey).__name__}")
+        raise InputTypeError(f"survey must be a Survey, got {type(survey).__name__}")
     ax = new_axes(7, 4.5) if ax is None else ax
     tiles, after = survey.tiles, survey.completeness
     order = np.lexsort((np.arange(len(tiles)), tiles["round"]))

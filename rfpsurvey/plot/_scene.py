@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.collision import place_arms
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputTypeError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import limits_of, named_plane
@@ -79,7 +79,8 @@ def _of_tile(tile):
 
 def _of_plane(thing):
     if not isinstance(thing, Tile | FocalPlane | Instrument | str):
-        raise InputError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {type(thing).__name__}")
+        kind = type(thing).__name__
+        raise InputTypeError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {kind}")
     name, plane = named_plane(thing)
     name = f"{name}: " if name else ""
     n, obstacles = len(plane), len(plane.arrays.obstacles)

@@ -8,7 +8,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.plot._axes import legend_below, new_axes
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
 from rfpsurvey.plot._style import COLLISION, light_scale
@@ -82,7 +82,7 @@ def plot_tiling(
     'right ascension [deg]'
     """
     if not isinstance(tiles, Tiling | Survey):
-        raise InputError(f"tiles must be a Tiling or a Survey, got {type(tiles).__name__}")
+        raise InputTypeError(f"tiles must be a Tiling or a Survey, got {type(tiles).__name__}")
     table = tiles.tiles if isinstance(tiles, Survey) else tiles.table
     if len(table) == 0:
         raise InputError("there must be at least one tile to draw, got none")
@@ -90,7 +90,7 @@ def plot_tiling(
     if color not in table.colnames or np.asarray(table[color]).dtype.kind not in "iufb":
         raise InputError(f"color must be a column of numbers ({', '.join(table.colnames)}), got {color!r}")
     if not (region is None or isinstance(region, Region)):
-        raise InputError(f"region must be a Region, got {type(region).__name__}")
+        raise InputTypeError(f"region must be a Region, got {type(region).__name__}")
     if targets is not None:
         coord = targets.coord if isinstance(targets, Catalog) else targets
         targets = to_direction(coord, "targets").reshape(-1).icrs

@@ -13,7 +13,7 @@ from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
 from rfpsurvey.allocation import Allocation, AllocationOptions, packages
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
@@ -180,7 +180,7 @@ def collision_probability(
     check_choice(interval, INTERVALS, "interval")
     check_choice(stop, ("interval", "convergence"), "stopping rule")
     if executor is not None and not isinstance(executor, Executor):
-        raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     source = None
     if asked == "allocated":
         source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)

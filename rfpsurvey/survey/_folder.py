@@ -93,7 +93,10 @@ class Folder:
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
                 warnings.warn(text, RfpsurveyWarning, stacklevel=5)
         for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # by a run that was killed
-            shutil.rmtree(left_over, ignore_errors=True)
+            if left_over.is_dir():
+                shutil.rmtree(left_over, ignore_errors=True)
+            else:
+                left_over.unlink(missing_ok=True)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
         write_bytes(self.path / REQUEST, content, sync=True)
         self._write_index(self._known.items())

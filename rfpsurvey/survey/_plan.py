@@ -14,7 +14,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import make_request
@@ -126,7 +126,7 @@ def plan_survey(
     """
     begin = perf_counter()
     if executor is not None and not isinstance(executor, Executor):
-        raise InputError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     asked = as_options(allocator)
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(

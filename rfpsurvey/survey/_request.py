@@ -69,13 +69,19 @@ class Request:
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row) with what is left of the targets."""
-        row = self.tiling.table[tile]
         # blank sky is where no target is, done or not
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
-        where = (float(row[name].to_value(u.deg)) for name in ("ra", "dec", "position_angle"))
+        name, *where = (column[tile] for column in self._places)
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
-        return Job(self.model, row["tile"].item(), *where, field, seed, as_file)
+        return Job(self.model, name, *where, field, seed, as_file)
+
+    @cached_property
+    def _places(self) -> list[list]:
+        """Names, right ascensions, declinations and position angles of all tiles (deg)."""
+        table = self.tiling.table
+        angles = (table[name].to_value(u.deg).astype(float).tolist() for name in ("ra", "dec", "position_angle"))
+        return [np.asarray(table["tile"]).tolist(), *angles]
 
     @cached_property
     def software(self) -> dict:

@@ -15,7 +15,7 @@ from astropy.utils.masked import Masked
 
 from rfpsurvey import _io
 from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.tile._model import model_sentence
 
@@ -72,7 +72,7 @@ class Tile:
 
     def __post_init__(self):
         if not isinstance(self.table, QTable):
-            raise InputError(f"table must be a QTable, got {type(self.table).__name__}")
+            raise InputTypeError(f"table must be a QTable, got {type(self.table).__name__}")
         lacking = [name for name in ("summary", "provenance", "geometry") if name not in self.table.meta]
         if lacking or "in_collision" not in self.table.colnames:
             raise InputError("the table is not that of a tile: it lacks " + (", ".join(lacking) or "in_collision"))

@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
 from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
@@ -129,7 +129,7 @@ def place_tiles(
     to_scalar(position_angle, u.deg, "position_angle", low=-3600, high=3600)
     passes = _whole(passes, "passes")
     if exclude is not None and not isinstance(exclude, Region):
-        raise InputError(f"exclude must be a Region, got {type(exclude).__name__}")
+        raise InputTypeError(f"exclude must be a Region, got {type(exclude).__name__}")
     allowed = None if centers is None else to_vectors(centers, "centers")
     if allowed is not None:
         allowed = allowed[np.isfinite(allowed).all(axis=1)]
@@ -153,7 +153,7 @@ def place_tiles(
         }
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
     if not isinstance(field, Catalog | PartitionedCatalog | SkyCoord | Table):
-        raise InputError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
+        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")

@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from rfpsurvey import _healpix, _io
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -59,7 +59,7 @@ class Tiling:
 
     def __post_init__(self):
         if not isinstance(self.table, QTable):
-            raise InputError(f"table must be a QTable, got {type(self.table).__name__}")
+            raise InputTypeError(f"table must be a QTable, got {type(self.table).__name__}")
         lacking = [name for name in COLUMNS if name not in self.table.colnames]
         if lacking:
             raise InputError(f"the table is not that of a tiling: it lacks {', '.join(lacking)}")
@@ -251,7 +251,7 @@ def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
     if isinstance(tiles, Table):
         return Tiling.from_table(tiles)
     if not isinstance(tiles, SkyCoord):
-        raise InputError(f"tiles must be a Tiling, a Table or a SkyCoord, got {type(tiles).__name__}")
+        raise InputTypeError(f"tiles must be a Tiling, a Table or a SkyCoord, got {type(tiles).__name__}")
     icrs = to_direction(tiles, "tiles").reshape(-1).icrs
     return Tiling.from_table(QTable({"ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}))
 
