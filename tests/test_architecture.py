@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parent.parent / "rfpsurvey"
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "_version.py")
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 # Of numba, the interpreter and astropy; and of named tuples.
-FOREIGN = {"_cache", "_cache_file", "_exit", "_construct_mixins_from_columns", "_replace", "_asdict"}
+FOREIGN = {"_repr_html_", "_cache", "_cache_file", "_exit", "_construct_mixins_from_columns", "_replace", "_asdict"}
 MOST_LINES, MOST_PARAMETERS = 400, 14
 
 

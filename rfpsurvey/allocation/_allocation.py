@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._display import to_html
 from rfpsurvey.allocation._problem import Level
 from rfpsurvey.allocation._requirements import Shortfall
 from rfpsurvey.collision import Arms, place_arms
@@ -137,6 +138,10 @@ class Allocation:
             fiber_type=self.fiber_type,
             parked_obstacles=self.parked_obstacles,
         )
+
+    def _repr_html_(self) -> str:
+        facts = {level.name: f"{level.value:g}, at most {level.bound:g}" for level in self.levels}
+        return to_html(self, {**facts, "gap": self.gap, "requirements that are not met": len(self.unmet)})
 
     def __repr__(self):
         n, m = len(self.target_of_positioner), len(self.positioner_of_target)

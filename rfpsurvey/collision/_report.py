@@ -6,6 +6,8 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._display import to_html
+
 __all__ = ["CollisionReport"]
 
 
@@ -72,6 +74,10 @@ class CollisionReport:
             partners[i].append(j)
             partners[j].append(i)
         return partners  # ascending, because the pairs are sorted
+
+    def _repr_html_(self) -> str:
+        facts = {"pairs": len(self.pairs), "collisions with obstacles": len(self.obstacle_pairs), "rate": self.rate}
+        return to_html(self, {**facts, "rate of assigned positioners": self.rate_assigned})
 
     def __repr__(self):
         return (

@@ -4,6 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rfpsurvey._display import to_html
+
 __all__ = ["Estimate"]
 
 
@@ -64,6 +66,10 @@ class Estimate:
     estimand: str
     seconds: float
     meta: dict = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        names = ("value", "low", "high", "standard_error", "value_assigned", "n", "n_effective", "seconds")
+        return to_html(self, {**{name: getattr(self, name) for name in names}, **self.meta})
 
     def __repr__(self):
         error = "" if np.isnan(self.low) else f" [{self.low:.4g}, {self.high:.4g}]"

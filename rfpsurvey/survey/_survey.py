@@ -11,6 +11,7 @@ import numpy as np
 from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
+from rfpsurvey._display import to_html
 from rfpsurvey.errors import InputError
 from rfpsurvey.survey._bookkeeping import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
@@ -131,6 +132,9 @@ class Survey:
         for name in rows.dtype.names:
             table[name] = rows[name] * u.deg if name in ("ra", "dec") else rows[name]
         return table
+
+    def _repr_html_(self) -> str:
+        return to_html(self, self.summary, self.tiles)
 
     def __repr__(self):
         s = self.summary

@@ -14,6 +14,7 @@ from astropy.table import MaskedColumn, QTable
 from astropy.utils.masked import Masked
 
 from rfpsurvey import _io
+from rfpsurvey._display import to_html
 from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.instrument import Instrument
@@ -163,6 +164,9 @@ class Tile:
         return a.colnames == b.colnames and same_meta and all(_same(a[c], b[c]) for c in a.colnames)
 
     __hash__ = None
+
+    def _repr_html_(self) -> str:
+        return to_html(self, self.summary, self.table)
 
     def __repr__(self):
         s = self.summary

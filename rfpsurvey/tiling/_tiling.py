@@ -10,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey import _healpix, _io
+from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
@@ -87,6 +88,9 @@ class Tiling:
 
     def __len__(self):
         return len(self.table)
+
+    def _repr_html_(self) -> str:
+        return to_html(self, self.summary, self.table)
 
     def __repr__(self):
         n = len(np.unique(self.table["pass"]))
