@@ -348,7 +348,7 @@ def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
 
 def test_ids_of_figures_never_clash():
     """Matplotlib makes ids from what is drawn: the same figure twice has the same ones."""
-    first, second = (_svg.svg_of(nasty_figure(), k, "t", "w") for k in (1, 2))
+    first, second = (_svg.svg_of(nasty_figure(), name)["content"] for name in ("f1", "f2"))
     names = [set(re.findall(r'id="([^"]*)"', text)) for text in (first, second)]
     assert len(names[0]) == len(names[1]) > 3
     assert not names[0] & names[1]
