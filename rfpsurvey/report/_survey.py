@@ -26,10 +26,10 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),
         Picture("Completeness after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
-    facts = survey_facts(survey) | ({"model": s["model"]} if "model" in s else {})  # surveys of older versions have none
+    model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions have none
     after = "Completeness after each pass, of each class of priority and of all."
     sections = [
-        Section("Result", [Facts("", facts)]),
+        Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("On the sky", pictures[:1]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section("Tiles", [Rows("The tiles of the survey, in the order of the tiling.", survey.tiles, where)]),
