@@ -147,6 +147,14 @@ def test_what_others_wrote_is_shown_as_text(tmp_path):
     assert len(page.all("script")) == 1
 
 
+def test_a_title_that_marks_itself_as_safe_is_shown_as_text(tmp_path):
+    class Safe(str):
+        def __html__(self):
+            return self
+
+    assert Reader(written(QTable({"a": [1]}), tmp_path, title=Safe("<b>x</b>"))).text("h1") == ["<b>x</b>"]
+
+
 def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
     _, rows = Reader(written(nasty_table(), tmp_path)).table("3 rows and 5 columns.")
     assert [row[1]["text"] for row in rows] == ["1.235", "\N{EN DASH}", "-3.000e-09"]
@@ -248,7 +256,20 @@ def test_a_survey_has_its_own_numbers(survey, tmp_path):
         [full(row[heads.index("n observed")]) for row in rows], survey.completeness["n_observed"]
     )
     assert int(page.facts()["visits wanted"]) == survey.summary["n_visits_wanted"]
+    assert page.facts()["model"] == survey.summary["model"]
     assert len(page.all("svg")) == 2
+
+
+def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
+    """The page of a tiling had keys such as "n on tiles" and "radius deg"."""
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=1)
+    for tiling in (results["tiling"], rs.place_tiles(sky, small)):
+        facts = Reader(written(tiling, tmp_path)).facts()
+        keys = {key.replace("_", " ") for key in tiling.summary if "_" in key}
+        foot = {key for key in facts if "_" in key}
+        assert not keys & (set(facts) - foot)
+        assert float(facts["radius of a field in degrees"]) == pytest.approx(tiling.summary["radius_deg"], rel=1e-3)
+    assert int(facts["targets wanted"]) == tiling.summary["n_targets"]
 
 
 def test_claims_have_verdicts_and_their_experiments(tmp_path):
@@ -348,7 +369,7 @@ def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
 
 def test_ids_of_figures_never_clash():
     """Matplotlib makes ids from what is drawn: the same figure twice has the same ones."""
-    first, second = (_svg.svg_of(nasty_figure(), k, "t", "w") for k in (1, 2))
+    first, second = (_svg.svg_of(nasty_figure(), name)["content"] for name in ("f1", "f2"))
     names = [set(re.findall(r'id="([^"]*)"', text)) for text in (first, second)]
     assert len(names[0]) == len(names[1]) > 3
     assert not names[0] & names[1]

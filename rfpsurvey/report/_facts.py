@@ -5,8 +5,9 @@ import numpy as np
 from rfpsurvey.probability import Estimate
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
+from rfpsurvey.tiling import Tiling
 
-__all__ = ["estimate_facts", "survey_facts", "tile_aims", "tile_facts"]
+__all__ = ["TILING", "estimate_facts", "survey_facts", "tile_aims", "tile_facts", "tiling_facts"]
 
 TILE = {
     "n_targets": "targets in the catalog",
@@ -27,6 +28,23 @@ TILE = {
     "n_obstacle_collisions": "collisions with obstacles",
     "collision_rate": "collision rate",
     "collision_rate_assigned": "  of assigned positioners",
+}
+TILING = {
+    "n_tiles": "tiles",
+    "radius_deg": "radius of a field in degrees",
+    "area_deg2": "area of the region in square degrees",
+    "covering_fraction": "fraction of the region that is covered",
+    "mean_depth": "mean number of fields per position",
+    "n_samples": "positions at which the covering is measured",
+    "fibers": "fibers per tile",
+    "n_targets": "targets wanted",
+    "n_on_tiles": "  on a tile",
+    "n_wanted": "visits wanted",
+    "n_observed": "  observed",
+    "completeness": "completeness",
+    "fiber_use": "fraction of the fibers used",
+    "n_isolated": "isolated targets",
+    "completeness_isolated": "  completeness",
 }
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
 
@@ -71,6 +89,11 @@ def survey_facts(survey: Survey) -> dict:
     if not s["n_unmet"]:
         del facts["requirements not met, all tiles"]
     return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
+
+
+def tiling_facts(tiling: Tiling) -> dict:
+    """Return what the summary of a tiling holds; values that have no label of their own go by their key."""
+    return {TILING.get(key, key.replace("_", " ")): value for key, value in tiling.summary.items() if value != ""}
 
 
 def estimate_facts(estimate: Estimate) -> dict:

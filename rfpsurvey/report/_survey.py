@@ -2,7 +2,7 @@
 
 from rfpsurvey.plot import plot_completeness, plot_tiling
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section
-from rfpsurvey.report._facts import survey_facts
+from rfpsurvey.report._facts import TILING, survey_facts, tiling_facts
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
 
@@ -26,9 +26,10 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),
         Picture("Completeness after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
+    model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions have none
     after = "Completeness after each pass, of each class of priority and of all."
     sections = [
-        Section("Result", [Facts("", survey_facts(survey))]),
+        Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("On the sky", pictures[:1]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section("Tiles", [Rows("The tiles of the survey, in the order of the tiling.", survey.tiles, where)]),
@@ -41,17 +42,13 @@ def page_of_survey(survey: Survey, where: str) -> Page:
 def page_of_tiling(tiling: Tiling, where: str) -> Page:
     """Return a page on where tiles are."""
     summary, table = tiling.summary, tiling.table
-    numbers = {k.replace("_", " "): v for k, v in summary.items() if v != ""}
-    names = {"n_tiles": "tiles", "completeness": "completeness", "fiber_use": "fiber use"}
     highlights = {"tiles": len(tiling)}
-    for key, label in names.items():
-        if isinstance(summary.get(key), float):
-            highlights[label] = summary[key]
+    highlights |= {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}
     rows = Rows("The tiles, in the order in which they are to be observed.", table, where or "Tiling.table")
     picture = Picture("The tiles on the sky.", plot_tiling(tiling), _about_tiles(table, "pass"))
     sections = [Section("On the sky", [picture]), Section("Tiles", [rows])]
-    if numbers:
-        sections.insert(0, Section("Result", [Facts("", numbers)]))
+    if summary:
+        sections.insert(0, Section("Result", [Facts("", tiling_facts(tiling))]))
     title = f"Tiles for {summary['instrument']}" if "instrument" in summary else "Tiles"
     n = len(set(table["pass"].tolist()))
     lead = f"{len(tiling)} tiles in {n} pass{'' if n == 1 else 'es'}."

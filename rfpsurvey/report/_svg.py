@@ -9,8 +9,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from rfpsurvey.report._text import text_of
-
 __all__ = ["dark_grays", "svg_of"]
 
 # In a figure of more points than this, artists of many points become images inside the SVG: the arms of 4000
@@ -18,6 +16,7 @@ __all__ = ["dark_grays", "svg_of"]
 MOST_POINTS = 60_000
 MANY_POINTS = 2000
 DPI = 200
+WIDE = 9  # inches: a wider figure has its caption below
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "rfpsurvey", "svg.image_inline": True}
 ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # in XML
 IMAGE = "data:image/png;base64,"
@@ -29,8 +28,8 @@ USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
 DARK_INK, DARK_PAPER = np.array([226, 229, 233]), np.array([22, 25, 29])
 
 
-def svg_of(figure, number: int, title: str, words: str) -> str:
-    """Return the SVG of a figure, which is the one of this number on its page."""
+def svg_of(figure, name: str) -> dict:
+    """Return the content of a figure's SVG, whose ids begin with a name, its box and width, and whether it is wide."""
     from matplotlib import rc_context
 
     figure = getattr(figure, "figure", figure)
@@ -39,20 +38,17 @@ def svg_of(figure, number: int, title: str, words: str) -> str:
         figure.savefig(file, format="svg", dpi=DPI, transparent=True, metadata={"Date": None})
     root = ElementTree.fromstring(ILLEGAL.sub(b"?", file.getvalue()))
     _remove(root, {"metadata", "style"})
-    names = _new_names(root, f"f{number}-")
+    names = _new_names(root, f"{name}-")
     for element in root.iter():
         element.tag = _local(element.tag)
         element.attrib = {_local(k): v for k, v in element.attrib.items()}
         _rename(element.attrib, names)
-    width = root.attrib.pop("width")
-    box = root.attrib["viewBox"]
-    inside = "".join(ElementTree.tostring(child, encoding="unicode") for child in root)
-    # browsers show the title as a hint, screen readers read it with the description
-    label = f'<title id="f{number}-title">{text_of(title)}</title><desc id="f{number}-words">{text_of(words)}</desc>'
-    return (
-        f'<svg viewBox="{box}" style="max-width:{width}" role="img" '
-        f'aria-labelledby="f{number}-title f{number}-words">{label}{inside}</svg>'
-    )
+    return {
+        "box": root.attrib["viewBox"],
+        "width": root.attrib["width"],
+        "wide": figure.get_figwidth() > WIDE,
+        "content": "".join(ElementTree.tostring(child, encoding="unicode") for child in root),
+    }
 
 
 def dark_grays(page: str) -> str:

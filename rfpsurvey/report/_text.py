@@ -1,7 +1,6 @@
 """Text as a page can hold it."""
 
 import unicodedata
-from html import escape
 
 __all__ = ["text_of"]
 
@@ -14,9 +13,9 @@ TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 def text_of(value: object) -> str:
     """Return text for a page; what no page can hold, or would confuse it, becomes a replacement character."""
     text = str(value).replace("\r\n", "\n")
-    if not (text.isascii() and text.isprintable()):
-        text = "".join(c if _is_text(c) else "\N{REPLACEMENT CHARACTER}" for c in text)
-    return escape(text)
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(c if _is_text(c) else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _is_text(character: str) -> bool:

@@ -113,7 +113,7 @@ def write_report(
     pictures = _pictures(figures)
     page = _page_of(result, "" if data is None else Path(data).name)
     if title is not None:
-        page = replace(page, title=title)
+        page = replace(page, title=str(title))  # not a type that marks itself as safe HTML
     if pictures:
         page = replace(page, sections=[Section("Figures", pictures), *page.sections])
     content = html_of(page, max_rows).encode()
