@@ -1,4 +1,4 @@
-"""The door where units and masks come off: everything inside is plain float64 in mm, radians or numbers."""
+"""Convert input with units and masks to plain float64 arrays in mm, radians or numbers."""
 
 import astropy.units as u
 import numpy as np

@@ -46,7 +46,7 @@ class Positioner:
         Largest displacement of the arm in one step, instead of (l1 + l2) sin(2 step); ``step`` then does not matter.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip"}, optional
         What can collide: the segment from the elbow to the fiber; a segment of its own from the elbow; or the fiber
-        alone, so that two targets must only not be closer than the safe distance.
+        alone, so that two targets must only not be closer than the minimum separation.
     arm_length : Quantity, optional
         Length of the capsule's segment, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
@@ -61,7 +61,7 @@ class Positioner:
     References
     ----------
     Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
-    Theta-phi Positioners", Eqs. 1 and 2 (safe distance).
+    Theta-phi Positioners", Eqs. 1 and 2 (minimum separation).
 
     Examples
     --------

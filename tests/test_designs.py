@@ -63,7 +63,7 @@ def test_arms_that_cannot_touch_never_collide():
         ((20, 20, 25, 4), "central arm over pitch must be from 0.2 to 0.6, got 0.8"),
         ((8, 7, 25, 4), "eccentric over central arm must be from 1 to 3"),
         ((8, 25, 25, 4), "eccentric over central arm must be from 1 to 3"),
-        ((8, 8, 25, 0.1), "safe distance over pitch must be from 0.02 to 0.3"),
+        ((8, 8, 25, 0.1), "minimum separation over pitch must be from 0.02 to 0.3"),
         ((8, np.nan, 25, 4), "eccentric over central arm"),
         ((8, 8, 0, 4), "positive lengths"),
         ((np.nan, 8, 25, 4), "positive lengths"),
@@ -95,7 +95,7 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
         few["central arm over pitch"][1] * PITCH * MM,
         few["central arm over pitch"][1] * few["eccentric over central arm"][1] * PITCH * MM,
         PITCH * MM,
-        few["safe distance over pitch"][1] * PITCH * MM,
+        few["minimum separation over pitch"][1] * PITCH * MM,
     )
     assert risk[1, 1, 1] == pytest.approx(shipped, abs=0.02)
     with pytest.raises(rs.InputError, match="exists"):

@@ -272,7 +272,7 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
 @pytest.mark.parametrize("method", ["optimal", "repair"])
 @pytest.mark.parametrize(("gap", "n"), [(4.5, 2), (np.nextafter(4.5, 0), 1), (np.nextafter(4.5, 5), 2)])
 def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
-    """Stretched arms beside each other: no collision at the safe distance, one a rounding nearer."""
+    """Stretched arms beside each other: no collision at the minimum separation, one a rounding nearer."""
     plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, rs.Positioner(4 * MM, 4 * MM, 2.25 * MM))
     found = rs.allocate(plane, [[8, 0], [8, gap]] * MM, allocator=rs.AllocationOptions(method, parked_obstacles=False))
     assert found.n_assigned == n

@@ -23,7 +23,7 @@ print(tile)
 # %%
 # The number of stars of each class that got a fiber, and the proven limit.
 
-for name, reached, limit in tile.summary["aims"]:
+for name, reached, limit in tile.summary["objectives"]:
     print(f"{name}: {reached:.0f} of {limit:.0f}")
 
 # %%

@@ -10,7 +10,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, write_table
-from rfpsurvey.report import estimate_facts, tile_aims, tile_facts
+from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives
 
 __all__ = [
     "PICTURES",
@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 PICTURES = (".png", ".pdf", ".svg")
-MOST_AIMS = 12
+MOST_OBJECTIVES = 12
 MAP = (
     "Collision probability of each positioner. Values of single positioners scatter, since the number of trials is "
     "finite. Inside of a regular lattice without gaps, the expected value is the same everywhere; positioners at edges "
@@ -159,18 +159,18 @@ def print_summary(tile: "rs.Tile") -> None:
         print(f"model: {tile.summary['model']}")
     for label, value in tile_facts(tile).items():
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
-    _print_aims(tile)
+    _print_objectives(tile)
     seconds = tile.summary["seconds"]
     print(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  " + ", ".join(f"{k} {v:.3f}" for k, v in seconds.items()))
 
 
-def _print_aims(tile: "rs.Tile") -> None:
+def _print_objectives(tile: "rs.Tile") -> None:
     """Print the classes of targets, whether the plan is proven, and what it lacks."""
-    summary, aims = tile.summary, tile_aims(tile)
-    for name, value, proof in aims[:MOST_AIMS]:
+    summary, objectives = tile.summary, tile_objectives(tile)
+    for name, value, proof in objectives[:MOST_OBJECTIVES]:
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
-    if len(aims) > MOST_AIMS:
-        print(f"  and {len(aims) - MOST_AIMS} more classes")
+    if len(objectives) > MOST_OBJECTIVES:
+        print(f"  and {len(objectives) - MOST_OBJECTIVES} more classes")
     if summary.get("gap") is not None:
         model = summary["search"].get("model", "")
         print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}")

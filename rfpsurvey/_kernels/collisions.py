@@ -1,4 +1,4 @@
-"""Which arms are closer than the safe distance: a broad phase that rejects, and a distance with a proven error.
+"""Which arms are closer than the minimum separation: a broad phase that rejects, and a distance with a proven error.
 
 Segments are columns: rows x0, y0, x1, y1 of an array (4, n); an arm that is not there is NaN.
 
@@ -25,11 +25,11 @@ SHORT_RUN = 8
 
 
 class Limits(NamedTuple):
-    """Safe distance, and what rounding adds to it, for segments up to a length, up to a distance from the origin."""
+    """Minimum separation, and what rounding adds to it, for segments up to a length and distance from the origin."""
 
     separation: float
     slack: float
-    """What the broad phase adds to the safe distance."""
+    """What the broad phase adds to the minimum separation."""
     near: float
     """Farthest middles of a pair that can collide, slack included."""
     band: float
@@ -38,7 +38,7 @@ class Limits(NamedTuple):
 
 def limits(separation, length, extent):
     """Limits for segments no longer than ``length`` with ends no farther than ``extent`` from the origin (mm)."""
-    size = 2.0 * length + separation  # S of a pair at the safe distance; farther ones are farther from the limit, too
+    size = 2.0 * length + separation  # S of a pair at the limit; farther ones are farther from it, too
     slack = REJECT_ERROR * (extent + size)
     error = 1.2 * DISTANCE_ERROR * size  # the rounding of separation^2 and of the comparison included
     return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
@@ -158,7 +158,7 @@ def keep_near(halves, m, squared, first, second):
 
 @kernel
 def near_pairs(halves, runs, limits, mask, first, second):
-    """Neighbors that may be closer than the safe distance; returns how many, written to ``first`` and ``second``.
+    """Neighbors that may be closer than the minimum separation; returns how many, written to ``first`` and ``second``.
 
     ``runs`` lists neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, n pairs. Arms with middles too
     far apart are not looked at, nor are those that an axis separates.
@@ -186,7 +186,7 @@ def near_pairs(halves, runs, limits, mask, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, mask, first, second, squared):
-    """Pairs closer than the safe distance, and those within the band about it, which rounding may put either way.
+    """Pairs closer than the minimum separation, and those within the band about it, which rounding may put either way.
 
     Returns their number and how many of them are within the band.
     """

@@ -47,7 +47,7 @@ class Allocation:
     queues : tuple of ndarray or None
         For ``balanced``: indptr and targets of all queues, of which the configuration is one draw.
     levels : tuple of Level
-        What the plan aims at, the first aim before all others: name, value and bound, which is what no plan
+        What the plan objectives at, the first objective before all others: name, value and bound, which is what no plan
         exceeds given the values before; NaN where nothing is proven.
     unmet : tuple of Shortfall
         Requirements that are not met; as text each is a sentence.
@@ -100,7 +100,7 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """What no plan exceeds that is as good in all aims that are proven; NaN where nothing is proven."""
+        """What no plan exceeds that is as good in all objectives that are proven; NaN where nothing is proven."""
         # classes that are not proven have bounds on all classes up to them: the largest gap counts, not their sum
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 

@@ -7,7 +7,7 @@ from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._problem import AllocationProblem
 
-__all__ = ["improve", "match", "mend", "pick", "trim"]
+__all__ = ["improve", "match", "pick", "repair_collisions", "trim"]
 
 ROUNDS = 10
 
@@ -54,7 +54,7 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
     return target_of
 
 
-def mend(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
+def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
     """Return a plan without collisions, how many positioners moved without a loss, and how many gave up.
 
     The last candidate of each positioner must be its idle arm, which stands in for none (-1).

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._candidates import find_candidates
-from rfpsurvey.allocation._local_search import match, mend, pick, trim
+from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
 from rfpsurvey.allocation._search import decide
 from rfpsurvey.focal_plane import elbow_names
@@ -67,7 +67,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     candidates = find_candidates(problem, keep_target=before)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
     first = pick(candidates, trim(problem, before), side)
-    chosen, moved, dropped = mend(candidates, first)
+    chosen, moved, dropped = repair_collisions(candidates, first)
     options, had = candidates.options, before >= 0
     dropped += int((had & (first < 0)).sum())  # at obstacles, or beyond a maximum
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}

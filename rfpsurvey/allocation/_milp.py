@@ -1,4 +1,4 @@
-"""Variables, constraints and aims of some positioners whose candidates are not decided."""
+"""Variables, constraints and objectives of some positioners whose candidates are not decided."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -9,14 +9,14 @@ from scipy.sparse import csr_array, vstack
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._candidates import Candidates
 
-__all__ = ["Aim", "Program"]
+__all__ = ["Objective", "Program"]
 
 # HiGHS' presolve looks at no clock. It takes about this many seconds for each (entries of the matrix)^2 / variables, as
 # measured on dense programs, and is left out where that is more than this part of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 
 
-class Aim(NamedTuple):
+class Objective(NamedTuple):
     """Something to be as large as possible, a row of `Program.matrix`."""
 
     low: float
@@ -47,7 +47,7 @@ class Program:
         self._targets()
         self._requirements(others)
         self.rows = vstack(self._parts, format="csr"), np.concatenate(self._low), np.concatenate(self._high)
-        self.matrix, self.aims = self._aims()
+        self.matrix, self.objectives = self._objectives()
 
     def variables(self, chosen: np.ndarray) -> np.ndarray:
         """Return the variables of a plan; what requirements lack is what they lack in it."""
@@ -63,11 +63,11 @@ class Program:
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]
 
     def reaches(self, x: np.ndarray) -> np.ndarray:
-        """Return what each aim reaches."""
+        """Return what each objective reaches."""
         return np.round(self.matrix @ x)
 
     def goal(self, first: int, weights: np.ndarray) -> np.ndarray:
-        """Return the coefficients of a weighted sum of aims, from the first one on."""
+        """Return the coefficients of a weighted sum of objectives, from the first one on."""
         return self.matrix[first : first + len(weights)].T @ weights
 
     def holds(self, x: np.ndarray) -> bool:
@@ -79,7 +79,7 @@ class Program:
     def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, keep=(), gap: float = 0.0):
         """Return variables (None: nothing found in time) and what the goal cannot exceed.
 
-        ``keep`` are values of the first aims that must not be lost, ``gap`` the relative error that is allowed.
+        ``keep`` are values of the first objectives that must not be lost, ``gap`` the relative error that is allowed.
         """
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -179,24 +179,24 @@ class Program:
             if one.maximum is not None:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
-    def _aims(self):
+    def _objectives(self):
         """Everything to be as large as possible, in strict order: coefficients of the variables, and limits."""
         problem, n_classes = self.problem, len(self.problem.classes)
         rank = self.candidates.options.rank[self.candidate]
-        columns, worth, aims = [], [], []
+        columns, worth, objectives = [], [], []
 
         def add(used, *, is_class=False):
             most = min(len(np.unique(self.own[used])), len(np.unique(self.target[used])))
             columns.append(used)
             worth.append(1.0)
-            aims.append(Aim(0.0, float(most), is_class))
+            objectives.append(Objective(0.0, float(most), is_class))
 
         if problem.any_required:
             add(np.flatnonzero(np.append(problem.required, False)[self.target]))
         if problem.groups:
             columns.append(self.short)
             worth.append(-1.0)
-            aims.append(Aim(-float(sum(g.requirement.minimum for g in problem.groups)), 0.0))
+            objectives.append(Objective(-float(sum(g.requirement.minimum for g in problem.groups)), 0.0))
         if problem.objective == "count" and n_classes > 1:
             add(np.flatnonzero(rank < n_classes))
         order = np.argsort(rank, kind="stable")
@@ -205,5 +205,5 @@ class Program:
         if not problem.science.all():
             add(np.flatnonzero(self.target >= 0))
         sizes = [len(used) for used in columns]
-        row, column = np.repeat(np.arange(len(aims)), sizes), np.concatenate(columns)
-        return csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(aims), self.n)), aims
+        row, column = np.repeat(np.arange(len(objectives)), sizes), np.concatenate(columns)
+        return csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(objectives), self.n)), objectives

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from rfpsurvey._kernels import reduce
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._lexicographic import pursue
-from rfpsurvey.allocation._local_search import improve, match, mend, pick, trim
+from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
 from rfpsurvey.focal_plane import elbow_names
@@ -66,9 +66,9 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
 
 
 def _plan(candidates, chosen, collide):
-    """Return a plan to begin with: no target (-1) is the idle arm, the last candidate, and collisions are mended."""
+    """Return a plan to begin with: no target (-1) is the idle arm, the last candidate, and collisions are repaired."""
     if collide:
-        return mend(candidates, chosen)[0]
+        return repair_collisions(candidates, chosen)[0]
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 

@@ -129,7 +129,7 @@ class Finder:
             unit = UNITS[role]
         try:
             values = u.Quantity(values, unit).to(UNITS[role])
-        except (TypeError, ValueError):  # units that do not convert, or that nobody knows
+        except (TypeError, ValueError):  # units that do not convert, or that are not known
             raise InputError(
                 f"column {name!r} ({role}) must have a unit convertible to {UNITS[role]}, got {unit}"
             ) from None

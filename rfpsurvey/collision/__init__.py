@@ -1,4 +1,4 @@
-"""Static collisions: where the arms stand, and which of them are closer than the safe distance."""
+"""Static collisions: where the arms stand, and which of them are closer than the minimum separation."""
 
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, lay_out, make_desk, make_stage

@@ -35,7 +35,7 @@ class CollisionCounts:
     n_counted, n_assigned : ndarray of int, shape (m,)
         Positioners that count (assigned, and parked equal-arm ones), and assigned ones.
     n_borderline : ndarray of int, shape (m,)
-        Pairs so near to the safe distance that rounding could put them on either side; here the computed
+        Pairs so near to the minimum separation that rounding could put them on either side; here the computed
         distance decides.
     per_positioner : ndarray of int, shape (n,)
         Configurations in which each positioner is in collision.

@@ -1,4 +1,4 @@
-"""Which arms of one configuration are closer than the safe distance."""
+"""Which arms of one configuration are closer than the minimum separation."""
 
 from fractions import Fraction
 
@@ -41,7 +41,7 @@ def find_collisions(
     method: str = "exact",
     n_points: int = 65,
 ) -> CollisionReport:
-    """Find the arms that are closer to each other than the safe distance D.
+    """Find the arms that are closer to each other than the minimum separation D.
 
     Two positioners collide if and only if the distance of the segments that can collide is below D (strictly);
     crossing segments have the distance 0. An arm collides with an obstacle if it comes

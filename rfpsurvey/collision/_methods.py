@@ -107,7 +107,7 @@ def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
 
 
 def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, distances: np.ndarray) -> Found:
-    """Return the pairs closer than the safe distance."""
+    """Return the pairs closer than the minimum separation."""
     near = distances < case.plane.arrays.separation
     return Found(first[near], second[near], distances[near])
 

@@ -18,7 +18,7 @@ class CollisionReport:
     Parameters
     ----------
     pairs : ndarray of int, shape (k, 2)
-        Positioners i < j whose arms are closer than the safe distance, sorted.
+        Positioners i < j whose arms are closer than the minimum separation, sorted.
     distances : Quantity, shape (k,)
         Their distances.
     obstacle_pairs : ndarray of int, shape (m, 2)
@@ -32,9 +32,9 @@ class CollisionReport:
     counted : ndarray of bool, shape (n,)
         Positioners that the rate refers to: assigned ones and parked equal-arm ones.
     n_borderline : int or None, optional
-        Pairs so near to the safe distance (or arms to the clearance from an obstacle) that rounding could put them on
-        either side; ``exact`` and ``cuda`` settle them in rational arithmetic, as obstacles always are. None: the
-        method has no proven error. 0 where no two arms can touch.
+        Pairs so near to the minimum separation (or arms to the clearance from an obstacle) that rounding could put
+        them on either side; ``exact`` and ``cuda`` settle them in rational arithmetic, as obstacles always are.
+        None: the method has no proven error. 0 where no two arms can touch.
 
     Examples
     --------

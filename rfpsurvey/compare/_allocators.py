@@ -111,15 +111,15 @@ def compare_allocators(
 def _row(name, tile, blind):
     """Figures of one plan."""
     summary, table = tile.summary, tile.table
-    aims = {aim: value for aim, value, _ in summary["aims"]}
+    values = {level: value for level, value, _ in summary["objectives"]}
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
     row = {"allocator": name, **{kind: on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
-    classes = [aim for aim in aims if aim.startswith("priority ")]
+    classes = [level for level in values if level.startswith("priority ")]
     if len(classes) <= MOST_CLASSES:
-        row.update({aim.replace(" ", "_"): int(aims[aim]) for aim in classes})
+        row.update({level.replace(" ", "_"): int(values[level]) for level in classes})
     seconds = summary["seconds"]
     return row | {
-        "missing": int(-aims.get("requirements", 0)),
+        "missing": int(-values.get("requirements", 0)),
         "colliding": summary["n_colliding"],
         "pairs": summary["n_colliding_pairs"],
         "at_obstacles": summary["n_obstacle_collisions"],

@@ -63,12 +63,12 @@ def explore_designs(
     pitch : Quantity, scalar or shape (k,)
         Distance of neighboring centers.
     clearance : Quantity, scalar or shape (k,)
-        Radius that the eccentric arm keeps free around itself, half the safe distance (but for ``step``).
+        Radius that the eccentric arm keeps free around itself, half the minimum separation (but for ``step``).
     n_designs : int, optional
         So many designs instead of a grid, between limits: each parameter is one value, or (low, high). They are
         scrambled points of Sobol; fewer designs of the same seed are the first of more.
     step : Quantity, optional
-        Angle of one step of the motors, of which the safe distance depends, see `~rfpsurvey.Positioner`.
+        Angle of one step of the motors, of which the minimum separation depends, see `~rfpsurvey.Positioner`.
     loss : LossOptions or {"independent", "allocated", "collision_free"}, optional
         Which loss, and how it is found; a name alone stands for that loss by the cheapest method that is good enough.
     objectives : dict of str to str, optional

@@ -32,7 +32,7 @@ class Lattice:
 
     @cached_property
     def separation(self) -> float:
-        """Safe distance D in mm."""
+        """Minimum separation D in mm."""
         return float(self.unit.min_separation.to_value(u.mm))
 
     @cached_property
@@ -42,7 +42,7 @@ class Lattice:
 
     @property
     def shape(self) -> tuple[float, float, float]:
-        """What the probability depends on: central arm over pitch, ratio of the arms, safe distance over pitch."""
+        """What the probability depends on: central arm over pitch, ratio of the arms, minimum separation over pitch."""
         central_arm, eccentric_arm = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
         return float(central_arm / self.pitch), float(eccentric_arm / central_arm), self.separation / self.pitch
 
@@ -107,7 +107,7 @@ def make_lattice(
         return None, str(error)
     lattice = Lattice(unit, pitch)
     if pitch <= lattice.separation:
-        return None, "centers are nearer than the safe distance"
+        return None, "centers are nearer than the minimum separation"
     if lattice.radii[1] > MOST_REACH * pitch:
         return None, f"arms reach further than {MOST_REACH:g} pitches"
     return lattice, ""

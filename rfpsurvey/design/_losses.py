@@ -77,7 +77,7 @@ def optimal(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare a plan by LAMOST's rule, mended, with the best one that does not look at collisions."""
+    """Compare a plan by LAMOST's rule, repaired, with the best one that does not look at collisions."""
     return _compare(lattice, skies, "repair")
 
 

@@ -222,7 +222,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def limits(self) -> collisions.Limits:
-        """Safe distance and the slack for rounding."""
+        """Minimum separation and the slack for rounding."""
         extent = np.hypot(*self.xy.T) + self.arm_reach
         return collisions.limits(
             self.separation, self.longest, float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS

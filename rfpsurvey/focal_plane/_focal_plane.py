@@ -102,7 +102,7 @@ class FocalPlane:
         return 3 if distance.max() > 1.5 * np.median(nearest) else 2
 
     def neighbor_pairs(self) -> np.ndarray:
-        """Return the pairs of positioners whose arms can come closer than the safe distance.
+        """Return the pairs of positioners whose arms can come closer than the minimum separation.
 
         Returns
         -------

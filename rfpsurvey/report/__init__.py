@@ -1,7 +1,7 @@
 """One self-contained HTML page from any result."""
 
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
-from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_aims, tile_facts
+from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives
 from rfpsurvey.report._write import MADE_BY, PAGES, check_report, write_report
 
 __all__ = [
@@ -16,7 +16,7 @@ __all__ = [
     "check_report",
     "estimate_facts",
     "survey_facts",
-    "tile_aims",
     "tile_facts",
+    "tile_objectives",
     "write_report",
 ]

@@ -7,7 +7,7 @@ from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 from rfpsurvey.tiling import Tiling
 
-__all__ = ["TILING", "estimate_facts", "survey_facts", "tile_aims", "tile_facts", "tiling_facts"]
+__all__ = ["TILING", "estimate_facts", "survey_facts", "tile_facts", "tile_objectives", "tiling_facts"]
 
 TILE = {
     "n_targets": "targets in the catalog",
@@ -55,13 +55,13 @@ def tile_facts(tile: Tile) -> dict:
     return {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
 
 
-def tile_aims(tile: Tile) -> list[tuple[str, int, str]]:
+def tile_objectives(tile: Tile) -> list[tuple[str, int, str]]:
     """Return each class of targets, the fibers on it, and where more is not excluded, how many there can be."""
-    aims = tile.summary.get("aims", [])
-    if len(aims) < 2:
+    objectives = tile.summary.get("objectives", [])
+    if len(objectives) < 2:
         return []
     found = []
-    for name, value, bound in aims:
+    for name, value, bound in objectives:
         label, limit = ("missing of the requirements", "at least") if name == "requirements" else (name, "at most")
         proof = "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
         found.append((label, round(abs(value)), proof))

@@ -6,7 +6,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey.plot import plot_focal_plane
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
-from rfpsurvey.report._facts import tile_aims, tile_facts
+from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.tile import Tile
 
 __all__ = ["page_of_tile"]
@@ -45,7 +45,7 @@ VARYING = ("kind", "fiber_type", "spectrograph")
 """Columns of the assignments that are shown if they have more than one value."""
 NARROW = 25
 MARGIN = 4  # radii of patrol areas about the place that is shown larger
-MOST_AIMS = 12
+MOST_OBJECTIVES = 12
 TITLE = 0.35  # inches, of the title that a caption replaces
 LITTLE = 60  # positioners that need no part shown larger
 
@@ -115,10 +115,10 @@ def _asked(tile) -> dict:
 
 def _aims(tile) -> list:
     """Return the classes of targets, and how far the plan is proven."""
-    aims, gap = tile_aims(tile), tile.summary.get("gap")
-    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in aims[:MOST_AIMS]}
-    if len(aims) > MOST_AIMS:
-        values["more classes, not shown"] = len(aims) - MOST_AIMS
+    objectives, gap = tile_objectives(tile), tile.summary.get("gap")
+    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in objectives[:MOST_OBJECTIVES]}
+    if len(objectives) > MOST_OBJECTIVES:
+        values["more classes, not shown"] = len(objectives) - MOST_OBJECTIVES
     if gap is not None:
         values["gap to the best plan"] = gap
     return [Facts("Classes of targets, in order of priority", values)] if values else []

@@ -26,7 +26,7 @@ from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
 
-# arms and pitch (mm), safe distance over 2, targets, precision of plain and of conditional simulation
+# arms and pitch (mm), minimum separation over 2, targets, precision of plain and of conditional simulation
 SCENES = {
     "LAMOST": ((8.25, 8.25, 25.6, 2.25, 148), {"monte_carlo": 0.003, "conditional": 0.0015}),
     "SDSS-V": ((7.4, 15.0, 22.4, 2.5391, 148), {"monte_carlo": 0.005, "conditional": 0.003}),

@@ -1,4 +1,4 @@
-"""What a survey knows of every target: how often it is wanted, and what became of it; a few bytes a target."""
+"""The state of all targets of a survey: visits wanted and left, and outcomes, in a few bytes per target."""
 
 import numpy as np
 

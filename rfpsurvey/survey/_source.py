@@ -1,4 +1,4 @@
-"""Where a survey takes the targets of a field from. What a survey knows of a target is kept by its *slot*."""
+"""The targets of a survey, in memory or in partitions; the state of a target is kept by its *slot*."""
 
 import hashlib
 from collections import OrderedDict

@@ -24,7 +24,7 @@ from rfpsurvey.tile._tile import Tile, build_tile
 __all__ = ["plan_tile"]
 
 # Objectives that a summary lists.
-MOST_AIMS = 100
+MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -150,7 +150,7 @@ def plan_tile(
         "n_in_field": len(rows),
         "n_set_aside": len(rows) - len(given),
         "n_reachable": allocation.n_reachable,
-        "aims": [[level.name, level.value, _known(level.bound)] for level in allocation.levels[:MOST_AIMS]],
+        "objectives": [[level.name, level.value, _known(level.bound)] for level in allocation.levels[:MOST_OBJECTIVES]],
         "gap": _known(allocation.gap),
         "unmet": sentences(allocation.unmet) + absent_required(targets.id, required),
         "search": allocation.meta,

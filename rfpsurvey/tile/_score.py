@@ -60,7 +60,7 @@ def score_tile(
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`; roles here are also ``positioner``, ``x``, ``y``.
     parked_obstacles : bool, optional
-        Do idle equal-arm positioners stand in the way?
+        Whether idle equal-arm positioners are obstacles.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The one door of tile placement."""
+"""Place the tiles of a survey."""
 
 import logging
 import warnings

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 import rfpsurvey as rs
 
 REPEATS = 15
-# rings, pitch, central and eccentric arm, safe distance (mm), targets
+# rings, pitch, central and eccentric arm, minimum separation (mm), targets
 HEXAGONS = {
     "LAMOST": (36, 25.6, 8.25, 8.25, 4.5, 15988),
     "DESI-like": (40, 10.4, 3, 3, 2.0, 24605),

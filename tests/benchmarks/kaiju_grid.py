@@ -9,7 +9,7 @@ __all__ = ["make_grid", "set_poses"]
 
 
 def make_grid(plane):
-    """Return a robot grid whose arms collide as those of ``plane``: a segment to the fiber, the same safe distance."""
+    """Return a robot grid whose arms collide as those of ``plane``: a segment to the fiber, the same separation."""
     from kaiju.cKaiju import RobotGrid
 
     unit = plane.positioner
