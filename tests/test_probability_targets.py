@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
 from oracles import balanced_queues, expectation, lamost_target, tangent_plane_mm
-from rfpsurvey.probability import RandomTargets, make_source
+from rfpsurvey.probability import Precision, RandomTargets, make_source
 from scenes import CAPSULE, MM, lamost_like, sdss_like
 
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -279,3 +279,32 @@ def test_an_estimate_says_why_its_method_was_used(options, expected):
     assert estimate.meta["choice"].startswith(expected)
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=1, pitch=30 * u.mm)
     assert flat.collision_probability(far, **options).meta["choice"] == "no two arms can touch"
+
+
+def test_options_have_short_representations():
+    assert repr(RandomTargets()) == "RandomTargets('uniform')"
+    assert repr(RandomTargets("poisson", radius=6 * u.cm)) == "RandomTargets('poisson', radius=<Quantity 6. cm>)"
+    assert repr(Precision()) == "Precision()"
+    assert repr(Precision(0.01, interval="bootstrap")) == "Precision(0.01, interval='bootstrap')"
+
+
+def test_a_kind_and_a_standard_error_are_short_for_options():
+    plane = lamost_like(1)
+    short = rs.collision_probability(plane, targets="poisson", precision=0.02)
+    full = rs.collision_probability(plane, targets=RandomTargets("poisson"), precision=Precision(0.02))
+    assert (short.value, short.n, short.meta) == (full.value, full.n, full.meta)
+    default = rs.collision_probability(plane)
+    assert (default.meta["targets"], default.n) == ("uniform", rs.collision_probability(plane, precision=0.001).n)
+
+
+@pytest.mark.parametrize(
+    "options", [{"requirements": "sky=3"}, {"requirements": "instrument"}, {"sky_separation": 1 * MM}]
+)
+def test_options_of_targets_other_than_science_are_refused(options):
+    with pytest.raises(rs.InputError, match="allocator must have no requirements and no sky_separation"):
+        rs.collision_probability(lamost_like(1), allocator=rs.AllocationOptions("lamost", **options))
+
+
+def test_the_separation_of_random_targets_is_a_length():
+    with pytest.raises(rs.InputError, match="min_separation must have a unit convertible to mm, got arcsec"):
+        RandomTargets("poisson_disc", min_separation=1 * u.arcsec)
