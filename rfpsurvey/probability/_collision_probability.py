@@ -44,12 +44,12 @@ def collision_probability(
     executor: Executor | None = None,
     progress: bool = False,
 ) -> Estimate:
-    """Estimate how likely a positioner is to collide with another one when all stand at their targets.
+    """Estimate the probability that a positioner at its target collides with another one.
 
-    The probability is the expected part of the positioners that are in collision, of those with a target and, with
-    equal arms, those parked at home. Methods answer one of two questions: targets are **allocated** to queues, of which
-    a configuration takes one each, or every positioner draws its own target **independently** of all others. The
-    answers differ by up to a factor of five, so that methods can be compared within one question only.
+    The probability is the expected fraction of positioners that are in collision, of those with a target and, with
+    equal arms, those that are parked. A method estimates one of two quantities: targets are **allocated** to queues,
+    and a configuration has one target of each queue, or every positioner draws its own target **independently** of all
+    others. The two differ by up to a factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
@@ -59,33 +59,35 @@ def collision_probability(
         ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
         ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024),
         arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors.
-        Without an error: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (part of the patrol area
-        that others reach), ``close_pair`` (chance that another observed target lies within the safe distance).
-        ``auto``: the cheapest one of the estimand that has an error. Another name is that of a method of an installed
-        package; a function of a `~rfpsurvey.probability.ProbabilityQuestion` is taken as it is.
+        Without an error estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (fraction of the
+        patrol area that others reach), ``close_pair`` (probability that another observed target lies within the
+        minimum separation). ``auto``: the fastest method of the estimand that has an error estimate. Any other name is
+        that of a method of an installed package. A function of a `~rfpsurvey.probability.ProbabilityQuestion` is called
+        directly.
     estimand : {"allocated", "independent"}, optional
-        For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
+        For ``auto``: what to estimate, ``allocated`` by default. Each other method has one estimand.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
         Allocated targets; methods for independent targets ignore them. `~rfpsurvey.probability.RandomTargets`, or
-        their kind alone: ``"uniform"`` or ``"poisson"``. A function of a Generator that returns a Quantity of shape
-        (n, 2), new at each call. Or one sky: points on the focal plane, or a Catalog, whose science targets an
+        their kind alone: ``"uniform"`` or ``"poisson"``. A function of a Generator that returns new targets at each
+        call, a Quantity of shape (n, 2). Or one sky: points on the focal plane, or a Catalog, whose science targets the
         Instrument projects.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. Without queues (``lamost``) a realization has one configuration.
         Options also state whether idle equal-arm positioners are obstacles and count (``parked_obstacles``, true by
-        default). They must not have requirements nor a sky separation, since all targets are science targets.
+        default). They must not contain requirements or a sky separation, since all targets are science targets.
     most_entries : int, optional
-        Let ``conditional`` look at no more than so many entries of each queue, drawn anew for each realization: where
-        queues are long, more realizations of less work reach a precision sooner. None: all.
+        Maximum number of entries of each queue that ``conditional`` uses, drawn anew for each realization. With long
+        queues, a larger number of faster realizations reaches a precision sooner. None for all entries.
     density : str, callable, Allocation or list of Allocation, optional
-        Independent targets: ``"uniform"`` (default) over the patrol area, ``"shared"`` with weight 1/k where k
-        positioners reach, ``"voronoi"`` where one's own center is the nearest; a function of points (Quantity of
-        shape (n, 2)) that returns their density up to a factor; or the queues of allocations, put together.
+        Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
+        where k positioners reach; ``"voronoi"``, where the center of the positioner is the nearest center; a function
+        of points (Quantity of shape (n, 2)) that returns their density up to a factor; or the combined queues of
+        allocations.
     variant : {"corrected", "pitch", "printed"}, optional
-        Of the closed form: with misprints corrected and the distance of each neighbor; with the pitch in its place; or
-        as it is printed, which equal arms make 0/0.
+        Variant of the closed form: with misprints corrected and the distance of each neighbor; with the pitch instead
+        of that distance; or as printed, which is 0/0 for equal arms.
     precision : float or Precision, optional
         `~rfpsurvey.probability.Precision`: when iterations end, and how the interval is computed. A float is the
         standard error to reach. By default 0.001.
@@ -94,9 +96,9 @@ def collision_probability(
     rng : int, Generator or None, optional
         Seed or source of random numbers. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
-        Where parts of the simulation run; kernels release the GIL, so that threads do. None: here.
+        Runs parts of the simulation; kernels release the GIL, so that threads suffice. None for the calling thread.
     progress : bool, optional
-        Show a bar on the standard error.
+        Whether to show a progress bar on the standard error stream.
 
     Returns
     -------
@@ -108,8 +110,8 @@ def collision_probability(
     Raises
     ------
     InputError
-        If a name is unknown, numbers are impossible, options do not belong to the method, or a method that is not ours
-        fails or returns what cannot be.
+        If a name is unknown, a number is out of range, an option does not belong to the method, or a method that is not
+        built in fails or returns an invalid result.
 
     Warns
     -----
@@ -198,7 +200,7 @@ def collision_probability(
 
 
 def _check_options_of_method(name, *, density, variant, interval, center, targets):
-    """Refuse options of another method."""
+    """Refuse options that belong to another method."""
     if density is not None and name != "quadrature":
         raise InputError(f"density belongs to the method 'quadrature', of independent targets, not to {name!r}")
     if variant != "corrected" and name != "closed_form":
@@ -228,7 +230,7 @@ def _check_numbers(*, dynamic, most_entries):
 
 
 def _check_density(density):
-    """Refuse what is no density."""
+    """Refuse an invalid density."""
     known = density is None or callable(density) or isinstance(density, Allocation)
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
@@ -239,7 +241,7 @@ def _check_density(density):
 
 
 def _zero(plane, source):
-    """No two arms can ever touch, nor an obstacle: nothing has to be drawn."""
+    """Return the result where no two arms can touch, and none an obstacle: nothing has to be drawn."""
     check_usable(plane)
     nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
     per_positioner = np.where(plane.arrays.usable, 0.0, np.nan)

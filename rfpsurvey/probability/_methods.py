@@ -126,7 +126,7 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""Queues are not worth an average where there are fewer targets a positioner."""
+"""With fewer targets per positioner, an average over queues is not worth its time."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:

@@ -57,7 +57,7 @@ def merge(parts: list[Tally]) -> Tally:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A task: simulate so many realizations with this source of random numbers."""
+    """Simulate realizations of targets and their allocation."""
 
     plane: FocalPlane
     source: Source
@@ -67,7 +67,7 @@ class Simulation:
 
     @property
     def compiled(self) -> bool:
-        """Say whether kernels do it all."""
+        """Whether kernels run the whole simulation."""
         balanced = self.options.allocator == "balanced"
         return self.source.compiled and balanced and self.plane.positioner.numbers.joints_free
 

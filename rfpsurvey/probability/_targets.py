@@ -19,9 +19,9 @@ from rfpsurvey.probability._options import KINDS, RandomTargets
 __all__ = ["Source", "make_source"]
 
 PER_FIBER = 4.0
-"""Targets a positioner where nothing says how many (LAMOST's, as in the paper)."""
+"""Targets per positioner where no number is given (that of LAMOST, as in the paper)."""
 FILLING = 0.5
-"""Random addition of discs jams at 0.547 of the area; near that it takes for ever."""
+"""Random addition of discs jams at 0.547 of the area; near that it takes too long."""
 FINEST = 700
 """Separations of less than the radius over this make no difference, but need much memory."""
 
@@ -33,7 +33,7 @@ class Source:
     kind: str
     number: float = 0.0
     each: float = 0.0
-    """Targets a positioner."""
+    """Targets per positioner."""
     middle: tuple[float, float] = (0.0, 0.0)
     radius: float = 0.0
     separation: float = 0.0
@@ -44,12 +44,12 @@ class Source:
 
     @property
     def compiled(self) -> bool:
-        """Say whether kernels let these targets fall."""
+        """Whether kernels draw these targets."""
         return self.kind in KINDS
 
     @property
     def sky(self) -> simulate.Sky:
-        """What the kernels need to know."""
+        """The circle and the minimum separation, for the kernels."""
         return simulate.Sky(*self.middle, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
@@ -131,7 +131,7 @@ def _random(plane, instrument, targets):
 
 
 def _middle(plane):
-    """Where random targets fall about: the origin, or the middle of a plane that does not contain it (mm)."""
+    """Return the center of random targets in mm: the origin, or the midpoint of a plane that does not contain it."""
     low, high = plane.arrays.xy.min(axis=0), plane.arrays.xy.max(axis=0)
     away = (low > 0).any() or (high < 0).any()
     return tuple((0.5 * (low + high)).tolist()) if away else (0.0, 0.0)
