@@ -118,7 +118,7 @@ class Positioner:
 
     @cached_property
     def numbers(self) -> "PositionerNumbers":
-        """The geometry as plain numbers in mm and radians, see `PositionerNumbers`."""
+        """The geometry as plain numbers in mm and radians (``PositionerNumbers``)."""
         return PositionerNumbers(self)
 
     def _geometry(self, n: int) -> arms.Geometry:

@@ -1,9 +1,12 @@
-"""Functions that take the options of an allocation as plain keywords, for tests that vary them."""
+"""Functions that take options as plain keywords, for tests that vary them."""
 
 from dataclasses import fields
 
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision, RandomTargets
 
+PRECISION = {field.name for field in fields(Precision)} - {"standard_error"}
+RANDOM = {"n_targets": "number", "target_radius": "radius", "min_separation": "min_separation"}
 NAMES = {field.name for field in fields(rs.AllocationOptions)} - {"allocator"}
 
 
@@ -32,3 +35,15 @@ def plan_survey(catalog, instrument, tiling, allocator="lamost", **options):
 def explore_designs(**options):
     own = {field.name: options.pop(field.name) for field in fields(rs.design.LossOptions) if field.name in options}
     return rs.design.explore_designs(loss=rs.design.LossOptions(**own), **options)
+
+
+def collision_probability(focal_plane, *, allocator="balanced", precision=None, targets="uniform", **options):
+    """Estimate with the options of random targets, of the precision and of an allocation as keywords."""
+    if "parked_obstacles" in options:
+        allocator = rs.AllocationOptions(allocator, parked_obstacles=options.pop("parked_obstacles"))
+    own = {name: options.pop(name) for name in list(options) if name in PRECISION}
+    random = {RANDOM[name]: options.pop(name) for name in list(options) if name in RANDOM}
+    targets = RandomTargets(targets, **random) if random else targets
+    return rs.collision_probability(
+        focal_plane, allocator=allocator, precision=Precision(precision, **own), targets=targets, **options
+    )

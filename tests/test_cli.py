@@ -324,6 +324,8 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     assert "min_separation_mm 1" in out
     code, _, err = run("probability", "lamost", "--targets", "clustered")
     assert "unknown kind of targets 'clustered'" in sentence(code, err)
+    code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
+    assert "--n-targets belongs to random targets, got a catalog" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--method", "guess")
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 

@@ -72,7 +72,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
     for row in table:
         unit = rs.Positioner(row["central_arm"], row["eccentric_arm"], row["clearance"])
         plane = rs.FocalPlane.hexagonal(unit, rings=4, pitch=row["pitch"])
-        truth = rs.collision_probability(plane, method="quadrature", max_iterations=512).per_positioner
+        truth = flat.collision_probability(plane, method="quadrature", max_iterations=512).per_positioner
         assert row["loss"] == pytest.approx(truth[len(plane) // 2], abs=0.002)
         assert row["loss"] == pytest.approx(truth[len(plane) // 2], abs=6 * row["loss_error"] + 5e-4)
         assert row["usable"] == 1 - row["loss"]
@@ -370,5 +370,5 @@ def test_rivals_of_neighbors_compete_too():
     middle = np.hypot(*wide.xy.value.T) < 10 * 22.4
     cells = np.pi * (18 * 22.4 + 22.2) ** 2 / (np.sqrt(3) / 2 * 22.4**2)
     kinds = {"targets": "poisson", "n_targets": 4 * cells, "target_radius": (18 * 22.4 + 22.2) * u.mm}
-    truth = rs.collision_probability(wide, max_iterations=24, **kinds, rng=5).per_positioner[middle].mean()
+    truth = flat.collision_probability(wide, max_iterations=24, **kinds, rng=5).per_positioner[middle].mean()
     assert row["loss"] == pytest.approx(truth, abs=3 * np.hypot(row["loss_error"], 0.0007))

@@ -1,13 +1,14 @@
 """The interval of given targets: what one sky says of others like it."""
 
+import flat
 import numpy as np
 import pytest
 from scipy import stats
 
 import rfpsurvey as rs
-from rfpsurvey.probability import rate_interval
+from rfpsurvey.probability import Precision, RandomTargets, rate_interval
 from rfpsurvey.probability._one_sky import BEYOND, CORRELATION, sky_variance
-from rfpsurvey.probability._run import Precision, summarize
+from rfpsurvey.probability._run import summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
 from scenes import MM, lamost_like, sdss_like
@@ -85,8 +86,8 @@ def test_alike_neighbors_make_the_variance_larger():
 def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
     """Normal quantiles and residuals that were not corrected held it in 84 and 88 of 100 skies."""
     plane, n = lamost_like(rings), 400
-    source = make_source(plane, None, None, each * len(plane), None, None, None)
-    simulation, precision = Simulation(plane, source, "balanced", True), Precision(None, 1)
+    source = make_source(plane, None, RandomTargets(number=each * len(plane)))
+    simulation, precision = Simulation(plane, source, rs.AllocationOptions("balanced")), Precision(None, 1)
     truth = simulation.expect(4000, np.random.default_rng(1)).rates().mean()
     rng = np.random.default_rng(2)
     found = [summarize(simulation.expect(1, rng), plane, precision, rng, given=True) for _ in range(n)]
@@ -100,12 +101,12 @@ def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 def test_seven_positioners_have_no_interval_and_the_result_states_the_reason(method):
     xy = np.random.default_rng(1).uniform(-40, 40, (28, 2)) * MM
-    got = rs.collision_probability(lamost_like(1), method=method, targets=xy, max_iterations=100)
+    got = flat.collision_probability(lamost_like(1), method=method, targets=xy, max_iterations=100)
     assert 0 < got.value < 1
     assert np.isnan([got.low, got.high, got.standard_error, got.n_effective]).all()
     assert got.meta["no_interval"].startswith("the focal plane has too few positioners to estimate from one sky")
     assert "[" not in repr(got)
-    assert "no_interval" not in rs.collision_probability(lamost_like(1), n_targets=28, max_iterations=100).meta
+    assert "no_interval" not in flat.collision_probability(lamost_like(1), n_targets=28, max_iterations=100).meta
 
 
 def test_iterations_on_a_given_sky_end_although_it_has_no_interval():
@@ -118,7 +119,7 @@ def test_iterations_on_a_given_sky_end_although_it_has_no_interval():
 def test_iterations_without_a_collision_say_nothing_of_other_skies():
     """On one sky 37 positioners are at most 37 trials, however many configurations of it are drawn."""
     plane = lamost_like(3)
-    got = rs.collision_probability(plane, method="monte_carlo", targets=plane.xy, max_iterations=500)
+    got = flat.collision_probability(plane, method="monte_carlo", targets=plane.xy, max_iterations=500)
     assert (got.value, got.low) == (0, 0)
     assert got.high > stats.binomtest(0, 37).proportion_ci(method="wilson").high
 

@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 
 import rfpsurvey as rs
 from packages import PAIR, always
+from rfpsurvey.probability import Precision
 
 
 def test_a_formula_of_a_package(small, hers):
@@ -23,7 +25,7 @@ def test_a_formula_of_a_package(small, hers):
     with pytest.raises(
         rs.InputError, match="interval='bootstrap' belongs to iterations, which 'quarter' does not make"
     ):
-        rs.collision_probability(plane, method="quarter", interval="bootstrap")
+        flat.collision_probability(plane, method="quarter", interval="bootstrap")
     table = rs.benchmark.benchmark_probability(small, efforts={"quarter": [0]}, repeats=1, precision=0.01)
     assert (table["method"][0], table["value"][0]) == ("quarter", 0.25)
 
@@ -37,16 +39,16 @@ def test_a_question_says_everything(small):
 
     plane = small.focal_plane
     options = {"precision": 0.01, "max_iterations": 9, "confidence": 0.9, "parked_obstacles": False, "rng": 3}
-    found = rs.collision_probability(plane, method=answer, **options)
+    found = flat.collision_probability(plane, method=answer, **options)
     assert (found.value, found.n, found.meta["words"], found.meta["confidence"]) == (0.5, 7, "mine", 0.9)
     assert np.isnan(found.per_positioner).all()
     (question,) = seen
     assert question.focal_plane is plane
-    assert (question.precision, question.max_iterations, question.confidence) == (0.01, 9, 0.9)
+    assert question.precision == Precision(0.01, max_iterations=9, confidence=0.9)
     assert question.rng.random() == np.random.default_rng(3).random()
     assert (question.parked_obstacles, question.realize) == (False, None)
     rs.collision_probability(plane, method=answer)
-    assert (seen[1].precision, seen[1].max_iterations) == (0.001, 1_000_000)
+    assert seen[1].precision == Precision(0.001, max_iterations=1_000_000)
 
 
 def test_allocated_targets_are_those_asked_for(small, rng):
@@ -58,8 +60,9 @@ def test_allocated_targets_are_those_asked_for(small, rng):
 
     count.estimand = "allocated"
     for parked in (True, False):
-        plan = rs.allocate(small.focal_plane, xy, allocator=rs.AllocationOptions("nearest", parked_obstacles=parked))
-        found = rs.collision_probability(small, method=count, targets=xy, allocator="nearest", parked_obstacles=parked)
+        options = rs.AllocationOptions("nearest", parked_obstacles=parked)
+        plan = rs.allocate(small.focal_plane, xy, allocator=options)
+        found = rs.collision_probability(small, method=count, targets=xy, allocator=options)
         assert found.value == rs.find_collisions(small.focal_plane, plan).rate
     assert (found.estimand, found.meta["targets"], found.meta["allocator"]) == ("allocated", "given", "nearest")
 
@@ -74,18 +77,18 @@ def test_an_error_gives_an_interval(small):
     with pytest.warns(
         rs.RfpsurveyWarning, match="after 100 iterations the standard error is 0.046: the interval is wid"
     ):
-        found = rs.collision_probability(small, method=answer, confidence=0.9)
+        found = flat.collision_probability(small, method=answer, confidence=0.9)
     low, high = binom_conf_interval(30, 100, confidence_level=0.9, interval="wilson")
     assert (found.low, found.high, found.n_effective) == pytest.approx((low, high, 100))
 
 
 def test_simulations_take_allocators_of_others(small, hers):
     options = {"method": "auto", "n_targets": 100, "max_iterations": 20}
-    usual = rs.collision_probability(small, allocator="lamost", **options)
-    mine = rs.collision_probability(small, allocator="begin", **options)
+    usual = flat.collision_probability(small, allocator="lamost", **options)
+    mine = flat.collision_probability(small, allocator="begin", **options)
     assert (mine.value, mine.method) == (usual.value, "monte_carlo")
     assert mine.meta["software"] == {"hers": "1.0"}
-    own = rs.collision_probability(small, allocator=lambda problem: problem.start(), **options)
+    own = flat.collision_probability(small, allocator=lambda problem: problem.start(), **options)
     assert own.value == usual.value
     assert own.meta["allocator"].endswith("<lambda>")
 

@@ -1,6 +1,7 @@
 """Nothing that plots show is cut by the edge of their figure."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -73,7 +74,7 @@ def results(presets, small):
     return {
         "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg),
         "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2)),
-        "estimate": rs.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
+        "estimate": flat.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
         "instruments": instruments,
         "allocators": allocators,
         "scan": scan,

@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -63,7 +64,7 @@ def disks(ax):
 
 def test_estimates_are_disks_colored_by_probability(small):
     plane = replace(small.focal_plane, disabled=np.arange(37) < 3)
-    estimate = rs.collision_probability(plane, method="quadrature", max_iterations=64)
+    estimate = flat.collision_probability(plane, method="quadrature", max_iterations=64)
     into = Figure().add_subplot()
     ax = rs.plot.plot_collision_map(estimate, plane, ax=into, cmap="gray")
     assert ax is into
@@ -139,7 +140,7 @@ def test_one_positioner_is_a_map(small):
 def test_maps_of_large_instruments_have_contrast(presets):
     """On a scale from 0, all of DESI had one color, and points that one and two positioners reach hardly differed."""
     desi = presets["desi"]
-    estimate = rs.collision_probability(desi, method="quadrature", max_iterations=32)
+    estimate = flat.collision_probability(desi, method="quadrature", max_iterations=32)
     filled = disks(rs.plot.plot_collision_map(estimate, desi))[0]
     light = filled.to_rgba([np.nanmin(estimate.per_positioner), np.nanmax(estimate.per_positioner)])[:, :3].sum(axis=1)
     assert light[0] - light[1] > 1.7

@@ -4,6 +4,7 @@ import io
 import sys
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from scipy import stats
@@ -75,7 +76,7 @@ def fields(estimate):
 
 def batches(plane, seed, n=20, **options):
     """Independent estimates, and so an error that no estimate has a say in."""
-    return [rs.collision_probability(plane, rng=own, **options) for own in np.random.default_rng(seed).spawn(n)]
+    return [flat.collision_probability(plane, rng=own, **options) for own in np.random.default_rng(seed).spawn(n)]
 
 
 def mean_and_error(rows):
@@ -121,7 +122,7 @@ def test_conditional_is_the_mean_over_all_configurations(name, rng):
         longest, idle = max(longest, *(len(q) for q in queues)), idle + sum(not q for q in queues)
         types = None if plane.fiber_types == ("",) else [[t] * len(q) for t, q in zip("ABAB", queues, strict=True)]
         for parked in (True, False):
-            got = rs.collision_probability(plane, targets=xy * MM, parked_obstacles=parked)
+            got = flat.collision_probability(plane, targets=xy * MM, parked_obstacles=parked)
             *numbers, per_positioner = expectation(plane, queues, types, parked)
             np.testing.assert_allclose(fields(got), numbers, atol=1e-12)
             np.testing.assert_allclose(got.per_positioner, per_positioner, atol=1e-12)
@@ -155,7 +156,7 @@ def test_few_entries_are_drawn_alike(rng, most):
     mean, error = mean_and_error([np.append(fields(e), e.per_positioner) for e in got])
     assert (error > 0).any()
     assert (np.abs(mean - np.append(fields(exact), exact.per_positioner)) <= 4 * error + 1e-12).all()
-    all_of_them = rs.collision_probability(plane, targets=xy * MM, max_iterations=3, most_entries=14)
+    all_of_them = flat.collision_probability(plane, targets=xy * MM, max_iterations=3, most_entries=14)
     np.testing.assert_allclose(fields(all_of_them), fields(exact), atol=1e-14)
 
 
@@ -169,7 +170,7 @@ def test_iterations_are_the_public_way_through_allocation_and_collisions(name, m
         skies.append(rng.uniform(-20, 45, (rng.integers(1, 8), 2)) * MM)
         return skies[-1]
 
-    got = rs.collision_probability(plane, method=method, targets=sampler, allocator="lamost", max_iterations=70)
+    got = flat.collision_probability(plane, method=method, targets=sampler, allocator="lamost", max_iterations=70)
     reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost")) for xy in skies]
     assert len(reports) == got.n == 70
     reports = [r for r in reports if r.counted.any()]
@@ -197,7 +198,7 @@ def test_a_configuration_without_a_choice_is_scored_exactly(rng):
             continue
         rates.append(report.rate)
         for method in ("monte_carlo", "conditional"):
-            got = rs.collision_probability(plane, method=method, targets=xy * MM, max_iterations=1)
+            got = flat.collision_probability(plane, method=method, targets=xy * MM, max_iterations=1)
             assert got.value == got.value_assigned == pytest.approx(report.rate, abs=1e-15)
             assert got.pairs_per_positioner == pytest.approx(len(report.pairs) / report.counted.sum(), abs=1e-15)
             expected = np.where(report.counted, report.in_collision, np.nan)
@@ -213,7 +214,7 @@ def test_conditional_over_skies_is_the_mean_over_given_skies(rng):
         skies.append(rng.uniform(-35, 35, (12, 2)) * MM)
         return skies[-1]
 
-    got = rs.collision_probability(plane, targets=sampler, max_iterations=30)
+    got = flat.collision_probability(plane, targets=sampler, max_iterations=30)
     each = [rs.collision_probability(plane, targets=xy) for xy in skies]
     np.testing.assert_allclose(fields(got), np.mean([fields(e) for e in each], axis=0), atol=1e-12)
     scatter = np.std([e.value for e in each], ddof=1) / np.sqrt(30)
@@ -225,13 +226,13 @@ def test_arms_that_cannot_touch_are_never_looked_at(method):
     plane = rs.FocalPlane.hexagonal(LAMOST, rings=2, pitch=37.6 * MM)
     assert plane.collision_type == 1
     nobody = {"density" if method == "quadrature" else "targets": lambda what: pytest.fail("there is nothing to do")}
-    got = rs.collision_probability(plane, method=method, **nobody)
+    got = flat.collision_probability(plane, method=method, **nobody)
     assert fields(got).tolist() == [0, 0, 0]
     assert (got.low, got.high, got.standard_error, got.n) == (0, 0, 0, 0)
     assert got.per_positioner.tolist() == [0] * 19
     near = rs.FocalPlane.hexagonal(LAMOST, rings=2, pitch=37.4 * MM)
     assert near.collision_type == 2
-    assert rs.collision_probability(near, method=method, max_iterations=16).n == 16
+    assert flat.collision_probability(near, method=method, max_iterations=16).n == 16
 
 
 def test_without_targets_parked_arms_remain():
@@ -244,14 +245,14 @@ def test_without_targets_parked_arms_remain():
     assert 0 < len(pairs) < 19
     hit = np.isin(np.arange(19), pairs) & counted
     for method in ("conditional", "monte_carlo"):
-        got = rs.collision_probability(plane, method=method, n_targets=0, max_iterations=5)
+        got = flat.collision_probability(plane, method=method, n_targets=0, max_iterations=5)
         assert got.value == pytest.approx(hit.sum() / 17)
         assert got.pairs_per_positioner == pytest.approx(len(pairs) / 17)
         assert np.isnan(got.value_assigned)
         np.testing.assert_array_equal(got.per_positioner, np.where(counted, hit, np.nan))
         for nobody, options in ((sdss_like(1), {}), (lamost_like(1), {"parked_obstacles": False})):
             with pytest.raises(rs.InputError, match="there is nothing to score"):
-                rs.collision_probability(nobody, method=method, n_targets=0, max_iterations=5, **options)
+                flat.collision_probability(nobody, method=method, n_targets=0, max_iterations=5, **options)
 
 
 def test_figures_of_lamost():
@@ -260,10 +261,10 @@ def test_figures_of_lamost():
     plane = lamost_like(4)
     middle = np.hypot(*plane.xy.value.T).argmin()
     for density, value in known.items():
-        got = rs.collision_probability(plane, method="quadrature", density=density, max_iterations=1024)
+        got = flat.collision_probability(plane, method="quadrature", density=density, max_iterations=1024)
         assert got.per_positioner[middle] == pytest.approx(value, abs=0.002)
     plane = lamost_like(12)
-    got = rs.collision_probability(plane, n_targets=20_000, max_iterations=20)
+    got = flat.collision_probability(plane, n_targets=20_000, max_iterations=20)
     inner = np.hypot(*plane.xy.value.T) < 8 * 25.6
     assert len(plane) == 469
     assert got.per_positioner[inner].mean() == pytest.approx(0.063, abs=0.002)
@@ -272,8 +273,8 @@ def test_figures_of_lamost():
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo", "quadrature", "closed_form"])
 def test_dynamic_collisions_are_independent_of_static_ones(method):
     plane = lamost_like(1)
-    static = rs.collision_probability(plane, method=method, max_iterations=64)
-    both = rs.collision_probability(plane, method=method, max_iterations=64, dynamic=0.025)
+    static = flat.collision_probability(plane, method=method, max_iterations=64)
+    both = flat.collision_probability(plane, method=method, max_iterations=64, dynamic=0.025)
     for name in ("value", "value_assigned", "low", "high", "per_positioner"):
         expected = 1 - (1 - getattr(static, name)) * (1 - 0.025)
         np.testing.assert_allclose(getattr(both, name), expected, rtol=1e-12)
@@ -292,8 +293,8 @@ def test_auto_takes_the_method_of_the_estimand():
         ({"estimand": "independent"}, "quadrature"),
         ({"estimand": "independent", "density": "voronoi"}, "quadrature"),
     ):
-        got = rs.collision_probability(plane, method="auto", **options, **few)
-        same = rs.collision_probability(plane, method=name, **options, **few)
+        got = flat.collision_probability(plane, method="auto", **options, **few)
+        same = flat.collision_probability(plane, method=name, **options, **few)
         assert got.method == name
         assert got.estimand == options.get("estimand", "allocated")
         assert got.value == same.value
@@ -302,13 +303,13 @@ def test_auto_takes_the_method_of_the_estimand():
 def test_a_preset_goes_by_its_name(presets):
     here = rs.collision_probability(presets["lamost"].focal_plane, method="overlap_ratio")
     assert rs.collision_probability("lamost", method="overlap_ratio").value == here.value
-    by_name = rs.collision_probability("sdss_apo", max_iterations=2)
+    by_name = flat.collision_probability("sdss_apo", max_iterations=2)
     assert by_name.meta["n_targets"] == presets["sdss_apo"].targets_per_fiber * len(presets["sdss_apo"].focal_plane)
-    assert by_name.value == rs.collision_probability(presets["sdss_apo"], max_iterations=2).value
+    assert by_name.value == flat.collision_probability(presets["sdss_apo"], max_iterations=2).value
 
 
 def test_an_estimate_says_what_it_is():
-    got = rs.collision_probability(lamost_like(1), max_iterations=20, confidence=0.9)
+    got = flat.collision_probability(lamost_like(1), max_iterations=20, confidence=0.9)
     assert f"{got.value:.4g} [{got.low:.4g}, {got.high:.4g}], n = 20" in repr(got)
     assert "'conditional' of 'allocated'" in repr(got)
     formula = rs.collision_probability(lamost_like(1), method="overlap_ratio")
@@ -325,12 +326,12 @@ class Terminal(io.StringIO):
 
 def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
     for options in ({}, {"method": "monte_carlo"}, {"method": "quadrature"}):
-        silent = rs.collision_probability(lamost_like(1), max_iterations=300, **options)
+        silent = flat.collision_probability(lamost_like(1), max_iterations=300, **options)
         assert capsys.readouterr() == ("", "")
         terminal = Terminal()
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stderr", terminal)
-            shown = rs.collision_probability(lamost_like(1), max_iterations=300, progress=True, **options)
+            shown = flat.collision_probability(lamost_like(1), max_iterations=300, progress=True, **options)
         assert "(100" in terminal.getvalue()
         assert capsys.readouterr().out == ""
         assert shown.value == silent.value
@@ -356,11 +357,11 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations by 'balanced'"),
-        ({"precision": np.nan}, "precision must be a standard error between 0 and 1, got nan"),
-        ({"precision": 0}, "precision must be"),
-        ({"precision": 1.0}, "precision must be"),
-        ({"precision": -0.1}, "precision must be"),
-        ({"precision": "0.1"}, "precision must be"),
+        ({"precision": np.nan}, "standard_error must be a number above 0 and below 1, got nan"),
+        ({"precision": 0}, "standard_error must be"),
+        ({"precision": 1.0}, "standard_error must be"),
+        ({"precision": -0.1}, "standard_error must be"),
+        ({"precision": "0.1"}, "standard_error must be"),
         ({"max_iterations": 0}, "max_iterations must be a whole number of at least 1, got 0"),
         ({"max_iterations": 10.0}, "max_iterations must be a whole number"),
         ({"max_iterations": np.nan}, "max_iterations must be a whole number"),
@@ -380,7 +381,7 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
 )
 def test_bad_options_are_named(options, words):
     with pytest.raises(rs.InputError, match=words):
-        rs.collision_probability(lamost_like(1), **options)
+        flat.collision_probability(lamost_like(1), **options)
 
 
 def test_bad_planes_are_named():
@@ -391,4 +392,4 @@ def test_bad_planes_are_named():
     idle = rs.FocalPlane(PAIR, LAMOST, disabled=[True, True])
     for method in ("conditional", "monte_carlo", "quadrature", "closed_form", "overlap_ratio"):
         with pytest.raises(rs.InputError, match="there is nothing to score"):
-            rs.collision_probability(idle, method=method, max_iterations=4)
+            flat.collision_probability(idle, method=method, max_iterations=4)

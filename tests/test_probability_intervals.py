@@ -3,6 +3,7 @@
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from scipy import stats
@@ -80,7 +81,7 @@ def test_quantiles():
 def test_the_interval_comes_from_the_scatter_of_iterations(n, confidence):
     plane, sampler = sdss_like(1), Recorder(8, 30)
     options = {"targets": sampler, "allocator": "lamost", "confidence": confidence, "max_iterations": n}
-    got = rs.collision_probability(plane, method="monte_carlo", **options)
+    got = flat.collision_probability(plane, method="monte_carlo", **options)
     rates = sampler.rates(plane)
     p, error = rates.mean(), rates.std(ddof=1) / np.sqrt(n)
     assert 0 < p < 1
@@ -97,7 +98,7 @@ def test_the_interval_comes_from_the_scatter_of_iterations(n, confidence):
 
 def test_without_a_collision_every_iteration_is_a_trial():
     plane = lamost_like(1)
-    got = rs.collision_probability(plane, method="monte_carlo", n_targets=0, max_iterations=40)
+    got = flat.collision_probability(plane, method="monte_carlo", n_targets=0, max_iterations=40)
     exact = stats.binomtest(0, 40).proportion_ci(method="wilson")
     assert (got.value, got.low, got.n_effective) == (0, 0, 40)
     # the quantile may allow for few iterations, but is not smaller than the normal one
@@ -108,7 +109,7 @@ def test_with_nothing_but_collisions():
     """Two arms that are always too close: the mirror image of no collision at all."""
     unit = rs.Positioner(8 * MM, 8 * MM, 30 * MM)
     plane = rs.FocalPlane([[0, 0], [8, 0]] * MM, unit)
-    got = rs.collision_probability(plane, method="monte_carlo", n_targets=20, max_iterations=40)
+    got = flat.collision_probability(plane, method="monte_carlo", n_targets=20, max_iterations=40)
     exact = stats.binomtest(40, 40).proportion_ci(method="wilson")
     assert got.value == pytest.approx(got.high) == 1
     assert 1 - 1.1 * (1 - exact.low) < got.low <= exact.low + 1e-9
@@ -117,14 +118,14 @@ def test_with_nothing_but_collisions():
 def test_every_positioner_as_a_trial_of_its_own_is_naive():
     plane = sdss_like()
     options = {"method": "monte_carlo", "n_targets": 1000, "max_iterations": 300}
-    naive = rs.collision_probability(plane, interval="wilson_naive", **options)
+    naive = flat.collision_probability(plane, interval="wilson_naive", **options)
     trials = naive.meta["trials"]
     assert trials == 300 * 37  # all of them have targets
     k = round(naive.value * trials)
     assert k / trials == pytest.approx(naive.value, abs=1e-12)
     expected = stats.binomtest(k, trials).proportion_ci(method="wilson")
     assert (naive.low, naive.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
-    honest = rs.collision_probability(plane, **options)
+    honest = flat.collision_probability(plane, **options)
     assert honest.value == naive.value
     # who collides, does so with another one: at least twice the variance if pairs were independent of each other
     assert (honest.high - honest.low) > 1.2 * (naive.high - naive.low)
@@ -135,7 +136,7 @@ def test_every_positioner_as_a_trial_of_its_own_is_naive():
 def test_bootstrap_is_that_of_scipy(confidence):
     plane, sampler = sdss_like(1), Recorder(8, 30)
     options = {"targets": sampler, "allocator": "lamost", "confidence": confidence, "max_iterations": 200}
-    got = rs.collision_probability(plane, method="monte_carlo", interval="bootstrap", **options)
+    got = flat.collision_probability(plane, method="monte_carlo", interval="bootstrap", **options)
     rates = sampler.rates(plane)
     expected = stats.bootstrap(
         (rates,), np.mean, confidence_level=confidence, n_resamples=20_000, method="percentile", random_state=1
@@ -149,9 +150,9 @@ def test_bootstrap_is_that_of_scipy(confidence):
 def test_intervals_cover_the_truth_as_often_as_they_say():
     """With the stopping rule at work, which might prefer runs that are wrong about their own error."""
     plane, options = lamost_like(1), {"n_targets": 30, "method": "monte_carlo", "precision": 0.006}
-    truth = rs.collision_probability(plane, n_targets=30, max_iterations=30_000)
+    truth = flat.collision_probability(plane, n_targets=30, max_iterations=30_000)
     assert truth.standard_error < 0.006 / 20
-    runs = [rs.collision_probability(plane, rng=rng, **options) for rng in np.random.default_rng(8).spawn(400)]
+    runs = [flat.collision_probability(plane, rng=rng, **options) for rng in np.random.default_rng(8).spawn(400)]
     covered = sum(e.low <= truth.value <= e.high for e in runs)
     low, high = stats.binom.ppf([0.001, 0.999], 400, 0.95)
     assert low <= covered <= high
@@ -171,7 +172,7 @@ def test_convergence_stops_at_the_first_quiet_stretch(method, chunk):
     """The rule by hand on the running mean, which the package looks at after each task of so many iterations."""
     plane, sampler, tolerance = sdss_like(1), Recorder(8, 30), 0.004
     options = {"method": method, "targets": sampler, "allocator": "lamost"}
-    got = rs.collision_probability(plane, stop="convergence", precision=tolerance, **options)
+    got = flat.collision_probability(plane, stop="convergence", precision=tolerance, **options)
     rates = sampler.rates(plane)
     assert len(rates) == got.n
     means = np.cumsum(rates)[chunk - 1 :: chunk] / np.arange(chunk, got.n + 1, chunk)
@@ -184,8 +185,8 @@ def test_convergence_stops_at_the_first_quiet_stretch(method, chunk):
 
 def test_convergence_stops_too_early():
     plane, options = lamost_like(), {"method": "monte_carlo", "n_targets": 200, "precision": 5e-4}
-    early = rs.collision_probability(plane, stop="convergence", **options)
-    honest = rs.collision_probability(plane, **options)
+    early = flat.collision_probability(plane, stop="convergence", **options)
+    honest = flat.collision_probability(plane, **options)
     assert early.n < honest.n / 2
     assert early.standard_error > 2 * 5e-4
     assert honest.standard_error < 5e-4
@@ -196,11 +197,11 @@ def test_an_executor_changes_nothing(method):
     plane, options = lamost_like(1), {"method": method, "n_targets": 30, "precision": 0.002, "rng": 7}
     if method == "quadrature":
         options = {"method": method, "precision": 2e-4, "rng": 7}
-    here = rs.collision_probability(plane, **options)
+    here = flat.collision_probability(plane, **options)
     assert here.n > 64
     for workers in (2, 3):
         with ThreadPoolExecutor(workers) as executor:
-            assert_identical(here, rs.collision_probability(plane, executor=executor, **options))
+            assert_identical(here, flat.collision_probability(plane, executor=executor, **options))
 
 
 def a_few(rng):
@@ -214,16 +215,16 @@ def test_nor_do_threads_where_python_allocates():
         (sdss_like(1), {"n_targets": 20, "allocator": "lamost", "method": "monte_carlo"}),
         (sdss_like(1), {"targets": np.random.default_rng(2).uniform(-30, 30, (40, 2)) * MM, "most_entries": 2}),
     ):
-        here = rs.collision_probability(plane, max_iterations=70, **options)
+        here = flat.collision_probability(plane, max_iterations=70, **options)
         with ThreadPoolExecutor(3) as executor:
-            assert_identical(here, rs.collision_probability(plane, max_iterations=70, executor=executor, **options))
+            assert_identical(here, flat.collision_probability(plane, max_iterations=70, executor=executor, **options))
 
 
 def test_nor_do_processes():
     with ProcessPoolExecutor(2) as executor:
         for options in ({}, {"method": "monte_carlo"}, {"method": "quadrature"}, {"targets": a_few}):
-            here = rs.collision_probability(lamost_like(1), max_iterations=100, **options)
-            there = rs.collision_probability(lamost_like(1), max_iterations=100, executor=executor, **options)
+            here = flat.collision_probability(lamost_like(1), max_iterations=100, **options)
+            there = flat.collision_probability(lamost_like(1), max_iterations=100, executor=executor, **options)
             assert_identical(here, there)
 
 
@@ -233,13 +234,13 @@ def test_nor_do_processes():
 )
 def test_the_same_seed_gives_the_same_result(method, interval):
     plane, options = sdss_like(1), {"method": method, "interval": interval, "max_iterations": 1000}
-    one = rs.collision_probability(plane, **options, rng=3)
-    assert_identical(one, rs.collision_probability(plane, **options, rng=3))
-    assert_identical(one, rs.collision_probability(plane, **options, rng=np.random.default_rng(3)))
-    default = rs.collision_probability(plane, **options)
-    assert_identical(default, rs.collision_probability(plane, **options, rng=0))
+    one = flat.collision_probability(plane, **options, rng=3)
+    assert_identical(one, flat.collision_probability(plane, **options, rng=3))
+    assert_identical(one, flat.collision_probability(plane, **options, rng=np.random.default_rng(3)))
+    default = flat.collision_probability(plane, **options)
+    assert_identical(default, flat.collision_probability(plane, **options, rng=0))
     assert (one.per_positioner != default.per_positioner).any()
-    anew = [rs.collision_probability(plane, **options, rng=None).per_positioner for _ in range(2)]
+    anew = [flat.collision_probability(plane, **options, rng=None).per_positioner for _ in range(2)]
     assert (anew[0] != anew[1]).any()
 
 
@@ -255,7 +256,7 @@ def test_the_same_seed_gives_the_same_result(method, interval):
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 @pytest.mark.parametrize("precision", [0.004, 0.001])
 def test_the_precision_is_reached_and_not_much_more(method, plane, options, precision):
-    got = rs.collision_probability(plane, method=method, precision=precision, **options)
+    got = flat.collision_probability(plane, method=method, precision=precision, **options)
     z = stats.norm.ppf((1 + options.get("confidence", 0.95)) / 2)
     assert (got.high - got.low) / 2 <= z * precision
     assert got.standard_error <= precision
@@ -264,7 +265,7 @@ def test_the_precision_is_reached_and_not_much_more(method, plane, options, prec
 
 
 def test_the_precision_is_a_thousandth_by_default():
-    got = rs.collision_probability(sdss_like(2), n_targets=40)
+    got = flat.collision_probability(sdss_like(2), n_targets=40)
     assert 0.0006 < got.standard_error <= 0.001
 
 
@@ -272,8 +273,8 @@ def test_the_precision_is_a_thousandth_by_default():
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 def test_so_many_iterations_and_no_more(method, n):
     plane, sampler = lamost_like(1), Recorder(12)
-    assert rs.collision_probability(plane, method=method, max_iterations=n).n == n
-    got = rs.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
+    assert flat.collision_probability(plane, method=method, max_iterations=n).n == n
+    got = flat.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
     assert got.n == n == len(sampler.skies)
     assert (got.low <= got.value <= got.high) == (n > 1)  # seven positioners of one sky have no interval
 
@@ -282,9 +283,9 @@ def test_so_many_iterations_and_no_more(method, n):
 def test_a_precision_out_of_reach_is_a_warning(method):
     words = "after 40 iterations, the most allowed, .* wider than the precision 0.0001 asks for"
     with pytest.warns(rs.RfpsurveyWarning, match=words):
-        got = rs.collision_probability(sdss_like(1), method=method, precision=1e-4, max_iterations=40)
+        got = flat.collision_probability(sdss_like(1), method=method, precision=1e-4, max_iterations=40)
     assert got.n == 40
-    enough = rs.collision_probability(sdss_like(1), method=method, precision=0.05, max_iterations=1000)
+    enough = flat.collision_probability(sdss_like(1), method=method, precision=0.05, max_iterations=1000)
     assert enough.n < 1000
 
 
@@ -292,7 +293,7 @@ def test_a_precision_out_of_reach_is_a_warning(method):
 def test_one_given_sky_has_an_error_all_the_same(method, rng):
     """Its value is known, but not that of another patch of such a sky."""
     plane, xy = sdss_like(), rng.uniform(-80, 80, (150, 2))
-    got = rs.collision_probability(plane, method=method, targets=xy * MM, max_iterations=500)
+    got = flat.collision_probability(plane, method=method, targets=xy * MM, max_iterations=500)
     exact = rs.collision_probability(plane, targets=xy * MM)
     assert got.low < got.value < got.high
     assert abs(got.value - exact.value) <= 3 * got.standard_error
@@ -308,7 +309,8 @@ def test_one_given_sky_has_an_error_all_the_same(method, rng):
 
 def test_queues_of_one_leave_nothing_to_average():
     plane, options = sdss_like(2), {"n_targets": 6, "max_iterations": 4000}
-    conditional, plain = (rs.collision_probability(plane, method=m, **options) for m in ("conditional", "monte_carlo"))
+    methods = "conditional", "monte_carlo"
+    conditional, plain = (flat.collision_probability(plane, method=method, **options) for method in methods)
     assert abs(conditional.value - plain.value) < 3 * np.hypot(conditional.standard_error, plain.standard_error)
     # of 6 targets on 19 positioners few meet in a queue: a little less scatter, and not more
     assert 0.7 < conditional.standard_error / plain.standard_error < 1.1
@@ -321,7 +323,7 @@ def test_a_sampler_that_always_says_the_same_has_an_error(method, n):
     """Nothing scatters between iterations, which does not mean that everything is known."""
     plane, xy = sdss_like(3), np.random.default_rng(5).uniform(-70, 70, (30, 2)) * MM
     options = {"targets": lambda rng: xy, "allocator": "lamost", "max_iterations": n}
-    got = rs.collision_probability(plane, method=method, **options)
+    got = flat.collision_probability(plane, method=method, **options)
     report = rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost"))
     assert 0 < report.rate < 1
     assert got.value == pytest.approx(report.rate)
@@ -333,12 +335,12 @@ def test_a_sampler_that_always_says_the_same_has_an_error(method, n):
 def test_confidence_widens_the_interval():
     plane, widths = lamost_like(1), []
     for confidence in (0.5, 0.9, 0.99):
-        got = rs.collision_probability(plane, max_iterations=100, confidence=confidence)
+        got = flat.collision_probability(plane, max_iterations=100, confidence=confidence)
         widths.append(got.high - got.low)
     assert widths == sorted(widths)
     assert widths[0] > 0
 
 
 def test_an_angle_is_no_precision():
-    with pytest.raises(rs.InputError, match="precision must be a standard error"):
+    with pytest.raises(rs.InputError, match="standard_error must be a number above 0 and below 1"):
         rs.collision_probability(lamost_like(1), precision=0.1 * u.deg)

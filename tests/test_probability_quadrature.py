@@ -4,6 +4,7 @@ import itertools
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 
@@ -125,19 +126,19 @@ def test_densities_are_those_of_rejection_sampling(name, plane, n, precision, rn
 
 def test_a_factor_of_the_density_does_not_matter():
     plane, options = lamost_like(1), {"method": "quadrature", "max_iterations": 256}
-    one = rs.collision_probability(plane, density=lambda p: np.full(len(p), 1.0), **options)
+    one = flat.collision_probability(plane, density=lambda p: np.full(len(p), 1.0), **options)
     for factor in (1e-200, 7.0, 1e300):
-        other = rs.collision_probability(plane, density=lambda p, f=factor: np.full(len(p), f), **options)
+        other = flat.collision_probability(plane, density=lambda p, f=factor: np.full(len(p), f), **options)
         assert other.value == pytest.approx(one.value, abs=1e-12)
-    with_unit = rs.collision_probability(plane, density=lambda p: np.full(len(p), 3) / u.mm**2, **options)
+    with_unit = flat.collision_probability(plane, density=lambda p: np.full(len(p), 3) / u.mm**2, **options)
     assert with_unit.value == pytest.approx(one.value, abs=1e-12)
 
 
 @pytest.mark.parametrize("plane", [lamost_like(), sdss_like(2), sdss_like(arm_model="fiber_tip")])
 def test_environments_change_nothing(plane):
     """A function as density switches them off, and every positioner is computed by itself."""
-    few = rs.collision_probability(plane, method="quadrature", max_iterations=512)
-    each = rs.collision_probability(plane, method="quadrature", density=lambda p: np.ones(len(p)), max_iterations=512)
+    few = flat.collision_probability(plane, method="quadrature", max_iterations=512)
+    each = flat.collision_probability(plane, method="quadrature", density=lambda p: np.ones(len(p)), max_iterations=512)
     assert few.meta["environments"] < 8 < each.meta["environments"] == len(plane)
     assert abs(few.value - each.value) < 3 * np.hypot(few.standard_error, each.standard_error)
     # errors of a positioner are larger than those of the mean by no more than the root of their number
@@ -148,7 +149,7 @@ def test_environments_change_nothing(plane):
 def test_lamost_has_three_environments(presets):
     plane = lamost_like(12)
     assert len(plane) == 469
-    got = rs.collision_probability(plane, method="quadrature", max_iterations=64)
+    got = flat.collision_probability(plane, method="quadrature", max_iterations=64)
     assert got.meta["environments"] == 3
     # corners, edges and the interior: 3, 4 and 6 neighbors
     pairs = plane.neighbor_pairs()
@@ -222,10 +223,10 @@ def queues_of(plane, xy):
 @pytest.mark.parametrize("plane", [lamost_like(), sdss_like(), with_troubles(lamost_like())])
 def test_queues_of_an_allocation_are_conditional_of_its_targets(plane, parked, rng):
     xy = rng.uniform(-70, 70, (60, 2)) * MM
-    given = rs.collision_probability(plane, targets=xy, parked_obstacles=parked)
+    given = flat.collision_probability(plane, targets=xy, parked_obstacles=parked)
     density = rs.allocate(plane, xy)
     for some in (density, [density], (density, density)):
-        got = rs.collision_probability(plane, method="quadrature", density=some, parked_obstacles=parked)
+        got = flat.collision_probability(plane, method="quadrature", density=some, parked_obstacles=parked)
         for field in (*NUMBERS, "low", "high", "standard_error", "n_effective"):
             assert getattr(got, field) == pytest.approx(getattr(given, field), rel=1e-12)
         np.testing.assert_allclose(got.per_positioner, given.per_positioner, rtol=1e-12, atol=1e-15)
@@ -251,26 +252,26 @@ def test_queues_of_several_allocations_are_put_together(rng):
 def test_points_come_in_powers_of_two_and_no_more_than_allowed():
     plane = lamost_like(1)
     for most, n in ((1, 1), (100, 64), (128, 128), (1000, 512)):
-        assert rs.collision_probability(plane, method="quadrature", max_iterations=most).n == n
+        assert flat.collision_probability(plane, method="quadrature", max_iterations=most).n == n
     loose, tight = (rs.collision_probability(plane, method="quadrature", precision=p) for p in (1e-3, 5e-5))
     assert loose.n < tight.n
     for got, precision in ((loose, 1e-3), (tight, 5e-5)):
         assert (got.high - got.low) / 2 <= 1.96 * precision
     with pytest.warns(rs.RfpsurveyWarning, match="the interval is wider than the precision 1e-06 asks for"):
-        rs.collision_probability(plane, method="quadrature", precision=1e-6, max_iterations=256)
+        flat.collision_probability(plane, method="quadrature", precision=1e-6, max_iterations=256)
 
 
 def test_the_error_is_that_of_repeated_quadrature():
     """Scrambles of other seeds scatter as much as the standard error says, about the same value."""
     plane = sdss_like(1)
     got = [
-        rs.collision_probability(plane, method="quadrature", max_iterations=128, rng=rng)
+        flat.collision_probability(plane, method="quadrature", max_iterations=128, rng=rng)
         for rng in np.random.default_rng(4).spawn(25)
     ]
     values, errors = np.array([[e.value, e.standard_error] for e in got]).T
     # 24 and 25 times 7 degrees of freedom: the ratio of variances is within a factor of 2.5 at 0.1 %
     assert 1 / 2.5 < values.var(ddof=1) / np.mean(errors**2) < 2.5
-    best = rs.collision_probability(plane, method="quadrature", max_iterations=1024)
+    best = flat.collision_probability(plane, method="quadrature", max_iterations=1024)
     assert abs(values.mean() - best.value) < 4 * np.hypot(values.std(ddof=1) / 5, best.standard_error)
 
 

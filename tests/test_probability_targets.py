@@ -1,6 +1,7 @@
 """Where the targets of a simulation come from: random skies, samplers, catalogs."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -9,7 +10,7 @@ from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
 from oracles import balanced_queues, expectation, lamost_target, tangent_plane_mm
-from rfpsurvey.probability._targets import make_source
+from rfpsurvey.probability import Precision, RandomTargets, make_source
 from scenes import CAPSULE, MM, lamost_like, sdss_like
 
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -17,7 +18,7 @@ DISCS = {"targets": "poisson_disc", "min_separation": 5 * MM}
 
 
 def source_of(plane, kind, n=None, radius=None, separation=None):
-    return make_source(plane, None, kind, n, radius, separation, None)
+    return make_source(plane, None, RandomTargets(kind, n, radius, separation))
 
 
 def apart(gap=33.5, at=(0, 0)):
@@ -74,7 +75,7 @@ def test_chance_of_a_positioner_to_be_without_a_target(kind, method, at):
     middle = plane.xy.value.mean(axis=0) if any(at) else np.zeros(2)
     assert np.hypot(*(plane.xy.value - middle).T).max() + 16.5 < radius
     separation = 0.5 if kind == "poisson_disc" else None  # so small that it does not matter
-    got = rs.collision_probability(
+    got = flat.collision_probability(
         plane,
         method=method,
         targets=kind,
@@ -94,16 +95,16 @@ def test_targets_beyond_the_circle_do_not_exist():
     plane = sdss_like()
     distance = np.hypot(*plane.xy.value.T)
     for kind in ({"targets": "uniform"}, {"targets": "poisson"}, DISCS):
-        got = rs.collision_probability(plane, n_targets=60, target_radius=35 * MM, max_iterations=40, **kind)
+        got = flat.collision_probability(plane, n_targets=60, target_radius=35 * MM, max_iterations=40, **kind)
         np.testing.assert_array_equal(np.isnan(got.per_positioner), distance > 35 + 22.4)
 
 
 def test_targets_cover_the_plane_by_default(presets):
     plane = sdss_like()
-    got = rs.collision_probability(plane, max_iterations=2)
+    got = flat.collision_probability(plane, max_iterations=2)
     assert got.meta["n_targets"] == 4 * 37
     assert got.meta["target_radius_mm"] == pytest.approx(3 * 22.4 + 22.4)
-    got = rs.collision_probability(plane, n_targets=99, target_radius=5 * u.cm, max_iterations=2, **DISCS)
+    got = flat.collision_probability(plane, n_targets=99, target_radius=5 * u.cm, max_iterations=2, **DISCS)
     assert [got.meta[k] for k in ("targets", "n_targets", "target_radius_mm", "min_separation_mm")] == [
         "poisson_disc",
         99,
@@ -111,7 +112,7 @@ def test_targets_cover_the_plane_by_default(presets):
         5,
     ]
     sdss = presets["sdss_apo"]
-    got = rs.collision_probability(sdss, max_iterations=2)
+    got = flat.collision_probability(sdss, max_iterations=2)
     assert got.meta["n_targets"] == sdss.targets_per_fiber * len(sdss.focal_plane)
 
 
@@ -125,7 +126,7 @@ def test_a_sampler_is_asked_for_each_realization_with_a_generator_of_its_own():
 
     for method in ("conditional", "monte_carlo"):
         seen.clear()
-        got = rs.collision_probability(plane, method=method, targets=sampler, max_iterations=70)
+        got = flat.collision_probability(plane, method=method, targets=sampler, max_iterations=70)
         assert len(seen) == got.n == 70
         assert len({xy[0, 0].value for xy in seen}) == 70
         assert got.meta["targets"] == "sampler"
@@ -147,8 +148,8 @@ def test_a_sampler_of_uniform_targets_is_like_uniform_targets(plane, n):
         return np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
 
     for method in ("conditional", "monte_carlo"):
-        one = rs.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
-        other = rs.collision_probability(plane, method=method, n_targets=60, max_iterations=2 * n)
+        one = flat.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
+        other = flat.collision_probability(plane, method=method, n_targets=60, max_iterations=2 * n)
         assert abs(one.value - other.value) < 4 * np.hypot(one.standard_error, other.standard_error)
         trials = one.meta["trials"] / (n * 19), other.meta["trials"] / (2 * n * 19)
         assert abs(trials[0] - trials[1]) < 4 * np.sqrt(0.25 / n / 19 + 0.25 / 2 / n / 19)
@@ -197,7 +198,7 @@ def test_priorities_of_a_catalog_reach_the_allocator(rng):
         values.append(expectation(plane, queues)[2:])
         catalog = rs.Catalog(coord, priority=wanted)
         for method in ("conditional", "monte_carlo"):
-            got = rs.collision_probability(
+            got = flat.collision_probability(
                 instrument, method=method, targets=catalog, center=CENTER, allocator="lamost", max_iterations=2
             )
             assert got.pairs_per_positioner == pytest.approx(values[-1][0])
@@ -224,8 +225,8 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
     ("options", "words"),
     [
         ({"targets": "random"}, "unknown kind of targets 'random'; choose one of: poisson, poisson_disc, uniform"),
-        ({"targets": 3}, "targets must be a Catalog, a Quantity of shape"),
-        ({"targets": [[0, 1]]}, "targets must be a Catalog, a Quantity of shape .* got list"),
+        ({"targets": 3}, "targets must be RandomTargets or one of uniform, poisson, poisson_disc, a Catalog"),
+        ({"targets": [[0, 1]]}, "targets must be RandomTargets or .* got list"),
         ({"targets": np.zeros((3, 2))}, "got ndarray"),
         ({"targets": np.zeros((3, 2)) * u.deg}, "targets must have a unit convertible to mm, got deg"),
         ({"targets": np.zeros((3, 3)) * MM}, r"targets must have the shape \(n, 2\), got \(3, 3\)"),
@@ -233,19 +234,16 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
         ({"targets": rs.Catalog(CENTER)}, "a Catalog needs an Instrument, which knows its plate scale"),
         ({"targets": lambda rng: rng.random((3, 2))}, "what the sampler of targets returns must be a Quantity"),
         ({"targets": lambda rng: rng.random((3, 3)) * MM}, "what the sampler of targets returns must have the shape"),
-        ({"targets": np.zeros((3, 2)) * MM, "n_targets": 3}, "n_targets belongs to random targets"),
-        ({"targets": np.zeros((3, 2)) * MM, "target_radius": 3 * MM}, "target_radius belongs to random targets"),
-        ({"targets": lambda rng: 1, "min_separation": 3 * MM}, "min_separation belongs to random targets"),
-        ({"n_targets": -1}, "n_targets must be a number from 0 to"),
-        ({"n_targets": np.nan}, "n_targets must be a number from 0 to"),
-        ({"n_targets": np.inf}, "n_targets must be a number from 0 to"),
-        ({"n_targets": "many"}, "n_targets must be a number from 0 to"),
-        ({"target_radius": 30}, "target_radius must be a Quantity"),
-        ({"target_radius": 0 * MM}, "target_radius must be one finite value above 0"),
-        ({"target_radius": np.nan * MM}, "target_radius must be one finite value above 0"),
-        ({"target_radius": 1 * u.deg}, "target_radius must have a unit convertible to mm"),
-        ({"min_separation": 2 * MM}, "min_separation and targets='poisson_disc' belong together"),
-        ({"targets": "poisson_disc"}, "min_separation and targets='poisson_disc' belong together"),
+        ({"n_targets": -1}, "number must be a number from 0 to"),
+        ({"n_targets": np.nan}, "number must be a number from 0 to"),
+        ({"n_targets": np.inf}, "number must be a number from 0 to"),
+        ({"n_targets": "many"}, "number must be a number from 0 to"),
+        ({"target_radius": 30}, "radius must be a Quantity"),
+        ({"target_radius": 0 * MM}, "radius must be one finite value above 0"),
+        ({"target_radius": np.nan * MM}, "radius must be one finite value above 0"),
+        ({"target_radius": 1 * u.deg}, "radius must have a unit convertible to mm"),
+        ({"min_separation": 2 * MM}, "min_separation must be given for the kind 'poisson_disc' and for no other"),
+        ({"targets": "poisson_disc"}, "min_separation must be given for the kind 'poisson_disc' and for no other"),
         ({**DISCS, "min_separation": 0 * MM}, "min_separation must be one finite value above 0 mm"),
         ({**DISCS, "min_separation": np.nan * MM}, "min_separation must be one finite value above 0 mm"),
         ({**DISCS, "n_targets": 400}, "400 targets at least 5 mm apart do not fit into a circle of 42.1 mm"),
@@ -254,14 +252,14 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
 )
 def test_bad_targets_are_named(options, words):
     with pytest.raises(rs.InputError, match=words):
-        rs.collision_probability(lamost_like(1), max_iterations=4, **options)
+        flat.collision_probability(lamost_like(1), max_iterations=4, **options)
 
 
 def test_an_empty_catalog_has_no_mean_direction():
     empty = rs.Catalog(CENTER.reshape(1)[:0])
     for options in ({}, {"center": CENTER}):
         with pytest.raises(rs.InputError, match="targets must have at least one row"):
-            rs.collision_probability(tiny(), targets=empty, **options)
+            flat.collision_probability(tiny(), targets=empty, **options)
 
 
 @pytest.mark.parametrize(
@@ -277,7 +275,36 @@ def test_an_empty_catalog_has_no_mean_direction():
 def test_an_estimate_says_why_its_method_was_used(options, expected):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm), rings=1, pitch=25.6 * u.mm)
     options = {"method": "auto", **options}
-    estimate = rs.collision_probability(plane, precision=0.2, rng=1, **options)
+    estimate = flat.collision_probability(plane, precision=0.2, rng=1, **options)
     assert estimate.meta["choice"].startswith(expected)
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=1, pitch=30 * u.mm)
-    assert rs.collision_probability(far, **options).meta["choice"] == "no two arms can touch"
+    assert flat.collision_probability(far, **options).meta["choice"] == "no two arms can touch"
+
+
+def test_options_have_short_representations():
+    assert repr(RandomTargets()) == "RandomTargets('uniform')"
+    assert repr(RandomTargets("poisson", radius=6 * u.cm)) == "RandomTargets('poisson', radius=<Quantity 6. cm>)"
+    assert repr(Precision()) == "Precision()"
+    assert repr(Precision(0.01, interval="bootstrap")) == "Precision(0.01, interval='bootstrap')"
+
+
+def test_a_kind_and_a_standard_error_are_short_for_options():
+    plane = lamost_like(1)
+    short = rs.collision_probability(plane, targets="poisson", precision=0.02)
+    full = rs.collision_probability(plane, targets=RandomTargets("poisson"), precision=Precision(0.02))
+    assert (short.value, short.n, short.meta) == (full.value, full.n, full.meta)
+    default = rs.collision_probability(plane)
+    assert (default.meta["targets"], default.n) == ("uniform", rs.collision_probability(plane, precision=0.001).n)
+
+
+@pytest.mark.parametrize(
+    "options", [{"requirements": "sky=3"}, {"requirements": "instrument"}, {"sky_separation": 1 * MM}]
+)
+def test_options_of_targets_other_than_science_are_refused(options):
+    with pytest.raises(rs.InputError, match="allocator must have no requirements and no sky_separation"):
+        rs.collision_probability(lamost_like(1), allocator=rs.AllocationOptions("lamost", **options))
+
+
+def test_the_separation_of_random_targets_is_a_length():
+    with pytest.raises(rs.InputError, match="min_separation must have a unit convertible to mm, got arcsec"):
+        RandomTargets("poisson_disc", min_separation=1 * u.arcsec)

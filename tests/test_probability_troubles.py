@@ -1,12 +1,14 @@
 """Scenes in which a probability is easily wrong: immovable units, rare collisions, sharp densities, crowded targets."""
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import simulate
+from rfpsurvey.probability import RandomTargets
 from rfpsurvey.probability._run import HITS
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
@@ -56,7 +58,7 @@ def test_rare_collisions_do_not_stop_the_simulation_early(n):
     plane = rs.FocalPlane.hexagonal(lamost_like(2).positioner, rings=2, pitch=35 * MM)
     found = [rs.collision_probability(plane, precision=1e-3, rng=k) for k in range(n)]
     assert min(e.n for e in found) > 4 * HITS
-    truth = rs.collision_probability(plane, max_iterations=1000 * n, rng=99)
+    truth = flat.collision_probability(plane, max_iterations=1000 * n, rng=99)
     values = np.array([e.value for e in found])
     assert abs(values.mean() - truth.value) < 3 * values.std() / np.sqrt(n)
     assert np.mean([e.low <= truth.value <= e.high for e in found]) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / n)
@@ -66,7 +68,7 @@ def test_given_targets_without_a_hit_are_not_precise(rng):
     plane = rs.FocalPlane.hexagonal(lamost_like(2).positioner, rings=2, pitch=36 * MM)
     targets = rng.uniform(-90, 90, (2000, 2)) * MM
     with pytest.warns(rs.RfpsurveyWarning, match="after 640 iterations"):
-        found = rs.collision_probability(
+        found = flat.collision_probability(
             plane, targets=targets, method="monte_carlo", precision=1e-6, max_iterations=640
         )
     assert found.high > 1e-4
@@ -77,8 +79,8 @@ def test_the_factor_of_a_density_does_not_matter(factor):
     def density(xy):
         return np.full(len(xy), factor)
 
-    found = rs.collision_probability(lamost_like(1), method="quadrature", density=density, max_iterations=256)
-    plain = rs.collision_probability(
+    found = flat.collision_probability(lamost_like(1), method="quadrature", density=density, max_iterations=256)
+    plain = flat.collision_probability(
         lamost_like(1), method="quadrature", density=lambda xy: np.ones(len(xy)), max_iterations=256
     )
     assert found.pairs_per_positioner == pytest.approx(plain.pairs_per_positioner, rel=1e-12)
@@ -96,7 +98,7 @@ def test_targets_fall_where_the_focal_plane_is():
 
 
 def test_disc_targets_keep_apart_and_do_not_crowd_the_edge(rng):
-    source = make_source(lamost_like(2), None, "poisson_disc", 900, 60 * MM, 2.7 * MM, None)
+    source = make_source(lamost_like(2), None, RandomTargets("poisson_disc", 900, 60 * MM, 2.7 * MM))
     r2 = []
     for own in rng.spawn(100):
         points = source.draw(own)
@@ -112,7 +114,7 @@ def test_disc_targets_keep_apart_and_do_not_crowd_the_edge(rng):
 def test_thinned_queues_have_the_same_expectation(rng):
     plane = sdss_like(2)
     all_of_them, some = (
-        rs.collision_probability(plane, n_targets=400, max_iterations=2000, most_entries=k, rng=3) for k in (None, 4)
+        flat.collision_probability(plane, n_targets=400, max_iterations=2000, most_entries=k, rng=3) for k in (None, 4)
     )
     for name in ("value", "value_assigned"):
         away = getattr(all_of_them, name) - getattr(some, name)
@@ -141,9 +143,9 @@ def test_thinned_given_targets_agree_with_all_of_them(rng):
     plane = lamost_like(2)
     targets = rng.uniform(-60, 60, (600, 2)) * MM
     exact = rs.collision_probability(plane, targets=targets)
-    thinned = rs.collision_probability(plane, targets=targets, most_entries=3, max_iterations=3000)
+    thinned = flat.collision_probability(plane, targets=targets, most_entries=3, max_iterations=3000)
     assert thinned.n == 3000
-    simulation = Simulation(plane, make_source(plane, None, targets, None, None, None, None), "balanced", True, 3)
+    simulation = Simulation(plane, make_source(plane, None, targets), rs.AllocationOptions("balanced"), 3)
     rates = simulation.expect(3000, rng).rates()
     assert abs(rates.mean() - exact.value) < 3.5 * rates.std() / np.sqrt(3000)
 
@@ -169,7 +171,7 @@ def test_a_generator_that_cannot_spawn_is_refused():
 )
 def test_options_that_do_not_belong_are_named(options, words):
     with pytest.raises(rs.InputError, match=words):
-        rs.collision_probability(lamost_like(1), **options)
+        flat.collision_probability(lamost_like(1), **options)
 
 
 @pytest.mark.parametrize("method", ["closed_form", "close_pair", "overlap_ratio", "quadrature", "conditional"])
@@ -186,7 +188,7 @@ def test_points_of_neighbors_are_shifted_independently(n):
     """Else the product over neighbors would be biased: few points, many repeats."""
     plane = sdss_like(2)
     truth = rs.collision_probability(plane, method="quadrature", precision=1e-4)
-    few = [rs.collision_probability(plane, method="quadrature", max_iterations=16, rng=k).value for k in range(n)]
+    few = [flat.collision_probability(plane, method="quadrature", max_iterations=16, rng=k).value for k in range(n)]
     assert abs(np.mean(few) - truth.value) < 4 * np.std(few) / np.sqrt(n) + 3e-4
 
 

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -82,7 +83,7 @@ def results(tile, survey, small):
         "tile": tile,
         "survey": survey,
         "tiling": rs.place_tiles(rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg), "lamost"),
-        "estimate": rs.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
+        "estimate": flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
         "table": nasty_table(),
         "allocators": rs.compare_allocators(sky, small, CENTER, allocators=["nearest", "repair"]),
         "claims": claims(),

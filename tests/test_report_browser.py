@@ -8,6 +8,7 @@ import subprocess
 from urllib.parse import unquote
 
 import astropy.units as u
+import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -128,7 +129,7 @@ def page_of(kind, folder, small):
     elif kind == "allocators":
         result = rs.compare_allocators(sky, small, CENTER, allocators=["lamost", "nearest", "repair"])
     else:
-        result = rs.collision_probability(small, method="quadrature", max_iterations=64, rng=1)
+        result = flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1)
     path = folder / f"{kind}.html"
     rs.write_report(result, path)
     return path

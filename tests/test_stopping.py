@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rfpsurvey.probability._run import Precision, run
+from rfpsurvey.probability import Precision
+from rfpsurvey.probability._run import run
 from rfpsurvey.probability._simulate import Tally
 from scenes import lamost_like
 

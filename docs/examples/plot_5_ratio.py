@@ -16,7 +16,8 @@ found = []
 for ratio in ratios:
     unit = rs.Positioner(8.25 * u.mm, 8.25 * ratio * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=25.6 * u.mm)
-    found.append(rs.collision_probability(plane, n_targets=4 * len(plane), precision=0.003, rng=1))
+    targets = rs.probability.RandomTargets(number=4 * len(plane))
+    found.append(rs.collision_probability(plane, targets=targets, precision=0.003, rng=1))
 for ratio, one in zip(ratios, found, strict=True):
     print(f"{ratio:.1f}: {one.value:.3f} ({one.low:.3f} to {one.high:.3f}), {one.n} realizations")
 

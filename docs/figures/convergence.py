@@ -6,13 +6,15 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision, RandomTargets
 
 unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
-truth = rs.collision_probability(plane, n_targets=148, precision=2e-4).value
+targets = RandomTargets(number=148)
+truth = rs.collision_probability(plane, targets=targets, precision=2e-4).value
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
 for stop, color in (("convergence", "#D55E00"), ("interval", "#0072B2")):
-    options = {"method": "monte_carlo", "n_targets": 148, "precision": 0.002, "stop": stop}
+    options = {"method": "monte_carlo", "targets": targets, "precision": Precision(0.002, stop=stop)}
     found = [rs.collision_probability(plane, rng=k, **options) for k in range(60)]
     error = np.sqrt(np.mean([(e.value - truth) ** 2 for e in found]))
     label = f"{stop}: root mean square error {error / 0.002:.1f} \N{MULTIPLICATION SIGN} the requested one"

@@ -9,6 +9,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey.instrument import as_instrument
+from rfpsurvey.probability import Precision, RandomTargets
 
 
 @_app.app.command(epilog=_options.PROBABILITY_EXAMPLES)
@@ -35,11 +36,23 @@ def probability(
     """Estimate how likely arms collide, with an interval."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    options = {"method": method, "estimand": estimand, "precision": precision, "max_iterations": max_iterations}
-    options.update(targets=_app.read_targets(targets), n_targets=n_targets, allocator=allocator, density=density)
-    options.update(target_radius=_app.to_mm(target_radius), min_separation=_app.to_mm(min_separation))
+    options = {"method": method, "estimand": estimand, "allocator": allocator, "density": density}
+    options["precision"] = Precision(precision, max_iterations)
+    options["targets"] = _targets(targets, n_targets, target_radius, min_separation)
     options.update(dynamic=dynamic, rng=seed, progress=sys.stderr.isatty())
     with ThreadPoolExecutor(workers) as executor:
         options["executor"] = executor
         estimate = rs.collision_probability(model, **options)
     _app.finish_estimate(estimate, model, output, plot, report, overwrite=overwrite)
+
+
+def _targets(name, number, radius, separation):
+    """Return random targets, or a catalog from a file."""
+    targets = _app.read_targets(name)
+    if isinstance(targets, str):
+        return RandomTargets(targets, number, _app.to_mm(radius), _app.to_mm(separation))
+    given = {"--n-targets": number, "--target-radius": radius, "--min-separation": separation}
+    for option, value in given.items():
+        if value is not None:
+            raise rs.InputError(f"{option} belongs to random targets, got a catalog")
+    return targets

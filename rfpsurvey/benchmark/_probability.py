@@ -16,7 +16,7 @@ from rfpsurvey.benchmark._common import check_positive, provenance
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.probability import METHODS, collision_probability, find_method, make_source
+from rfpsurvey.probability import METHODS, Precision, collision_probability, find_method, make_source
 
 __all__ = ["benchmark_densities", "benchmark_probability"]
 
@@ -100,9 +100,9 @@ def benchmark_probability(
     turns = range(repeats + 1)  # the first to warm up
     for turn in ProgressBar(turns, file=sys.stderr) if progress else turns:
         for method, n in runs:
-            options = {"max_iterations": n} if n else {}
+            effort = Precision(max_iterations=n or None)
             start = perf_counter()
-            found = collision_probability(instrument, method=method, rng=rng.spawn(1)[0], **options)
+            found = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
             results[method, n] += [(perf_counter() - start, found.value, found.standard_error)] if turn else []
     rows = []
     for (method, n), values in results.items():
@@ -187,7 +187,7 @@ def benchmark_densities(
     for density in ("uniform", "shared", "voronoi"):
         options = {"method": "quadrature", "density": density, "precision": precision}
         found[density] = collision_probability(plane, rng=rng, **options)
-    source = make_source(plane, model, None, None, None, None, None)
+    source = make_source(plane, model)
     queues = [allocate(plane, source.draw(rng) * u.mm, allocator="balanced", rng=rng) for _ in range(n_allocations)]
     found["empirical"] = collision_probability(plane, method="quadrature", density=queues, precision=precision)
     true = found["allocated"].value

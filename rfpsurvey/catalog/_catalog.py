@@ -157,7 +157,7 @@ class Catalog:
 
     @cached_property
     def arrays(self) -> CatalogArrays:
-        """The catalog as plain arrays that cannot be written to, see `CatalogArrays`; made once, used by every tile."""
+        """The catalog as plain arrays that cannot be written to (``CatalogArrays``); made once, used by every tile."""
         return CatalogArrays(self)
 
     @property

@@ -98,7 +98,7 @@ class PartitionedCatalog:
 
     @cached_property
     def parts(self) -> Partitions:
-        """The partitions one by one, see `Partitions`."""
+        """The partitions one by one (``Partitions``)."""
         return Partitions(self)
 
     def __len__(self):

@@ -88,7 +88,7 @@ class FocalPlane:
 
     @cached_property
     def arrays(self) -> FocalPlaneArrays:
-        """The columns as plain numbers in mm and radians that cannot be written to, see `FocalPlaneArrays`."""
+        """The columns as plain numbers in mm and radians that cannot be written to (``FocalPlaneArrays``)."""
         return FocalPlaneArrays(self)
 
     @property

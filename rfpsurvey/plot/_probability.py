@@ -63,11 +63,11 @@ def plot_probability(
     >>> import astropy.units as u
     >>> from astropy.table import QTable
     >>> import rfpsurvey as rs
-    >>> rows = []
+    >>> rows, targets = [], rs.probability.RandomTargets(number=200)
     >>> for ratio in (1, 1.5, 2):
     ...     robot = rs.Positioner(8.25 * u.mm, 8.25 * ratio * u.mm, 2.25 * u.mm)
     ...     plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=25.6 * u.mm)
-    ...     found = rs.collision_probability(plane, n_targets=200, precision=0.01)
+    ...     found = rs.collision_probability(plane, targets=targets, precision=0.01)
     ...     rows.append((ratio, found.value, found.low, found.high))
     >>> ax = rs.plot.plot_probability(QTable(rows=rows, names=["ratio", "value", "low", "high"]))
     >>> ax.get_ylabel()

@@ -5,8 +5,10 @@ from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._fit import PolynomialFit, fit_polynomial
 from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
 from rfpsurvey.probability._methods import CHUNK, ESTIMANDS, METHODS
-from rfpsurvey.probability._plugin import ProbabilityQuestion, find_method
-from rfpsurvey.probability._run import Precision, Progress, rate_interval, run, summarize
+from rfpsurvey.probability._options import Precision, RandomTargets
+from rfpsurvey.probability._plugin import find_method
+from rfpsurvey.probability._question import ProbabilityQuestion
+from rfpsurvey.probability._run import Progress, rate_interval, run, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._surrogate import AXES, interior_risk, make_surrogate, outside_box, surrogate_probability
 from rfpsurvey.probability._targets import Source, make_source
@@ -22,6 +24,7 @@ __all__ = [
     "Precision",
     "ProbabilityQuestion",
     "Progress",
+    "RandomTargets",
     "Simulation",
     "Source",
     "collision_probability",

@@ -1,4 +1,4 @@
-"""The one door of collision probabilities."""
+"""Estimate collision probabilities by any method."""
 
 import warnings
 from collections.abc import Callable
@@ -11,23 +11,20 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
-from rfpsurvey.allocation import Allocation, AllocationOptions, packages
+from rfpsurvey.allocation import Allocation, AllocationOptions, as_options, packages
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
-from rfpsurvey.probability._intervals import INTERVALS
-from rfpsurvey.probability._methods import Question, cheapest, check_usable, reason_of
+from rfpsurvey.probability._methods import cheapest, check_usable, reason_of
+from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets, as_precision
 from rfpsurvey.probability._plugin import find_method
-from rfpsurvey.probability._quadrature import DENSITIES, MOST_POINTS
-from rfpsurvey.probability._run import Precision
+from rfpsurvey.probability._quadrature import DENSITIES
+from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._targets import make_source
 
 __all__ = ["collision_probability"]
-
-PRECISION = 1e-3
-MOST = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 
 
 def collision_probability(
@@ -35,32 +32,24 @@ def collision_probability(
     *,
     method: str | Callable = "conditional",
     estimand: str | None = None,
-    targets: Catalog | u.Quantity | Callable | str | None = None,
-    n_targets: float | None = None,
-    target_radius: u.Quantity | None = None,
-    min_separation: u.Quantity | None = None,
+    targets: RandomTargets | str | Catalog | u.Quantity | Callable = "uniform",
     center: SkyCoord | None = None,
-    allocator: str | Callable = "balanced",
-    parked_obstacles: bool = True,
+    allocator: str | Callable | AllocationOptions = "balanced",
     most_entries: int | None = None,
     density: str | Callable | Allocation | list[Allocation] | None = None,
     variant: str = "corrected",
-    precision: float | None = None,
-    max_iterations: int | None = None,
-    confidence: float = 0.95,
-    interval: str = "wilson",
-    stop: str = "interval",
+    precision: float | Precision | None = None,
     dynamic: float = 0.0,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
     progress: bool = False,
 ) -> Estimate:
-    """Estimate how likely a positioner is to collide with another one when all stand at their targets.
+    """Estimate the probability that a positioner at its target collides with another one.
 
-    The probability is the expected part of the positioners that are in collision, of those with a target and, with
-    equal arms, those parked at home. Methods answer one of two questions: targets are **allocated** to queues, of which
-    a configuration takes one each, or every positioner draws its own target **independently** of all others. The
-    answers differ by up to a factor of five, so that methods can be compared within one question only.
+    The probability is the expected fraction of positioners that are in collision, of those with a target and, with
+    equal arms, those that are parked. A method estimates one of two quantities: targets are **allocated** to queues,
+    and a configuration has one target of each queue, or every positioner draws its own target **independently** of all
+    others. The two differ by up to a factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
@@ -70,64 +59,46 @@ def collision_probability(
         ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
         ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024),
         arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors.
-        Without an error: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (part of the patrol area
-        that others reach), ``close_pair`` (chance that another observed target lies within the safe distance).
-        ``auto``: the cheapest one of the estimand that has an error. Another name is that of a method of an installed
-        package; a function of a `~rfpsurvey.probability.ProbabilityQuestion` is taken as it is.
+        Without an error estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (fraction of the
+        patrol area that others reach), ``close_pair`` (probability that another observed target lies within the
+        minimum separation). ``auto``: the fastest method of the estimand that has an error estimate. Any other name is
+        that of a method of an installed package. A function of a `~rfpsurvey.probability.ProbabilityQuestion` is called
+        directly.
     estimand : {"allocated", "independent"}, optional
-        For ``auto``: what to estimate, ``allocated`` by default. Other methods have their own.
-    targets : Catalog, Quantity (n, 2), callable or str, optional
-        Allocated targets; the other methods do not look at them. ``"uniform"`` (default): ``n_targets`` independent
-        points in a circle; ``"poisson"``: their number is Poisson distributed; ``"poisson_disc"``: none nearer to
-        another than ``min_separation``. A function of a Generator that returns a Quantity of shape (n, 2), new at each
-        call. Or one sky: points on the focal plane, or a Catalog, whose science targets an Instrument projects.
-    n_targets : float, optional
-        Number of random targets (expected number for ``poisson``). By default that of the instrument, or four a
-        positioner.
-    target_radius : Quantity, optional
-        Radius of the circle where random targets fall, about the origin (or the middle of a focal plane that does not
-        contain it). By default it covers all patrol areas.
-    min_separation : Quantity, optional
-        Least distance of two targets of ``poisson_disc``.
+        For ``auto``: what to estimate, ``allocated`` by default. Each other method has one estimand.
+    targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
+        Allocated targets; methods for independent targets ignore them. `~rfpsurvey.probability.RandomTargets`, or
+        their kind alone: ``"uniform"`` or ``"poisson"``. A function of a Generator that returns new targets at each
+        call, a Quantity of shape (n, 2). Or one sky: points on the focal plane, or a Catalog, whose science targets the
+        Instrument projects.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
-    allocator : str or callable, optional
+    allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. Without queues (``lamost``) a realization has one configuration.
-    parked_obstacles : bool, optional
-        Do equal-arm positioners without a target stand in the way, and count?
+        Options also state whether idle equal-arm positioners are obstacles and count (``parked_obstacles``, true by
+        default). They must not contain requirements or a sky separation, since all targets are science targets.
     most_entries : int, optional
-        Let ``conditional`` look at no more than so many entries of each queue, drawn anew for each realization: where
-        queues are long, more realizations of less work reach a precision sooner. None: all.
+        Maximum number of entries of each queue that ``conditional`` uses, drawn anew for each realization. With long
+        queues, a larger number of faster realizations reaches a precision sooner. None for all entries.
     density : str, callable, Allocation or list of Allocation, optional
-        Independent targets: ``"uniform"`` (default) over the patrol area, ``"shared"`` with weight 1/k where k
-        positioners reach, ``"voronoi"`` where one's own center is the nearest; a function of points (Quantity of
-        shape (n, 2)) that returns their density up to a factor; or the queues of allocations, put together.
+        Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
+        where k positioners reach; ``"voronoi"``, where the center of the positioner is the nearest center; a function
+        of points (Quantity of shape (n, 2)) that returns their density up to a factor; or the combined queues of
+        allocations.
     variant : {"corrected", "pitch", "printed"}, optional
-        Of the closed form: with misprints corrected and the distance of each neighbor; with the pitch in its place; or
-        as it is printed, which equal arms make 0/0.
-    precision : float, optional
-        Standard error to reach: iterations end when the interval is no wider than one of a normal distribution with
-        this standard error, and there are enough of them where collisions are rare. 0.001 by default, unless
-        ``max_iterations`` is given.
-    max_iterations : int, optional
-        Most iterations, realizations or points to use; without ``precision`` exactly so many iterations.
-    confidence : float, optional
-        Of the interval.
-    interval : {"wilson", "wilson_naive", "bootstrap"}, optional
-        ``wilson``: Wilson's with the effective number of independent trials from the scatter between iterations.
-        ``wilson_naive``: with every positioner of every iteration as a trial, which is too narrow. ``bootstrap``:
-        percentiles of resampled iterations.
-    stop : {"interval", "convergence"}, optional
-        ``convergence``: stop when the running mean moves by less than ``precision`` three times in a row. It says
-        nothing about the error and is here for comparison.
+        Variant of the closed form: with misprints corrected and the distance of each neighbor; with the pitch instead
+        of that distance; or as printed, which is 0/0 for equal arms.
+    precision : float or Precision, optional
+        `~rfpsurvey.probability.Precision`: when iterations end, and how the interval is computed. A float is the
+        standard error to reach. By default 0.001.
     dynamic : float, optional
         Rate at which positioners fail to reach their target for dynamic reasons, independently; LAMOST's is 0.025.
     rng : int, Generator or None, optional
         Seed or source of random numbers. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
-        Where parts of the simulation run; kernels release the GIL, so that threads do. None: here.
+        Runs parts of the simulation; kernels release the GIL, so that threads suffice. None for the calling thread.
     progress : bool, optional
-        Show a bar on the standard error.
+        Whether to show a progress bar on the standard error stream.
 
     Returns
     -------
@@ -139,8 +110,8 @@ def collision_probability(
     Raises
     ------
     InputError
-        If a name is unknown, numbers are impossible, options do not belong to the method, or a method that is not ours
-        fails or returns what cannot be.
+        If a name is unknown, a number is out of range, an option does not belong to the method, or a method that is not
+        built in fails or returns an invalid result.
 
     Warns
     -----
@@ -156,71 +127,80 @@ def collision_probability(
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
+    >>> from rfpsurvey.probability import Precision, RandomTargets
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
-    >>> answer = rs.collision_probability(plane, n_targets=500, precision=0.002)
+    >>> answer = rs.collision_probability(plane, targets=RandomTargets(number=500), precision=0.002)
     >>> bool(answer.low < answer.value < answer.high)
     True
     >>> round(rs.collision_probability(plane, method="quadrature").value, 2)
     0.09
+    >>> rs.collision_probability(plane, precision=Precision(max_iterations=100)).n
+    100
     """
     start = perf_counter()
     plane = as_focal_plane(focal_plane)
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
-    options = AllocationOptions(allocator)
+    options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:
         check_choice(estimand, ("allocated", "independent"), "estimand")
-    name = cheapest(estimand or "allocated", allocator) if method == "auto" else name_of(method)
+    name = cheapest(estimand or "allocated", options.allocator) if method == "auto" else name_of(method)
     answer, asked = find_method(name if method == "auto" else method)
     if estimand not in (None, asked):
         raise InputError(f"{name!r} estimates {asked!r} targets, not {estimand!r} ones")
-    _check_belongings(name, density=density, variant=variant, interval=interval, center=center, targets=targets)
+    _check_options_of_method(
+        name, density=density, variant=variant, interval=precision.interval, center=center, targets=targets
+    )
     _check_density(density)
-    _check_numbers(confidence=confidence, dynamic=dynamic, most_entries=most_entries)
-    check_choice(interval, INTERVALS, "interval")
-    check_choice(stop, ("interval", "convergence"), "stopping rule")
+    _check_numbers(dynamic=dynamic, most_entries=most_entries)
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     source = None
     if asked == "allocated":
-        source = make_source(plane, instrument, targets, n_targets, target_radius, min_separation, center)
+        _check_science_only(options)
+        source = make_source(plane, instrument, targets, center)
         if method == "auto":
-            name = cheapest("allocated", allocator, source)
+            name = cheapest("allocated", options.allocator, source)
             answer, _ = find_method(name)
-    question = Question(
+    precision = precision.for_method(name)
+    question = ProbabilityQuestion(
         plane,
         source,
-        allocator,
+        options,
+        precision,
+        to_spawner(rng),
+        most_entries,
         "uniform" if density is None else density,
         variant,
-        bool(parked_obstacles),
-        most_entries,
-        _precision(name, precision, max_iterations, confidence, interval, stop),
-        to_spawner(rng),
         executor,
         progress,
     )
     nothing_can_touch = len(plane.arrays.neighbors) == len(plane.arrays.obstacle_pairs) == 0
-    found = _zero(plane, source) if nothing_can_touch and name in MOST else answer(question)
-    wanted = question.precision.standard_error
+    found = _zero(plane, source) if nothing_can_touch and name in MOST_ITERATIONS else answer(question)
+    wanted = precision.standard_error
     if wanted is not None and not found.pop("met", True):
         warnings.warn(
-            f"after {found['n']} iterations{', the most allowed,' if name in MOST else ''} the standard error is "
-            f"{found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} asks for",
+            f"after {found['n']} iterations{', the most allowed,' if name in MOST_ITERATIONS else ''} the standard "
+            f"error is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} asks for",
             RfpsurveyWarning,
             stacklevel=2,
         )
     found.pop("met", None)
-    meta = {"confidence": confidence, "interval": interval, "n_positioners": len(plane), **found.pop("meta")}
-    meta["choice"] = meta.get("certain") or reason_of(name, allocator, source, chosen=method == "auto")
+    meta = {
+        "confidence": precision.confidence,
+        "interval": precision.interval,
+        "n_positioners": len(plane),
+        **found.pop("meta"),
+    }
+    meta["choice"] = meta.get("certain") or reason_of(name, source, chosen=method == "auto")
     if source is not None and (software := packages(options)):
         meta["software"] = {**software, **meta.get("software", {})}
     estimate = Estimate(**found, method=name, estimand=asked, seconds=perf_counter() - start, meta=meta)
     return with_dynamic(estimate, float(dynamic))
 
 
-def _check_belongings(name, *, density, variant, interval, center, targets):
-    """Refuse options of another method."""
+def _check_options_of_method(name, *, density, variant, interval, center, targets):
+    """Refuse options that belong to another method."""
     if density is not None and name != "quadrature":
         raise InputError(f"density belongs to the method 'quadrature', of independent targets, not to {name!r}")
     if variant != "corrected" and name != "closed_form":
@@ -231,10 +211,17 @@ def _check_belongings(name, *, density, variant, interval, center, targets):
         raise InputError("center belongs to a Catalog of targets")
 
 
-def _check_numbers(*, confidence, dynamic, most_entries):
-    """Refuse numbers that make no sense."""
-    if not (isinstance(confidence, int | float) and 0 < confidence < 1 - 1e-9):
-        raise InputError(f"confidence must be a number above 0 and below 1, got {confidence!r}")
+def _check_science_only(options):
+    """Refuse options of an allocation that concern targets other than science targets."""
+    if options.requirements or options.sky_separation is not None:
+        raise InputError(
+            f"allocator must have no requirements and no sky_separation, since all targets of a collision probability "
+            f"are science targets, got {options!r}"
+        )
+
+
+def _check_numbers(*, dynamic, most_entries):
+    """Refuse numbers out of range."""
     if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
         raise InputError(f"dynamic must be a number of at least 0 and below 1, got {dynamic!r}")
     whole = isinstance(most_entries, int | np.integer) and not isinstance(most_entries, bool)
@@ -243,7 +230,7 @@ def _check_numbers(*, confidence, dynamic, most_entries):
 
 
 def _check_density(density):
-    """Refuse what is no density."""
+    """Refuse an invalid density."""
     known = density is None or callable(density) or isinstance(density, Allocation)
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
@@ -253,23 +240,8 @@ def _check_density(density):
         )
 
 
-def _precision(name, precision, max_iterations, confidence, interval, stop):
-    """Return when to stop."""
-    if precision is not None and not (isinstance(precision, int | float | np.floating) and 0 < precision < 1):
-        raise InputError(f"precision must be a standard error between 0 and 1, got {precision!r}")
-    if max_iterations is None:
-        precision, most = PRECISION if precision is None else precision, MOST.get(name, MOST["monte_carlo"])
-    else:
-        if not (isinstance(max_iterations, int | np.integer) and max_iterations >= 1):
-            raise InputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
-        most = int(max_iterations)
-        if name == "quadrature":  # Sobol points come in powers of two
-            most = 2 ** int(np.log2(min(most, MOST_POINTS)))
-    return Precision(precision, most, confidence, interval, stop)
-
-
 def _zero(plane, source):
-    """No two arms can ever touch, nor an obstacle: nothing has to be drawn."""
+    """Return the result where no two arms can touch, and none an obstacle: nothing has to be drawn."""
     check_usable(plane)
     nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
     per_positioner = np.where(plane.arrays.usable, 0.0, np.nan)

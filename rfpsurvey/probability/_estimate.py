@@ -48,7 +48,7 @@ class Estimate:
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
-    >>> answer = rs.collision_probability(plane, n_targets=500)
+    >>> answer = rs.collision_probability(plane, targets=rs.probability.RandomTargets(number=500))
     >>> answer.method, answer.estimand, answer.per_positioner.shape
     ('conditional', 'allocated', (37,))
     """

@@ -1,45 +1,24 @@
 """The table of methods: each takes a question and returns the fields of an estimate."""
 
-from collections.abc import Callable
-from concurrent.futures import Executor
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from rfpsurvey._plugins import name_of
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
 from rfpsurvey.probability._empirical import as_allocations, pool
 from rfpsurvey.probability._quadrature import Quadrature, integrate
-from rfpsurvey.probability._run import Precision, run, summarize
-from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._question import ProbabilityQuestion
+from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "Question", "cheapest", "check_usable"]
+__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
 """Realizations of one task. Results depend on this, not on the number of workers."""
 QUEUEING = ("balanced",)
 """Allocators that make queues, over which `conditional` averages."""
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """What is asked, in plain numbers."""
-
-    plane: FocalPlane
-    source: Source | None
-    allocator: str | Callable
-    density: object
-    variant: str
-    parked_obstacles: bool
-    most_entries: int | None
-    precision: Precision
-    rng: np.random.Generator
-    executor: Executor | None
-    progress: bool
 
 
 def check_usable(plane: FocalPlane) -> None:
@@ -48,10 +27,10 @@ def check_usable(plane: FocalPlane) -> None:
         raise InputError("every positioner is disabled or stuck: there is nothing to score")
 
 
-def _formula(function, question: Question) -> dict:
-    check_usable(question.plane)
-    per_positioner, meta = function(question.plane, question.variant)
-    used = question.plane.arrays.usable
+def _formula(function, question: ProbabilityQuestion) -> dict:
+    check_usable(question.focal_plane)
+    per_positioner, meta = function(question.focal_plane, question.variant)
+    used = question.focal_plane.arrays.usable
     value = float(per_positioner[used].mean())
     nothing = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
     return {
@@ -64,22 +43,18 @@ def _formula(function, question: Question) -> dict:
     }
 
 
-def _simulated(name: str, question: Question) -> dict:
-    source = question.source
-    simulation = Simulation(
-        question.plane, source, question.allocator, question.parked_obstacles, question.most_entries
-    )
-    given = source.kind == "given"
+def _simulated(name: str, question: ProbabilityQuestion) -> dict:
+    simulation, given = question.simulation, question.targets.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
     if given and name == "conditional" and question.most_entries is None:  # once is enough
         tally = task(1, question.rng)
-        found = {**summarize(tally, question.plane, precision, question.rng, given=True), "met": True}
+        found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
         tally, found = run(
             task,
             CHUNK[name],
             precision,
-            question.plane,
+            question.focal_plane,
             question.rng,
             question.executor,
             question.progress,
@@ -90,8 +65,8 @@ def _simulated(name: str, question: Question) -> dict:
         "n": len(tally.pairs),
         "met": found["met"],
         "meta": {
-            **source.describe(),
-            "allocator": name_of(question.allocator),
+            **question.targets.describe(),
+            "allocator": question.options.name,
             "design_effect": found["design_effect"],
             "trials": tally.trials,
             **_reason(found),
@@ -99,18 +74,17 @@ def _simulated(name: str, question: Question) -> dict:
     }
 
 
-def _integrated(question: Question) -> dict:
-    allocations = as_allocations(question.density, question.plane)
+def _integrated(question: ProbabilityQuestion) -> dict:
+    allocations = as_allocations(question.density, question.focal_plane)
     if allocations is not None:
-        tally = pool(question.plane, allocations, parked_obstacles=question.parked_obstacles)
-        found = summarize(tally, question.plane, question.precision, question.rng, given=True)
+        tally = pool(question.focal_plane, allocations, parked_obstacles=question.parked_obstacles)
+        found = summarize(tally, question.focal_plane, question.precision, question.rng, given=True)
         meta = {"density": "empirical", "n_allocations": len(allocations), **_reason(found)}
         return {**_of_tally(tally, found), "n": int(np.mean([len(a.queues[1]) for a in allocations])), "meta": meta}
     density = question.density
-    check_usable(question.plane)
-    found = integrate(
-        Quadrature(question.plane, density), question.precision, question.rng, question.executor, question.progress
-    )
+    check_usable(question.focal_plane)
+    task = Quadrature(question.focal_plane, density)
+    found = integrate(task, question.precision, question.rng, question.executor, question.progress)
     environments = found.pop("n_environments")
     name = density if isinstance(density, str) else "given"
     return {**found, "value_assigned": found["value"], "meta": {"density": name, "environments": environments}}
@@ -139,7 +113,7 @@ METHODS = {
     "monte_carlo": partial(_simulated, "monte_carlo"),
     "conditional": partial(_simulated, "conditional"),
 }
-"""Name to function of a `Question`."""
+"""Name to function of a `ProbabilityQuestion`."""
 
 ESTIMANDS = {
     "overlap_ratio": "independent",
@@ -152,10 +126,10 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""Queues are not worth an average where there are fewer targets a positioner."""
+"""With fewer targets per positioner, an average over queues is not worth its time."""
 
 
-def reason_of(name: str, allocator: object, source: Source | None, *, chosen: bool) -> str:
+def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
     """Return why a method was used; ``chosen`` says that `cheapest` chose it."""
     if not chosen:
         return f"{name}, as asked for"

@@ -1,22 +1,20 @@
-"""Methods of collision probability of other packages, and functions: what they see, and what they come back with."""
+"""Call methods of collision probability of other packages, and functions, and check what they return."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 
 import numpy as np
 
-from rfpsurvey._plugins import Plugin, find_function, name_of
+from rfpsurvey._plugins import Plugin, find_function
 from rfpsurvey._units import to_plain
-from rfpsurvey.allocation import Allocation
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
-from rfpsurvey.probability._methods import ESTIMANDS, METHODS, Question, check_usable
-from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, check_usable
+from rfpsurvey.probability._question import ProbabilityQuestion
 
-__all__ = ["ProbabilityQuestion", "find_method"]
+__all__ = ["find_method"]
 
 GROUP = "rfpsurvey.probability_methods"
 ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})
@@ -25,61 +23,9 @@ PARTS = ("value", "value_assigned", "low", "high", "per_positioner")
 SLACK = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class ProbabilityQuestion:
-    """What a method of collision probability of one's own is asked.
-
-    The method returns an array of float, shape (n_positioners,): the probability of each positioner to be in
-    collision, NaN for those that never count. Or a dict with any of the fields of `~rfpsurvey.Estimate` that it knows,
-    but ``method``, ``estimand`` and ``seconds``: ``per_positioner`` or ``value`` at least; with a ``standard_error``
-    the interval follows. Its attribute ``estimand``, "independent" unless it is set to "allocated", says what it
-    estimates.
-
-    Parameters
-    ----------
-    focal_plane : FocalPlane
-        The positioners.
-    parked_obstacles : bool
-        Do equal-arm positioners without a target stand in the way, and count?
-    precision : float or None
-        Standard error to reach, None for exactly ``max_iterations``.
-    max_iterations : int
-        Most iterations to make.
-    confidence : float
-        Of the interval.
-    rng : numpy.random.Generator
-        The only source of random numbers to use, so that an estimate can be made again.
-    realize : callable or None
-        For allocated targets: ``question.realize(rng)`` draws targets and allocates them as the user asks, and returns
-        the `~rfpsurvey.Allocation`, with queues. None for independent ones.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> import rfpsurvey as rs
-    >>> def one_shot(question):  # part of the positioners that collide in one realization
-    ...     plan = question.realize(question.rng)
-    ...     report = rs.find_collisions(question.focal_plane, plan)
-    ...     return {"value": report.rate, "n": 1}
-    >>> one_shot.estimand = "allocated"
-    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
-    >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
-    >>> rs.collision_probability(plane, method=one_shot, n_targets=500).n
-    1
-    """
-
-    focal_plane: FocalPlane
-    parked_obstacles: bool
-    precision: float | None
-    max_iterations: int
-    confidence: float
-    rng: np.random.Generator
-    realize: Callable[[np.random.Generator], Allocation] | None
-
-
 def find_method(
     given: str | Callable, known: Iterable[str] = (*METHODS, "auto")
-) -> tuple[Callable[[Question], dict], str]:
+) -> tuple[Callable[[ProbabilityQuestion], dict], str]:
     """Return the function from a question to the fields of an estimate, and what it estimates."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given], ESTIMANDS[given]
@@ -90,36 +36,24 @@ def find_method(
     return partial(_ask, plugin), estimand
 
 
-def _ask(plugin: Plugin, question: Question) -> dict:
+def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
     """Let a plugin answer a question."""
-    plane, source, precision = question.plane, question.source, question.precision
-    check_usable(plane)
-    realize, about = None, {}
-    if source is not None:
-        realize = Simulation(plane, source, question.allocator, question.parked_obstacles).realize
-        about = {**source.describe(), "allocator": name_of(question.allocator)}
-    view = ProbabilityQuestion(
-        plane,
-        question.parked_obstacles,
-        precision.standard_error,
-        precision.max_iterations,
-        precision.confidence,
-        question.rng,
-        realize,
-    )
+    targets, precision = question.targets, question.precision
+    check_usable(question.focal_plane)
+    about = {} if targets is None else {**targets.describe(), "allocator": question.options.name}
     with plugin.answering():
-        found = _checked(question, plugin.value(view))
+        found = _checked(question, plugin.value(question))
     meta = {**about, **found.pop("meta"), **({"software": plugin.software} if plugin.package else {})}
     met = precision.standard_error is None or not found["standard_error"] > precision.standard_error
     return {**found, "met": met, "meta": meta}
 
 
-def _checked(question: Question, given: object) -> dict:
+def _checked(question: ProbabilityQuestion, given: object) -> dict:
     """Return all fields of an estimate, if what was given can be that."""
     answer = dict(given) if isinstance(given, Mapping) else {"per_positioner": given}
     for name in answer:
         check_choice(name, ANSWERS, "field of an answer")
-    plane, meta = question.plane, answer.pop("meta", {})
+    plane, meta = question.focal_plane, answer.pop("meta", {})
     if not isinstance(meta, Mapping):
         raise InputError(f"meta must be a dict, got {meta!r}")
     risk = np.full(len(plane), np.nan)

@@ -16,14 +16,14 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
-from rfpsurvey.probability._run import Precision, Progress
+from rfpsurvey.probability._options import Precision
+from rfpsurvey.probability._run import Progress
 from rfpsurvey.probability._workspace import make_array, make_hall
 
 __all__ = ["DENSITIES", "Quadrature", "integrate"]
 
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
-MOST_POINTS = 2**14
 FIRST_POINTS = 128
 """Of a single environment; errors of several average out, so that fewer will do."""
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256

@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
 
 import numpy as np
 from astropy.utils.console import ProgressBar
@@ -13,9 +12,10 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
+from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._simulate import Tally, merge
 
-__all__ = ["Precision", "Progress", "rate_interval", "run", "summarize"]
+__all__ = ["Progress", "rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
 """Tasks before the first look at the error."""
@@ -32,22 +32,6 @@ TOO_FEW = (
     "the focal plane has too few positioners to estimate from one sky how far another patch of such a sky may differ"
 )
 """Why an estimate has no interval."""
-
-
-@dataclass(frozen=True)
-class Precision:
-    """When to stop."""
-
-    standard_error: float | None
-    max_iterations: int
-    confidence: float = 0.95
-    interval: str = "wilson"
-    stop: str = "interval"
-
-    @property
-    def half_width(self) -> float:
-        """Half width of an interval that is narrow enough."""
-        return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
 
 class Progress:

@@ -1,6 +1,5 @@
 """Simulation of allocated targets: configuration by configuration, or over all entries of the queues at once."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -58,19 +57,19 @@ def merge(parts: list[Tally]) -> Tally:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A task: simulate so many realizations with this source of random numbers."""
+    """Simulate realizations of targets and their allocation."""
 
     plane: FocalPlane
     source: Source
-    allocator: str | Callable
-    parked_obstacles: bool
+    options: AllocationOptions
     most_entries: int | None = None
     """Entries of a queue that `expect` looks at; None: all."""
 
     @property
     def compiled(self) -> bool:
-        """Say whether kernels do it all."""
-        return self.source.compiled and self.allocator == "balanced" and self.plane.positioner.numbers.joints_free
+        """Whether kernels run the whole simulation."""
+        balanced = self.options.allocator == "balanced"
+        return self.source.compiled and balanced and self.plane.positioner.numbers.joints_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
         """Count the collisions of one configuration of each realization."""
@@ -165,7 +164,7 @@ class Simulation:
     def realize(self, rng: np.random.Generator) -> Allocation:
         """Draw targets and allocate them; without an allocator that makes queues there are queues of one."""
         columns = TargetColumns(priority=self.source.priority, fiber_type=self.source.types)
-        allocation = assign(self.plane, self.source.draw(rng), columns, self._options, rng)
+        allocation = assign(self.plane, self.source.draw(rng), columns, self.options, rng)
         if allocation.queues is not None:
             return allocation
         target = allocation.target_of_positioner
@@ -173,12 +172,8 @@ class Simulation:
         return replace(allocation, queues=one_each)
 
     @cached_property
-    def _options(self):
-        return AllocationOptions(self.allocator, parked_obstacles=self.parked_obstacles)
-
-    @cached_property
     def _stage(self):
-        return make_stage(self.plane, self.plane.arrays.angles, self.parked_obstacles)
+        return make_stage(self.plane, self.plane.arrays.angles, self.options.parked_obstacles)
 
     @cached_property
     def _array(self):

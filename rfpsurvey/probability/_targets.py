@@ -5,23 +5,23 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 
 from rfpsurvey._kernels import simulate
 from rfpsurvey._units import to_points_mm, to_scalar
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
+from rfpsurvey.probability._options import KINDS, RandomTargets
 
-__all__ = ["KINDS", "Source", "make_source"]
+__all__ = ["Source", "make_source"]
 
-KINDS = ("uniform", "poisson", "poisson_disc")
 PER_FIBER = 4.0
-"""Targets a positioner where nothing says how many (LAMOST's, as in the paper)."""
-MOST = 1_000_000
+"""Targets per positioner where no number is given (that of LAMOST, as in the paper)."""
 FILLING = 0.5
-"""Random addition of discs jams at 0.547 of the area; near that it takes for ever."""
+"""Random addition of discs jams at 0.547 of the area; near that it takes too long."""
 FINEST = 700
 """Separations of less than the radius over this make no difference, but need much memory."""
 
@@ -33,7 +33,7 @@ class Source:
     kind: str
     number: float = 0.0
     each: float = 0.0
-    """Targets a positioner."""
+    """Targets per positioner."""
     middle: tuple[float, float] = (0.0, 0.0)
     radius: float = 0.0
     separation: float = 0.0
@@ -44,12 +44,12 @@ class Source:
 
     @property
     def compiled(self) -> bool:
-        """Say whether kernels let these targets fall."""
+        """Whether kernels draw these targets."""
         return self.kind in KINDS
 
     @property
     def sky(self) -> simulate.Sky:
-        """What the kernels need to know."""
+        """The circle and the minimum separation, for the kernels."""
         return simulate.Sky(*self.middle, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
@@ -91,16 +91,13 @@ class Source:
 
 
 def make_source(
-    plane: FocalPlane, instrument: Instrument | None, targets, n_targets, target_radius, min_separation, center
+    plane: FocalPlane, instrument: Instrument | None, targets: object = "uniform", center: SkyCoord | None = None
 ) -> Source:
     """Return the source of targets that the arguments describe."""
-    sized = {"n_targets": n_targets, "target_radius": target_radius, "min_separation": min_separation}
-    if targets is None or isinstance(targets, str):
-        kind = "uniform" if targets is None else check_choice(targets, KINDS, "kind of targets")
-        return _random(plane, instrument, kind, **sized)
-    for name, value in sized.items():
-        if value is not None:
-            raise InputError(f"{name} belongs to random targets; the targets are given")
+    if isinstance(targets, str):
+        targets = RandomTargets(targets)
+    if isinstance(targets, RandomTargets):
+        return _random(plane, instrument, targets)
     if isinstance(targets, Catalog):
         return _from_catalog(instrument, targets, center)
     if isinstance(targets, u.Quantity):
@@ -108,36 +105,33 @@ def make_source(
     if callable(targets):
         return Source("sampler", sampler=targets)
     raise InputError(
-        f"targets must be a Catalog, a Quantity of shape (n, 2), a function of a Generator that returns one, or one of "
-        f"{', '.join(KINDS)}, got {type(targets).__name__}"
+        f"targets must be RandomTargets or one of {', '.join(KINDS)}, a Catalog, a Quantity of shape (n, 2), or a "
+        f"function of a Generator that returns one, got {type(targets).__name__}"
     )
 
 
-def _random(plane, instrument, kind, n_targets, target_radius, min_separation):
+def _random(plane, instrument, targets):
     cover = float((np.hypot(*(plane.arrays.xy - _middle(plane)).T) + plane.arrays.outer_radius).max())
-    radius = cover if target_radius is None else to_scalar(target_radius, u.mm, "target_radius", low=0, high=1e7)
-    number = (
-        (instrument.targets_per_fiber if instrument else PER_FIBER) * len(plane) if n_targets is None else n_targets
-    )
-    if not (isinstance(number, int | float | np.number) and 0 <= number <= MOST):
-        raise InputError(f"n_targets must be a number from 0 to {MOST:.0e}, got {number!r}")
-    if (kind == "poisson_disc") != (min_separation is not None):
-        raise InputError("min_separation and targets='poisson_disc' belong together")
-    separation = 0.0
-    if kind == "poisson_disc":
-        separation = to_scalar(min_separation, u.mm, "min_separation", low=0, high=2 * radius)
+    radius = cover if targets.radius is None else to_scalar(targets.radius, u.mm, "radius")
+    number, separation = targets.number, 0.0
+    if number is None:
+        number = (instrument.targets_per_fiber if instrument else PER_FIBER) * len(plane)
+    if targets.kind == "poisson_disc":
+        separation = to_scalar(targets.min_separation, u.mm, "min_separation", low=0, high=2 * radius)
         if round(number) * separation**2 > 4 * FILLING * radius**2:
             raise InputError(
                 f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: "
                 f"put down at random, discs of that diameter must fill less than {FILLING:g} of the area"
             )
         if separation * FINEST < radius:
-            raise InputError(f"min_separation must be at least {radius / FINEST:.3g} mm here, got {min_separation}")
-    return Source(kind, float(number), number / len(plane), _middle(plane), radius, separation)
+            raise InputError(
+                f"min_separation must be at least {radius / FINEST:.3g} mm here, got {targets.min_separation}"
+            )
+    return Source(targets.kind, float(number), number / len(plane), _middle(plane), radius, separation)
 
 
 def _middle(plane):
-    """Where random targets fall about: the origin, or the middle of a plane that does not contain it (mm)."""
+    """Return the center of random targets in mm: the origin, or the midpoint of a plane that does not contain it."""
     low, high = plane.arrays.xy.min(axis=0), plane.arrays.xy.max(axis=0)
     away = (low > 0).any() or (high < 0).any()
     return tuple((0.5 * (low + high)).tolist()) if away else (0.0, 0.0)

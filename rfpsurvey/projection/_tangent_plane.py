@@ -107,7 +107,7 @@ class TangentPlane:
 
     @cached_property
     def plain(self) -> FieldProjection:
-        """The same projection on plain arrays, see `FieldProjection`."""
+        """The same projection on plain arrays (``FieldProjection``)."""
         center = to_direction(self.center, "center").icrs
         ra, dec = center.ra.rad, center.dec.rad
         angle = to_scalar(self.rotation, u.rad, "rotation")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import astropy.units as u
 import numpy as np
@@ -11,14 +11,14 @@ from astropy.table import QTable, Row
 from rfpsurvey._executors import map_in_order
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Estimate, Progress, collision_probability
+from rfpsurvey.probability import Estimate, Progress, RandomTargets, collision_probability
 
 __all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "numbers_of", "plane_of", "random_designs"]
 
 D = 4.5
 N_TARGETS = 20_000
-SMALL = {"rings": 2, "target_radius": 76.8 * u.mm}
-LARGE = {"rings": 12, "target_radius": 200 * u.mm}
+SMALL = {"rings": 2, "radius": 76.8 * u.mm}
+LARGE = {"rings": 12, "radius": 200 * u.mm}
 MOST_ENTRIES = 32
 """Queues of hundreds are thinned to this: more realizations of less work."""
 
@@ -69,12 +69,11 @@ def estimate(
 ) -> Estimate:
     """Return the estimate of a design, by default of allocated uniform targets."""
     plane = plane_of(l1, ratio, pitch, layout["rings"])
-    options = {"targets": "uniform", "precision": settings.precision, **options}
+    options = {"targets": RandomTargets(), "precision": settings.precision, **options}
     if options.get("method", "conditional") == "conditional":
         options.setdefault("most_entries", MOST_ENTRIES)
-    if not callable(options["targets"]):
-        options.setdefault("n_targets", N_TARGETS)
-        options.setdefault("target_radius", layout["target_radius"])
+    if isinstance(options["targets"], RandomTargets):
+        options["targets"] = replace(options["targets"], number=N_TARGETS, radius=layout["radius"])
     return collision_probability(plane, rng=np.random.default_rng(seed), **options)
 
 

@@ -6,12 +6,14 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import (
     CHUNK,
     INTERVALS,
     Precision,
+    RandomTargets,
     Simulation,
     collision_probability,
     make_source,
@@ -104,9 +106,10 @@ def coverage(settings: Settings, repeats: int | None = None) -> QTable:
 def _repeat(scene, method, stop, repeats, settings):
     (l1, l2, pitch, d, n_targets), precisions = SCENES[scene]
     plane = FocalPlane.hexagonal(Positioner(l1 * u.mm, l2 * u.mm, d * u.mm), rings=3, pitch=pitch * u.mm)
+    targets = RandomTargets(number=n_targets)
     finest = min(precisions.values()) / settings.pick(20, 5)
-    truth = collision_probability(plane, n_targets=n_targets, precision=finest, rng=settings.seed + 1).value
-    simulation = Simulation(plane, make_source(plane, None, None, n_targets, None, None, None), "balanced", True)
+    truth = collision_probability(plane, targets=targets, precision=finest, rng=settings.seed + 1).value
+    simulation = Simulation(plane, make_source(plane, None, targets), AllocationOptions("balanced"))
     task = simulation.draw if method == "monte_carlo" else simulation.expect
     precision = Precision(precisions[method], 100_000, CONFIDENCE, "wilson", stop)
     kinds = [*INTERVALS, "wilson_iterations"] if stop == "interval" else ["wilson"]

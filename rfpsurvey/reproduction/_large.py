@@ -4,13 +4,13 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey.probability import Estimate, fit_polynomial, interior_risk, surrogate_probability
+from rfpsurvey.probability import Estimate, Precision, fit_polynomial, interior_risk, surrogate_probability
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
 from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs
 
 __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 
-COVERED = {**LARGE, "target_radius": None}
+COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
@@ -130,7 +130,7 @@ def _plain(settings):
 
     def run(name):
         seed = [settings.seed, 6000, list(NAMED).index(name)]
-        options = {"method": "monte_carlo", "precision": None, "max_iterations": settings.pick(6000, 100)}
+        options = {"method": "monte_carlo", "precision": Precision(max_iterations=settings.pick(6000, 100))}
         plain = estimate(*NAMED[name], COVERED, settings, seed, **options)
         conditional = estimate(*NAMED[name], COVERED, settings, [*seed, 1], most_entries=None)
         row = [name]

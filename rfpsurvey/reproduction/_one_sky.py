@@ -4,9 +4,10 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Precision, Simulation, make_source, summarize
+from rfpsurvey.probability import Precision, RandomTargets, Simulation, make_source, summarize
 from rfpsurvey.reproduction._designs import Settings, each
 
 __all__ = ["one_sky"]
@@ -66,10 +67,10 @@ def _row(arms, rings, number, sky, settings):
     plane = FocalPlane.hexagonal(Positioner(l1 * u.mm, l2 * u.mm, d * u.mm), rings=rings, pitch=pitch * u.mm)
     skies = settings.pick(2000 if len(plane) < 200 else MOST_LARGE, 40)
     n_targets = round(number * len(plane))
-    source = make_source(plane, None, "uniform", n_targets, None, None, None)
+    source = make_source(plane, None, RandomTargets(number=n_targets))
     if sky in CLUSTERS:
-        source = make_source(plane, None, _clustered(n_targets, source.radius, *CLUSTERS[sky]), None, None, None, None)
-    simulation = Simulation(plane, source, "balanced", True)
+        source = make_source(plane, None, _clustered(n_targets, source.radius, *CLUSTERS[sky]))
+    simulation = Simulation(plane, source, AllocationOptions("balanced"))
     seed = [settings.seed, 37, list(ARMS).index(arms), rings, round(10 * number), len(sky)]
     rng, other = np.random.default_rng(seed).spawn(2)
     truth = float(simulation.expect(skies, other).rates().mean())

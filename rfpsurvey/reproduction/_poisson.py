@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, vstack
 
+from rfpsurvey.probability import RandomTargets
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
 from rfpsurvey.reproduction._designs import (
     LARGE,
@@ -67,8 +68,8 @@ def poisson(
     if table is not None:
         known = np.vstack([np.column_stack([table["range_200"], table["range_200_error"]]), known])
     readings = {
-        POINT_PROCESS: {"targets": "poisson"},
-        **{name: {"targets": "poisson_disc", "min_separation": s * u.mm} for name, s in discs.items()},
+        POINT_PROCESS: {"targets": RandomTargets("poisson")},
+        **{name: {"targets": RandomTargets("poisson_disc", min_separation=s * u.mm)} for name, s in discs.items()},
         COORDINATES[0]: {"targets": _coordinates(1.0), "precision": FEW_ERROR},
         COORDINATES[1]: {"targets": _coordinates(200 / 30), "precision": FEW_ERROR},
     }

@@ -10,6 +10,7 @@ import astropy.units as u
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision
 
 CENTER = SkyCoord("10h00m00s +02d12m00s")
 
@@ -30,7 +31,7 @@ if __name__ == "__main__":
     desi = rs.Instrument.preset("desi")
     sky = rs.synthetic_catalog("uniform", CENTER, desi.field_radius, n_targets=4 * len(desi.focal_plane), rng=1)
     tile = rs.plan_tile(sky, desi, CENTER, allocator="balanced")
-    estimate = rs.collision_probability(desi, method="quadrature", max_iterations=32)
+    estimate = rs.collision_probability(desi, method="quadrature", precision=Precision(max_iterations=32))
     pictures = {
         "plot_focal_plane of a tile": lambda: rs.plot.plot_focal_plane(tile),
         "a part of it": lambda: rs.plot.plot_focal_plane(tile, region=[[-60, -60], [60, 60]] * u.mm),

@@ -9,6 +9,7 @@ import astropy.units as u
 import numpy as np
 
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision, RandomTargets
 
 N_TARGETS, STANDARD_ERROR, REPEATS = 20_000, 2e-4, 9
 ARMS = {"LAMOST": (8.25, 8.25, 2.25, 25.6), "SDSS-V": (7.4, 15.0, 2.5391, 22.4)}
@@ -35,10 +36,15 @@ def medians(*calls):
 def compare(plane):
     """Print what plain and conditional simulation cost, and quadrature."""
 
-    def estimate(**options):
-        return lambda seed: rs.collision_probability(plane, rng=seed, **{"n_targets": N_TARGETS, **options})
+    targets = RandomTargets(number=N_TARGETS)
 
-    runs = medians(estimate(method="monte_carlo", max_iterations=640), estimate(max_iterations=32))
+    def estimate(**options):
+        return lambda seed: rs.collision_probability(plane, rng=seed, **{"targets": targets, **options})
+
+    runs = medians(
+        estimate(method="monte_carlo", precision=Precision(max_iterations=640)),
+        estimate(precision=Precision(max_iterations=32)),
+    )
     numbers, times = [], []
     for method, size, (seconds, found) in zip(("monte_carlo", "conditional"), (640, 32), runs, strict=True):
         numbers.append(np.mean([e.n * e.standard_error**2 for e in found]) / STANDARD_ERROR**2)
@@ -55,7 +61,7 @@ def compare(plane):
     ((seconds, found),) = medians(estimate(method="quadrature", precision=1e-3 * value))
     error = max(e.standard_error / e.value for e in found)
     print(f"  quadrature to 1e-3: {seconds:.3f} s, {found[0].value:.5f}, largest relative standard error {error:.1e}")
-    options = {"n_targets": len(plane), "max_iterations": 256}
+    options = {"targets": RandomTargets(number=len(plane)), "precision": Precision(max_iterations=256)}
     sparse = medians(estimate(**options), estimate(method="monte_carlo", **options))
     worth = [np.mean([e.standard_error**2 for e in found]) * seconds for seconds, found in sparse]
     print(f"  {len(plane)} targets: conditional takes {worth[0] / worth[1]:.2f} times as long to a precision")
@@ -67,14 +73,9 @@ def main():
         print(f"{name}: {len(plane)} positioners, {len(plane.neighbor_pairs())} pairs, {N_TARGETS} targets")
         compare(plane)
     plane = plane_of(*ARMS["LAMOST"])
-    disc = {
-        "targets": "poisson_disc",
-        "min_separation": 1.5 * u.mm,
-        "n_targets": N_TARGETS,
-        "target_radius": 200 * u.mm,
-    }
-    disc |= {"method": "monte_carlo", "max_iterations": 16}
-    ((seconds, _),) = medians(lambda seed: rs.collision_probability(plane, rng=seed, **disc))
+    discs = RandomTargets("poisson_disc", number=N_TARGETS, radius=200 * u.mm, min_separation=1.5 * u.mm)
+    options = {"targets": discs, "method": "monte_carlo", "precision": Precision(max_iterations=16)}
+    ((seconds, _),) = medians(lambda seed: rs.collision_probability(plane, rng=seed, **options))
     print(f"Poisson-disc targets, 1.5 mm apart, with the simulation: {1e3 * seconds / 16:.1f} ms a set")
     l1 = np.random.default_rng(1).uniform(7.25, 14.5, 100_000) * u.mm
     ((seconds, _),) = medians(lambda seed: rs.probability.surrogate_probability(l1, 1.5 * l1, 30 * u.mm, 4.5 * u.mm))

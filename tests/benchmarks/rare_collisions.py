@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision
 
 UNIT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 REPEATS = 500
@@ -15,7 +16,7 @@ REPEATS = 500
 def main():
     for pitch, n in ((33.0, 100_000), (35.0, 100_000), (36.5, 400_000)):
         plane = rs.FocalPlane.hexagonal(UNIT, rings=2, pitch=pitch * u.mm)
-        truth = rs.collision_probability(plane, max_iterations=n, rng=99)
+        truth = rs.collision_probability(plane, precision=Precision(max_iterations=n), rng=99)
         found = [rs.collision_probability(plane, precision=1e-3, rng=k) for k in range(REPEATS)]
         held = np.mean([e.low <= truth.value <= e.high for e in found])
         iterations = np.median([e.n for e in found])

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision, RandomTargets
 
 UNIT = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm, step=0.1 * u.deg)
 PRECISION, REPEATS = 0.01, 4000
@@ -16,8 +17,8 @@ PRECISION, REPEATS = 0.01, 4000
 def main():
     for pitch in (24, 28, 32, 36, 40):
         plane = rs.FocalPlane.hexagonal(UNIT, rings=1, pitch=pitch * u.mm)
-        options = {"method": "monte_carlo", "targets": "poisson", "n_targets": 2}
-        truth = rs.collision_probability(plane, max_iterations=1_000_000, rng=1, **options)
+        options = {"method": "monte_carlo", "targets": RandomTargets("poisson", number=2)}
+        truth = rs.collision_probability(plane, precision=Precision(max_iterations=1_000_000), rng=1, **options)
         seeds = np.random.default_rng(5).spawn(REPEATS)
         found = [rs.collision_probability(plane, precision=PRECISION, rng=rng, **options) for rng in seeds]
         values, n = (np.array([getattr(e, name) for e in found]) for name in ("value", "n"))

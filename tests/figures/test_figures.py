@@ -85,7 +85,7 @@ def test_coverage(worn):
 
 @kept
 def test_collision_map(worn):
-    estimate = rs.collision_probability(worn, method="quadrature", max_iterations=32)
+    estimate = flat.collision_probability(worn, method="quadrature", max_iterations=32)
     return rs.plot.plot_collision_map(estimate, worn, ax=axes()).figure
 
 

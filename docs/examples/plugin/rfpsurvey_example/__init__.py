@@ -28,15 +28,15 @@ def dice(question):
     """Throw independent targets, uniform over each patrol area, until the part that collides is known well enough."""
     plane, rng, n = question.focal_plane, question.rng, len(question.focal_plane)
     inner, outer = (r.to_value(u.mm) for r in (plane.positioner.inner_radius, plane.positioner.outer_radius))
-    hits, parts = np.zeros(n), []
-    while len(parts) < question.max_iterations:
+    precision, hits, parts = question.precision, np.zeros(n), []
+    while len(parts) < precision.max_iterations:
         r, angle = np.sqrt(rng.uniform(inner**2, outer**2, n)), rng.uniform(0, 2 * np.pi, n)
         tips = plane.xy + np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
         colliding = rs.find_collisions(plane, tips).in_collision
         hits += colliding
         parts.append(colliding.mean())
         error = np.std(parts) / np.sqrt(len(parts))
-        if question.precision and len(parts) >= 30 and error < question.precision:
+        if precision.standard_error and len(parts) >= 30 and error < precision.standard_error:
             break
     answer = {"per_positioner": hits / len(parts), "n": len(parts)}
     return answer | ({"standard_error": error} if len(parts) > 1 else {})

@@ -1,0 +1,184 @@
+"""The random targets and the precision of a collision probability."""
+
+from dataclasses import dataclass, fields, replace
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import to_scalar
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.probability._intervals import INTERVALS, quantile
+
+__all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
+
+KINDS = ("uniform", "poisson", "poisson_disc")
+STOPS = ("interval", "convergence")
+MOST_TARGETS = 1_000_000
+MOST_POINTS = 2**14
+"""Quadrature points per positioner and scramble."""
+STANDARD_ERROR = 1e-3
+MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
+
+
+@dataclass(frozen=True)
+class RandomTargets:
+    """Random targets on the focal plane, drawn anew for each realization.
+
+    Parameters
+    ----------
+    kind : {"uniform", "poisson", "poisson_disc"}, optional
+        ``uniform``: independent points in a circle. ``poisson``: independent points whose number is Poisson
+        distributed. ``poisson_disc``: no two targets are closer than ``min_separation``.
+    number : float, optional
+        Number of targets, the expected number for ``poisson``. By default that of the instrument, or four per
+        positioner.
+    radius : Quantity, optional
+        Radius of the circle on the focal plane that contains the targets, a length. Its center is the origin, or the
+        midpoint of a focal plane that does not contain the origin. By default it covers all patrol areas.
+    min_separation : Quantity, optional
+        Minimum separation of two targets on the focal plane, a length; required by ``poisson_disc`` alone.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown, a value is out of range or has the wrong unit, or a minimum separation is missing or
+        belongs to another kind.
+
+    See Also
+    --------
+    rfpsurvey.collision_probability : Takes random targets as ``targets``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from rfpsurvey.probability import RandomTargets
+    >>> RandomTargets("poisson", number=2000)
+    RandomTargets('poisson', number=2000)
+    >>> RandomTargets("poisson_disc", number=500, min_separation=1 * u.mm).min_separation
+    <Quantity 1. mm>
+    """
+
+    kind: str = "uniform"
+    number: float | None = None
+    radius: u.Quantity | None = None
+    min_separation: u.Quantity | None = None
+
+    def __post_init__(self):
+        check_choice(self.kind, KINDS, "kind of targets")
+        number = self.number
+        if number is not None and not (isinstance(number, int | float | np.number) and 0 <= number <= MOST_TARGETS):
+            raise InputError(f"number must be a number from 0 to {MOST_TARGETS:.0e}, got {number!r}")
+        if self.radius is not None:
+            to_scalar(self.radius, u.mm, "radius", low=0, high=1e7)
+        if (self.kind == "poisson_disc") != (self.min_separation is not None):
+            raise InputError(
+                f"min_separation must be given for the kind 'poisson_disc' and for no other, got {self.min_separation} "
+                f"for {self.kind!r}"
+            )
+        if self.min_separation is not None:
+            to_scalar(self.min_separation, u.mm, "min_separation", low=0)
+
+    def __repr__(self):
+        return _short(self, repr(self.kind))
+
+
+@dataclass(frozen=True)
+class Precision:
+    """When iterations end, and how the confidence interval is computed.
+
+    Parameters
+    ----------
+    standard_error : float, optional
+        Standard error to reach: iterations end when the interval is no wider than one of a normal distribution with
+        this standard error, and there are enough of them where collisions are rare. By default 0.001, or none if
+        ``max_iterations`` is given.
+    max_iterations : int, optional
+        Maximum number of iterations, realizations or points; without ``standard_error`` the exact number. By default
+        the maximum of the method.
+    confidence : float, optional
+        Confidence level of the interval.
+    interval : {"wilson", "wilson_naive", "bootstrap"}, optional
+        ``wilson``: Wilson's interval with the effective number of independent trials, from the scatter between
+        iterations. ``wilson_naive``: every positioner of every iteration is a trial, which makes the interval too
+        narrow. ``bootstrap``: percentiles of resampled iterations.
+    stop : {"interval", "convergence"}, optional
+        ``interval``: the interval decides when iterations end. ``convergence``: iterations end when the running mean
+        moves by less than ``standard_error`` three times in a row. This does not limit the error and is provided for
+        comparison.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value is out of range.
+
+    See Also
+    --------
+    rfpsurvey.collision_probability : Takes a precision, or the standard error alone, as ``precision``.
+
+    Examples
+    --------
+    >>> from rfpsurvey.probability import Precision
+    >>> Precision(0.002, confidence=0.9)
+    Precision(0.002, confidence=0.9)
+    >>> Precision(max_iterations=100)
+    Precision(max_iterations=100)
+    """
+
+    standard_error: float | None = None
+    max_iterations: int | None = None
+    confidence: float = 0.95
+    interval: str = "wilson"
+    stop: str = "interval"
+
+    def __post_init__(self):
+        error, most = self.standard_error, self.max_iterations
+        if error is not None and not (isinstance(error, int | float | np.floating) and 0 < error < 1):
+            raise InputError(f"standard_error must be a number above 0 and below 1, got {error!r}")
+        if most is not None and not (isinstance(most, int | np.integer) and most >= 1):
+            raise InputError(f"max_iterations must be a whole number of at least 1, got {most!r}")
+        if not (isinstance(self.confidence, int | float) and 0 < self.confidence < 1 - 1e-9):
+            raise InputError(f"confidence must be a number above 0 and below 1, got {self.confidence!r}")
+        check_choice(self.interval, INTERVALS, "interval")
+        check_choice(self.stop, STOPS, "stopping rule")
+
+    def __repr__(self):
+        return _short(self, *([] if self.standard_error is None else [repr(self.standard_error)]))
+
+    @property
+    def half_width(self) -> float:
+        """Half width of an interval that is narrow enough; 0 if no standard error is to be reached."""
+        return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
+
+    def for_method(self, name: str) -> "Precision":
+        """Return the precision with the maximum number of iterations of a method, and the default standard error.
+
+        Parameters
+        ----------
+        name : str
+            Name of the method.
+
+        Returns
+        -------
+        Precision
+            The precision, whose ``max_iterations`` is a number.
+        """
+        if self.max_iterations is None:
+            error = STANDARD_ERROR if self.standard_error is None else self.standard_error
+            most = MOST_ITERATIONS.get(name, MOST_ITERATIONS["monte_carlo"])
+            return replace(self, standard_error=error, max_iterations=most)
+        most = int(self.max_iterations)
+        if name == "quadrature":  # Sobol points come in powers of two
+            most = 2 ** int(np.log2(min(most, MOST_POINTS)))
+        return replace(self, max_iterations=most)
+
+
+def as_precision(given: object) -> Precision:
+    """Return a precision from itself, from a standard error alone, or from None."""
+    return given if isinstance(given, Precision) else Precision(given)
+
+
+def _short(options: object, *lead: str) -> str:
+    """Return the representation of options: the first field as it is given, and the others that are not the default."""
+    rest = [(f, getattr(options, f.name)) for f in fields(options)[1:]]
+    changed = [f"{f.name}={v!r}" for f, v in rest if (v is not None if f.default is None else v != f.default)]
+    return f"{type(options).__name__}({', '.join([*lead, *changed])})"

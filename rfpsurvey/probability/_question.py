@@ -1,0 +1,96 @@
+"""The question that every method of collision probability is given."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from rfpsurvey.allocation import Allocation, AllocationOptions
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.probability._options import Precision
+from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._targets import Source
+
+__all__ = ["ProbabilityQuestion"]
+
+
+@dataclass(frozen=True, eq=False)
+class ProbabilityQuestion:
+    """A focal plane, its targets, and the precision of the collision probability that a method computes.
+
+    Built-in methods and those of other packages are functions of this. A method returns an array of float, shape
+    (n_positioners,): the probability of each positioner to be in collision, NaN for those that never count. Or it
+    returns a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``, ``estimand`` and ``seconds``:
+    at least ``per_positioner`` or ``value``; the interval follows from ``standard_error``. The attribute ``estimand``
+    of the method states what it estimates: "independent", the default, or "allocated".
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    targets : Source, optional
+        Where allocated targets come from; None for independent ones.
+    options : AllocationOptions, optional
+        How targets are allocated, and whether idle equal-arm positioners are obstacles.
+    precision : Precision, optional
+        When iterations end. ``max_iterations`` is a number; ``standard_error`` is None for exactly that many.
+    rng : numpy.random.Generator, optional
+        The only source of random numbers to use, so that an estimate can be reproduced.
+    most_entries : int, optional
+        Maximum number of entries of each queue that ``conditional`` uses; None for all.
+    density : str, callable, Allocation or list of Allocation, optional
+        Density of independent targets.
+    variant : str, optional
+        Variant of the closed form.
+    executor : concurrent.futures.Executor, optional
+        Where parts of a simulation run; None for this thread.
+    progress : bool, optional
+        Whether to show a progress bar.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> def one_shot(question):  # fraction of positioners that collide in one realization
+    ...     plan = question.realize(question.rng)
+    ...     report = rs.find_collisions(question.focal_plane, plan)
+    ...     return {"value": report.rate, "n": 1}
+    >>> one_shot.estimand = "allocated"
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane.hexagonal(robot, rings=3, pitch=25.6 * u.mm)
+    >>> rs.collision_probability(plane, method=one_shot).n
+    1
+    """
+
+    focal_plane: FocalPlane
+    targets: Source | None = None
+    options: AllocationOptions = field(default_factory=lambda: AllocationOptions("balanced"))
+    precision: Precision = field(default_factory=lambda: Precision().for_method(""))
+    rng: np.random.Generator | None = None
+    most_entries: int | None = None
+    density: object = "uniform"
+    variant: str = "corrected"
+    executor: Executor | None = None
+    progress: bool = False
+
+    @property
+    def parked_obstacles(self) -> bool:
+        """Whether idle equal-arm positioners are obstacles and count."""
+        return self.options.parked_obstacles
+
+    @cached_property
+    def simulation(self) -> Simulation | None:
+        """Simulation of allocated targets; None for independent ones."""
+        if self.targets is None:
+            return None
+        return Simulation(self.focal_plane, self.targets, self.options, self.most_entries)
+
+    @property
+    def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
+        """Function that draws targets with a generator and returns their allocation, with queues.
+
+        It allocates as the user asks. None for independent targets.
+        """
+        return None if self.simulation is None else self.simulation.realize
