@@ -61,3 +61,17 @@ def test_no_package_imports_private_modules_of_another():
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
 def test_files_are_small(path):
     assert len(path.read_text().splitlines()) <= MOST_LINES
+
+
+def test_public_functions_have_few_parameters():
+    """All but the first three are passed by name; commands and kernels are exempt."""
+    long = []
+    for path in FILES:
+        if package_of(path) in ("_cli", "_kernels", "_readers"):
+            continue
+        for node in nodes_of(path):
+            if isinstance(node, FUNCTIONS) and not private(node.name):
+                both = [*node.args.posonlyargs, *node.args.args]
+                if len(both) + len(node.args.kwonlyargs) > MOST_PARAMETERS:
+                    long.append(f"{path.name}:{node.lineno} {node.name}")
+    assert not long
