@@ -173,7 +173,9 @@ def test_the_front_is_what_no_row_beats(rows, largest):
 
 
 def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front():
-    with pytest.warns(rs.RfpsurveyWarning, match=r"1 of 3 designs have no figures \(centers are nearer than the safe"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match=r"1 of 3 designs have no figures \(centers are nearer than the minimum"
+    ):
         table = explore(pitch=[4, 25.6, 30] * MM, objectives={"usable_per_area": "max", "loss": "min"})
     assert table["reason"].tolist() == ["centers are nearer than the minimum separation", "", ""]
     assert np.isnan(table["loss"][0])

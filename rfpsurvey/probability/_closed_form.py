@@ -49,7 +49,7 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the chance that one of the other observed targets lies within the safe distance, one a positioner.
+    """Return the chance that one of the other observed targets lies within the minimum separation, one a positioner.
 
     They are as if uniform in the area that positioners reach, which makes their number near one of them binomial.
     """

@@ -27,7 +27,7 @@ __all__ = ["interior_risk", "make_surrogate", "outside_box", "surrogate_probabil
 AXES = {
     "central arm over pitch": np.linspace(0.20, 0.60, 21),
     "eccentric over central arm": np.linspace(1.0, 3.0, 21),
-    "safe distance over pitch": np.linspace(0.02, 0.30, 9),
+    "minimum separation over pitch": np.linspace(0.02, 0.30, 9),
 }
 """Nodes of the grid; the box of the paper's designs lies within."""
 PITCH = 25.0
@@ -51,7 +51,7 @@ def surrogate_probability(
     pitch : Quantity
         Distance of neighboring centers.
     min_separation : Quantity
-        Safe distance of two arms.
+        Minimum separation of two arms.
 
     Returns
     -------
@@ -61,8 +61,8 @@ def surrogate_probability(
     Raises
     ------
     InputError
-        If a design is outside of the box: central arm 0.2 to 0.6 pitches, eccentric arm 1 to 3 central arms, safe
-        distance 0.02 to 0.3 pitches. There is no extrapolation.
+        If a design is outside of the box: central arm 0.2 to 0.6 pitches, eccentric arm 1 to 3 central arms,
+        minimum separation 0.02 to 0.3 pitches. There is no extrapolation.
 
     Examples
     --------
