@@ -1,12 +1,15 @@
-"""Rules that hold for every file of the package."""
+"""Rules that hold for every file of the package, and for the tests beside it."""
 
 import ast
+import importlib.util
+import re
 from collections import defaultdict
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parent.parent / "rfpsurvey"
+ROOT = Path(__file__).parent.parent
+PACKAGE, TESTS = ROOT / "rfpsurvey", ROOT / "tests"
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "_version.py")
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 # Of numba, the interpreter and astropy; and of named tuples.
@@ -75,3 +78,40 @@ def test_public_functions_have_few_parameters():
                 if len(both) + len(node.args.kwonlyargs) > MOST_PARAMETERS:
                     long.append(f"{path.name}:{node.lineno} {node.name}")
     assert not long
+
+
+def test_folders_of_tests_are_those_of_the_package():
+    packages = {path.parent.name.removeprefix("_") for path in PACKAGE.glob("*/__init__.py")}
+    folders = {path.parent.name for path in TESTS.glob("*/test_*.py")}
+    assert folders - packages == {"benchmarks", "cuda", "figures"}
+
+
+def test_paths_in_the_configuration_of_tox_exist():
+    """A test file that is ignored by a name it no longer has runs, unnoticed."""
+    paths = re.findall(r"(?<![\w/])(?:tests|docs|rfpsurvey)/[\w./*-]*[\w*]", (ROOT / "tox.ini").read_text())
+    assert len(paths) > 30
+    assert not [path for path in paths if not list(ROOT.glob(path))]
+
+
+def test_tests_and_scripts_that_pages_and_docstrings_name_exist():
+    texts = {path: path.read_text() for path in (*FILES, *ROOT.glob("*.rst"), *ROOT.glob("docs/*.rst"))}
+    texts |= {path: path.read_text() for path in (*TESTS.rglob("*.py"), *ROOT.glob(".ci/*"), ROOT / "pyproject.toml")}
+    found = {
+        (path.name, name)
+        for path, text in texts.items()
+        for name in re.findall(r"(?<![\w/])(?:tests|\.ci)/[\w./-]*\w", text)
+    }
+    assert len(found) > 50
+    assert not sorted((page, name) for page, name in found if not (ROOT / name).exists())
+    table = re.findall(r"^``([\w/]*test_\w+\.py)``:", texts[ROOT / "docs" / "testing.rst"], re.MULTILINE)
+    assert len(table) > 10
+    assert not [name for name in table if not (TESTS / name).exists()]
+
+
+def test_mutants_are_run_against_tests_that_exist():
+    spec = importlib.util.spec_from_file_location("mutants", ROOT / ".ci" / "mutants.py")
+    mutants = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(mutants)
+    for pattern, tests in mutants.TESTS.items():
+        assert list(ROOT.glob(pattern)), pattern
+        assert all((ROOT / mutants.path_of(test)).exists() for test in tests.split()), pattern

@@ -1,12 +1,12 @@
 """What the package says of real catalogs and of plans that surveys really observed."""
 
 import astropy.units as u
-import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
+import flat
 import rfpsurvey as rs
 
 

@@ -12,14 +12,7 @@ from astropy.utils.masked import Masked
 
 import rfpsurvey as rs
 from rfpsurvey.collision import place_arms
-
-MM = u.mm
-CENTER = SkyCoord(95, 23, unit="deg")
-
-
-def few(n=20, **columns):
-    angle, radius = np.linspace(0, 340, n), np.linspace(0.02, 0.4, n)
-    return rs.Catalog(CENTER.directional_offset_by(angle * u.deg, radius * u.deg), **columns)
+from scenes import CENTER, MM, few
 
 
 @pytest.mark.filterwarnings("ignore:.*share their id with another")

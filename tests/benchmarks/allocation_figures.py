@@ -4,16 +4,19 @@
 """
 
 import os
+import sys
 from pathlib import Path
 from time import perf_counter
 
 import astropy.units as u
-import flat
 import numpy as np
 from astropy.coordinates import SkyCoord
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 import rfpsurvey as rs
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+import flat
 
 REPEATS = 15
 # rings, pitch, central and eccentric arm, minimum separation (mm), targets

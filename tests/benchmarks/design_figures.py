@@ -11,9 +11,9 @@ from time import perf_counter
 from unittest import mock
 
 import astropy.units as u
-import flat
 import numpy as np
 
+import flat
 import rfpsurvey as rs
 from rfpsurvey.design import _losses
 from rfpsurvey.design._lattice import make_lattice

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from mutations import FINE, damage, outcome
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+from damaged_files import FINE, damage, outcome
 from valid_files import samples
 
 OUTCOMES = (

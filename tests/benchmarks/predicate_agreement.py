@@ -1,18 +1,20 @@
 """The pair test against exact rational arithmetic, in numbers that would take the tests too long.
 
-Run it as ``PYTHONPATH=tests python tests/benchmarks/predicate_agreement.py [random pairs] [adversarial pairs]``; by
-default 1,000,000 and 100,000. Exit code 1 if any answer outside the borderline band is wrong.
+Run it as ``python tests/benchmarks/predicate_agreement.py [random pairs] [adversarial pairs]``; by default
+1,000,000 and 100,000. Exit code 1 if any answer outside the borderline band is wrong.
 """
 
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
+from pathlib import Path
 
 import numpy as np
-from test_predicate import decide
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from adversarial import ADVERSARIAL, random_pairs
 from oracles import closer_than
+from pair_test import decide
 
 TASK = 5000
 

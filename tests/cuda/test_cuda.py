@@ -10,12 +10,11 @@ import sys
 
 import numpy as np
 import pytest
-from test_count_collisions import many_tips
 
 import rfpsurvey as rs
 from rfpsurvey.collision import _count as count
 from rfpsurvey.collision import place_arms
-from scenes import MM, SCENES, lamost_like, random_tips
+from scenes import MM, SCENES, lamost_like, many_tips, random_tips
 
 numba_cuda = pytest.importorskip("numba.cuda")
 if not numba_cuda.is_available():

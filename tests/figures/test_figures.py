@@ -7,13 +7,13 @@ After a wanted change, look at the new pictures and keep them:
 from dataclasses import replace
 
 import astropy.units as u
-import flat
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable
 from matplotlib.figure import Figure
 
+import flat
 import rfpsurvey as rs
 
 CENTER = SkyCoord(95, 23, unit="deg")

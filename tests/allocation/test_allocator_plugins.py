@@ -1,0 +1,192 @@
+"""Allocators that are not ours: what they are given, and what they may return."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import flat
+import rfpsurvey as rs
+from packages import CENTER, FOUR, PAIR, ROBOT, always, same, sky_of
+
+
+def test_an_allocator_is_told_everything():
+    seen = []
+    names = ["A", "B", "A+B"]
+    plane = rs.FocalPlane([[0, 0], [25.6, 0], [51.2, 0]] * u.mm, ROBOT, fiber_type=names)
+    xy = [[-10, 0], [13, 0], [30, 0], [39, 0], [99, 0]] * u.mm
+    columns = {
+        "priority": [5, 1, 7, 5, 9],
+        "kind": ["science", "science", "sky", "science", "standard"],
+        "category": ["", "x", "", "", "x"],
+        "fiber_type": ["", "A", "", "B", ""],
+        "required": [0, 0, 0, 1, 0],
+        "requirements": ["sky=1", "x=1"],
+        "forbidden": [[1, 2]],
+        "objective": "count",
+        "time_limit": 0.1 * u.min,
+    }
+
+    def look(problem):
+        seen.append(problem)
+        return np.full(3, -1)
+
+    nothing = flat.allocate(plane, xy, allocator=look, parked_obstacles=False, rng=8, **columns)
+    assert nothing.n_assigned == 0
+    assert str(nothing.unmet[0]) == "sky targets: 0 of 1, 1 missing; none is in reach"
+    (problem,) = seen
+    assert problem.focal_plane is plane
+    np.testing.assert_array_equal(problem.xy, xy.value)
+    # 1 needs A, 3 needs B, the pair (1, 2) is forbidden
+    assert problem.reachable.toarray().tolist() == [[1, 1, 0, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 1, 0]]
+    assert problem.rank.tolist() == [0, 1, 2, 0, 2]
+    np.testing.assert_array_equal(problem.priority, [5, 1, np.nan, 5, np.nan])
+    assert problem.kind.tolist() == columns["kind"]
+    assert problem.category.tolist() == columns["category"]
+    assert problem.fiber_type.tolist() == columns["fiber_type"]
+    assert problem.required.tolist() == [False, False, False, True, False]
+    assert problem.requirements == (rs.Requirement("sky", 1), rs.Requirement("x", 1))
+    assert (problem.objective, problem.time_limit, problem.parked_obstacles) == ("count", 6.0, False)
+    assert problem.rng.random() == np.random.default_rng(8).random()
+    for name in ("xy", "rank", "priority", "kind", "category", "fiber_type", "required"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(problem, name)[0] = 1
+
+
+def test_what_is_not_said_has_a_value():
+    seen = []
+    rs.allocate(PAIR, FOUR, allocator=lambda problem: seen.append(problem) or np.array([0, 2]))
+    (problem,) = seen
+    assert problem.kind.tolist() == ["science"] * 4
+    assert problem.category.tolist() == problem.fiber_type.tolist() == [""] * 4
+    assert problem.rank.tolist() == problem.priority.tolist() == problem.required.tolist() == [0] * 4
+    assert problem.reachable.toarray().tolist() == [[1, 1, 0, 0], [0, 1, 1, 0]]
+
+
+def test_the_plan_to_begin_with(small, hers, rng):
+    xy = rng.uniform(-70, 70, (200, 2)) * u.mm
+    plane = small.focal_plane
+    for start in ("lamost", "nearest", rs.allocate(plane, xy, allocator="optimal")):
+        usual = start if isinstance(start, rs.Allocation) else rs.allocate(plane, xy, allocator=start)
+        same(rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start=start)), usual)
+    with pytest.raises(rs.InputError, match="there is no plan to begin with"):
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="begin"))
+    with pytest.raises(rs.InputError, match="unknown allocator to start with 'repair'"):
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="repair"))
+
+
+def test_a_plan_of_others_can_be_repaired(hers):
+    """Both arms stretch toward the same side, the tips are 2 mm apart."""
+    xy = [[99, 99], [13, 0], [15, 0]] * u.mm
+    assert len(rs.find_collisions(PAIR, rs.allocate(PAIR, xy, allocator="swapped")).pairs) == 1
+    repaired = rs.allocate(PAIR, xy, allocator=rs.AllocationOptions("repair", start="swapped"))
+    assert len(rs.find_collisions(PAIR, repaired).pairs) == 0
+    assert repaired.meta["n_before"] == 2
+
+
+def test_stuck_fibers_look_at_sky_without_being_asked():
+    stuck = [[np.nan, np.nan], [0, 90]] * u.deg
+    plane = replace(PAIR, stuck=stuck)
+    options = {"requirements": "sky=1", "sky_separation": 1 * u.mm}
+    usual = flat.allocate(plane, FOUR, allocator="lamost", **options)
+    assert usual.target_of_positioner[1] == usual.n_given  # that of the stuck one
+    for method in (always([0, -1]), lambda problem: problem.start()):
+        mine = flat.allocate(plane, FOUR, allocator=method, **options)
+        assert mine.target_of_positioner[1] == usual.target_of_positioner[1]
+        assert not mine.unmet
+
+
+# what it may come back with
+
+
+def test_elbows_are_those_that_were_asked_for():
+    plane = replace(PAIR, positioner=replace(ROBOT, handedness="both"))
+    mine = rs.allocate(plane, FOUR, allocator=always(([0, 2], np.array(["left", "right"]))))
+    assert mine.handedness.tolist() == ["left", "right"]
+    (x, y), (tip_x, tip_y) = ((part - plane.xy.value).T for part in (mine.place_arms(plane).elbow, mine.tips.value))
+    assert np.sign(tip_x * y - tip_y * x).tolist() == [1, -1]  # on the left of the way from center to tip, and right
+    assert rs.allocate(PAIR, FOUR, allocator=always(([0, -1], ["right", ""]))).n_assigned == 1
+
+
+LIMITED = replace(PAIR, positioner=replace(ROBOT, handedness="both", phi_range=[0, 180] * u.deg))
+
+
+@pytest.mark.parametrize(
+    ("plane", "answer", "words"),
+    [
+        (PAIR, None, r"must return whole numbers of the shape \(2,\).* got NoneType of the shape \(\)"),
+        (PAIR, [0, 2, -1], r"got list of the shape \(3,\)"),
+        (PAIR, np.array([[0, 2]]), r"got ndarray of the shape \(1, 2\)"),
+        (PAIR, np.array([0.0, 2.0]), "must return whole numbers"),
+        (PAIR, np.array([True, False]), "must return whole numbers"),
+        (PAIR, ["0", "2"], "must return whole numbers"),
+        (PAIR, [[0], [1, 2]], "must return whole numbers"),
+        (PAIR, np.ma.array([0, 2], mask=[False, True]), "must return whole numbers"),
+        (PAIR, ([0, 2], None, 3), "must return whole numbers"),
+        (PAIR, [0, 4], "targets must be rows from 0 to 3, or -1 for none, got 4"),
+        (PAIR, np.array([0, 2**64 - 1], dtype=np.uint64), "got 18446744073709551615"),
+        (PAIR, [-2, 0], "got -2"),
+        (PAIR, [1, 1], r"target 1 must have one positioner at most, got 0 and 1 \(by row\)"),
+        (PAIR, [0, 3], r"positioner 1 \(by row\) cannot observe target 3: it is out of reach, forbidden"),
+        (PAIR, [2, 1], r"positioner 0 \(by row\) cannot observe target 2: it is out of reach"),
+        (replace(PAIR, disabled=[True, False]), [0, 1], "positioner 0 .* target 0: it is disabled or stuck"),
+        (PAIR, ([0, 2], ["right"]), r"elbows must be 'right' or 'left' .* shape \(2,\), got \['right'\]"),
+        (PAIR, ([0, 2], ["right", "up"]), "elbows must be 'right' or 'left'"),
+        (PAIR, ([0, 2], [1, -1]), "elbows must be 'right' or 'left'"),
+        (PAIR, ([0, 2], [["right"], []]), "elbows must be 'right' or 'left'"),
+        (PAIR, ([0, 2], ["right", "left"]), r"positioner 1 \(by row\) cannot have the elbow 'left'"),
+        (LIMITED, ([0, 2], ["right", "left"]), r"positioner 1 \(by row\) cannot have the elbow 'left'"),
+    ],
+)
+def test_what_no_plan_can_be_is_refused(plane, answer, words):
+    with pytest.raises(rs.InputError, match=words) as caught:
+        rs.allocate(plane, FOUR, allocator=always(answer))
+    assert str(caught.value).startswith("the allocator 'packages.always.<locals>.<lambda>': ")
+
+
+def test_forbidden_pairs_stay_forbidden():
+    assert rs.allocate(PAIR, FOUR, allocator=always([0, 1])).n_assigned == 2
+    with pytest.raises(rs.InputError, match="positioner 1 .* cannot observe target 1: it is out of reach, forbidden"):
+        rs.allocate(PAIR, FOUR, allocator=always([0, 1]), forbidden=[[1, 1]])
+
+
+def test_errors_say_whose_they_are(hers):
+    with pytest.raises(
+        rs.InputError, match=r"^the allocator 'wrong' of hers 1.0 \(hers:wrong\): target 3 must have one"
+    ):
+        rs.allocate(PAIR, FOUR, allocator="wrong")
+
+    def fails(problem):
+        return problem.xy / 0
+
+    with np.errstate(all="raise"), pytest.raises(rs.InputError, match="fails' failed: FloatingPointError: ") as caught:
+        rs.allocate(PAIR, FOUR, allocator=fails)
+    assert isinstance(caught.value.__cause__, FloatingPointError)
+
+
+# by name
+
+
+def test_a_tile_says_where_its_allocator_comes_from(small, hers):
+    sky = sky_of(small)
+    usual, tile = (rs.plan_tile(sky, small, CENTER, allocator=name) for name in ("lamost", "begin"))
+    np.testing.assert_array_equal(tile.table["target_id"], usual.table["target_id"])
+    assert "hers" not in usual.provenance["software"]
+    assert tile.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}
+    assert tile.provenance["parameters"]["allocator"] == "begin"
+    assert tile.summary["search"] == {"software": {"hers": "1.0"}}
+    repaired = rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions("repair", start="idle"))
+    assert repaired.provenance["software"]["hers"] == "1.0"
+
+
+def test_a_function_is_recorded_by_its_name(small, tmp_path):
+    class Ünsere:
+        def __call__(self, problem):
+            return problem.start()
+
+    tile = rs.plan_tile(sky_of(small), small, CENTER, allocator=Ünsere())
+    name = tile.provenance["parameters"]["allocator"]
+    assert name == f"{__name__}.test_a_function_is_recorded_by_its_name.<locals>.\\xdcnsere"
+    tile.write(tmp_path / "tile.fits")
+    assert rs.Tile.read(tmp_path / "tile.fits") == tile

@@ -1,0 +1,290 @@
+"""The rules that draw up plans against the same rules written down literally, and against matchings by SciPy."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+import flat
+import rfpsurvey as rs
+from oracles import closest_pairs_first, lamost_target, squared_apart
+from scenes import lamost_like, sdss_like, two_fibers
+
+MM = u.mm
+PLANES = {
+    "equal": rs.FocalPlane.hexagonal(
+        rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM), rings=1, pitch=25.6 * MM, spectrograph=[0, 0, 0, 4, 4, 4, 2]
+    ),
+    "unequal": rs.FocalPlane.hexagonal(
+        rs.Positioner(7.4 * MM, 15 * MM, 2 * MM), rings=1, pitch=22.4 * MM, spectrograph=[1, 0, 1, 0, 1, 0, 1]
+    ),
+}
+KINDS = ("science", "standard", "sky")
+
+
+@st.composite
+def scenes(draw, kinds=KINDS):
+    """Targets on a lattice, with many ties in distance, or anywhere, with classes and kinds."""
+    n = draw(st.integers(1, 24))
+    lattice = arrays(float, (n, 2), elements=st.integers(-7, 7).map(lambda k: 6.4 * k))
+    anywhere = arrays(float, (n, 2), elements=st.floats(-45, 45, allow_subnormal=False))
+    xy = draw(lattice | anywhere)
+    priority = draw(st.lists(st.integers(0, 2), min_size=n, max_size=n))
+    return xy, priority, draw(st.lists(st.sampled_from(kinds), min_size=n, max_size=n))
+
+
+@given(st.sampled_from(sorted(PLANES)), scenes())
+def test_nearest_is_the_closest_pair_first(name, scene):
+    plane, (xy, priority, kind) = PLANES[name], scene
+    can = plane.reachable(xy * MM).toarray()
+    found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
+    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
+    can &= np.array(kind) == "science"
+    found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority, kind=kind)
+    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
+
+
+def test_nearest_is_the_closest_pair_first_in_a_crowd(rng):
+    plane = two_fibers()
+    xy, priority = rng.uniform(-80, 80, (250, 2)), rng.integers(0, 3, 250).tolist()
+    fiber = rng.choice(["A", "B", ""], 250)
+    can = plane.reachable(xy * MM, fiber).toarray()
+    found = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority, fiber_type=fiber)
+    assert found.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
+    assert found.n_assigned == 37
+
+
+def lamost_with_requirements(xy, plane, can, priority, kind, category, requirements, column):
+    """Nominations of science; then each requirement, in each spectrograph, from idle positioners upward.
+
+    ``column(i, t)`` is the spectrograph in which positioner i observes target t.
+    """
+    science = [k == "science" for k in kind]
+    target_of = lamost_target(xy, plane.arrays.xy, can & science, priority)
+    locked = set()
+    for one in requirements:
+        if one.minimum == 0:
+            continue
+        wanted = [c == one.what for c in category] if one.what in category else [k == one.what for k in kind]
+        for place in [None] if one.per == "tile" else np.unique(plane.spectrograph).tolist():
+            counts = [i for i, t in enumerate(target_of) if t >= 0 and wanted[t] and place in (None, column(i, t))]
+            locked.update(counts)
+            lacking = one.minimum - len(counts)
+            # the idle first, then those whose target is the least important
+            importance = [(t >= 0, priority[t] if t >= 0 else 0, i) for i, t in enumerate(target_of)]
+            for _, _, i in sorted(importance):
+                free = [
+                    (squared_apart(xy[t], plane.arrays.xy[i]), t)
+                    for t in range(len(xy))
+                    if can[i, t] and wanted[t] and t not in target_of and place in (None, column(i, t))
+                ]
+                if lacking <= 0 or i in locked or not free:
+                    continue
+                target_of[i] = min(free)[1]
+                locked.add(i)
+                lacking -= 1
+    return target_of
+
+
+wishes = st.lists(
+    st.builds(
+        rs.Requirement,
+        st.sampled_from([*KINDS, "faint", "missing"]),
+        st.integers(0, 3),
+        per=st.sampled_from(["tile", "spectrograph"]),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+@given(st.sampled_from(sorted(PLANES)), scenes(), wishes, st.randoms(use_true_random=False))
+def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requirements, random):
+    plane, (xy, priority, kind) = PLANES[name], scene
+    category = [random.choice(["faint", ""]) for _ in xy]
+    can = plane.reachable(xy * MM).toarray()
+    found = rs.allocate(
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions("lamost", requirements=requirements),
+        priority=priority,
+        kind=kind,
+        category=category,
+    )
+    expected = lamost_with_requirements(
+        xy, plane, can, priority, kind, category, requirements, lambda i, t: plane.spectrograph[i]
+    )
+    assert found.target_of_positioner.tolist() == expected
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
+    """A spectrograph for each fiber type, some units unable, and more wanted than there is."""
+    rng = np.random.default_rng(seed)
+    plane = replace(two_fibers(), spectrograph=rng.integers(0, 3, (37, 2)), disabled=rng.random(37) < 0.1)
+    n = 200
+    xy, priority = rng.uniform(-80, 80, (n, 2)), rng.integers(0, 3, n)
+    kind, fiber = rng.choice(["science", "science", *KINDS], n), rng.choice(["A", "B", ""], n)
+    requirements = [rs.Requirement.parse(one) for one in ("standard=2/spectrograph", "sky=9", "science=6/spectrograph")]
+    can = plane.reachable(xy * MM, fiber).toarray()
+
+    def column(i, t):
+        return plane.spectrograph[i, plane.fiber_types.index(fiber[t] or plane.fiber_type[i].split("+")[0])]
+
+    found = rs.allocate(
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions("lamost", requirements=requirements),
+        priority=priority,
+        kind=kind,
+        fiber_type=fiber,
+    )
+    expected = lamost_with_requirements(
+        xy, plane, can, priority.tolist(), kind.tolist(), [""] * n, requirements, column
+    )
+    assert found.target_of_positioner.tolist() == expected
+    assert (kind[expected] == "sky").sum() == 9
+
+
+def test_the_least_important_targets_give_way_first_and_are_free_again():
+    """One positioner is idle, three have priorities 3, 1, 2; a target that one of them releases serves another."""
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
+    plane = rs.FocalPlane([[0, 0], [40, 0], [80, 0], [120, 0]] * MM, unit)
+    xy = [[1, 0], [41, 0], [81, 0], [0, 9], [40, 9], [80, 9], [120, 9]] * MM
+    columns = {"priority": [3, 1, 2, 0, 0, 0, 0], "kind": ["science"] * 3 + ["sky"] * 4}
+    for n, expected in enumerate([[0, 1, 2, -1], [0, 1, 2, 6], [0, 4, 2, 6], [0, 4, 5, 6], [3, 4, 5, 6]]):
+        found = flat.allocate(plane, xy, allocator="lamost", requirements=f"sky={n}", **columns)
+        assert found.target_of_positioner.tolist() == expected
+    pair = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit)
+    found = rs.allocate(
+        pair,
+        [[10, 0], [15, 0], [0, 5]] * MM,
+        allocator=rs.AllocationOptions("lamost", requirements=["sky=1", "bright=1"]),
+        kind=["science", "science", "sky"],
+        priority=[1, 2, 0],
+        category=["bright", "", ""],
+    )
+    assert found.target_of_positioner.tolist() == [2, 0]
+
+
+@pytest.mark.parametrize("method", ["balanced", "nearest", "lamost"])
+@given(st.sampled_from(sorted(PLANES)), scenes())
+def test_rules_take_nothing_but_science(method, name, scene):
+    """They do as if nothing else were there."""
+    plane, (xy, priority, kind) = PLANES[name], scene
+    science = np.flatnonzero(np.array(kind) == "science")
+    priority = None if method == "balanced" else np.array(priority)
+    found = rs.allocate(plane, xy * MM, allocator=method, kind=kind, priority=priority)
+    alone = rs.allocate(
+        plane, xy[science] * MM, allocator=method, priority=None if priority is None else priority[science]
+    )
+    expected = np.append(science, -1)[alone.target_of_positioner]
+    assert found.target_of_positioner.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("method", ["sdss", "optimal", "repair"])
+def test_what_is_not_science_fills_idle_positioners_only(method):
+    plane = lamost_like(rings=1)
+    xy = np.concatenate([plane.arrays.xy + [9, 0], plane.arrays.xy[:5] + [-9, 0]])
+    kind = ["sky", "standard", "sky", "sky", "sky", "sky", "standard"] + ["science"] * 5
+    found = rs.allocate(plane, xy * MM, allocator=method, kind=kind, priority=[9] * 7 + [0] * 5)
+    assert sorted(found.target_of_positioner) == [5, 6, 7, 8, 9, 10, 11]
+    assert [(level.name, level.value) for level in found.levels] == [("science", 5), ("any target", 7)]
+
+
+def crowd(name, n, seed):
+    """A plane with many targets, some of them far away from any positioner."""
+    rng = np.random.default_rng(seed)
+    plane = {"lamost": lambda: lamost_like(rings=12), "sdss": lambda: sdss_like(rings=11)}[name]()
+    half = np.abs(plane.arrays.xy).max() * 1.1
+    return plane, rng.uniform(-half, half, (n, 2)), rng
+
+
+def matched(can):
+    """The number of pairs of a maximum matching, by SciPy."""
+    return int((maximum_bipartite_matching(can.tocsr(), perm_type="column") >= 0).sum())
+
+
+@pytest.mark.parametrize("n", [300, 500, 2000])
+@pytest.mark.parametrize("name", ["lamost", "sdss"])
+def test_sdss_assigns_a_maximum_matching(name, n):
+    plane, xy, _ = crowd(name, n, n)
+    found = rs.allocate(plane, xy * MM, allocator="sdss")
+    assert found.n_assigned == found.bound == matched(plane.reachable(xy * MM))
+    assert found.gap == 0
+    assert found.n_assigned >= rs.allocate(plane, xy * MM, allocator="lamost").n_assigned
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", ["lamost", "sdss"])
+def test_sdss_has_as_many_of_each_class_as_matchings_allow(name, seed):
+    """The classes up to k fill the rank of their own matching; each adds the difference to the one before."""
+    plane, xy, rng = crowd(name, 700, seed)
+    priority = rng.choice([2.5, -1, 7, 0], 700)
+    kind = np.where(rng.random(700) < 0.2, "sky", "science")
+    found = rs.allocate(plane, xy * MM, allocator="sdss", priority=priority, kind=kind)
+    can = plane.reachable(xy * MM)
+    ranks, expected = [0], {}
+    for value in (7, 2.5, 0, -1):
+        ranks.append(matched(can[:, np.flatnonzero((kind == "science") & (priority >= value))]))
+        expected[f"priority {value:g}"] = ranks[-1] - ranks[-2]
+    expected["any target"] = matched(can)
+    assert {level.name: level.value for level in found.levels} == expected
+    used = found.target_of_positioner[found.target_of_positioner >= 0]
+    for value in (7, 2.5, 0, -1):
+        assert ((priority[used] == value) & (kind[used] == "science")).sum() == expected[f"priority {value:g}"]
+    assert len(used) == expected["any target"]
+
+
+@pytest.mark.parametrize("name", ["lamost", "sdss"])
+def test_sdss_counts_science_before_classes_if_asked(name):
+    plane, xy, rng = crowd(name, 500, 9)
+    priority = rng.integers(0, 2, 500)
+    kind = np.where(rng.random(500) < 0.3, "standard", "science")
+    found = rs.allocate(
+        plane, xy * MM, allocator=rs.AllocationOptions("sdss", objective="count"), priority=priority, kind=kind
+    )
+    can = plane.reachable(xy * MM)
+    assert found.levels[0].name == "science"
+    assert found.levels[0].value == matched(can[:, np.flatnonzero(kind == "science")])
+    first = rs.allocate(plane, xy * MM, allocator="sdss", priority=priority, kind=kind)
+    assert first.levels[0].value >= found.levels[1].value
+
+
+@pytest.mark.parametrize("n", [150, 400])
+@pytest.mark.parametrize("make", [lamost_like, sdss_like])
+def test_sdss_has_the_least_sum_of_squared_distances_of_all_maximum_matchings(make, n, rng):
+    plane = make(rings=4)
+    xy = rng.uniform(-120, 120, (n, 2))
+    r2 = ((xy[None] - plane.arrays.xy[:, None]) ** 2).sum(axis=2)
+    can = plane.reachable(xy * MM).toarray()
+    cost = np.where(can, r2 - 1e7, 0.0)
+    rows, columns = linear_sum_assignment(cost)
+    good = can[rows, columns]
+    found = rs.allocate(plane, xy * MM, allocator="sdss").target_of_positioner
+    used = np.flatnonzero(found >= 0)
+    assert len(used) == good.sum()
+    assert r2[used, found[used]].sum() == pytest.approx(r2[rows, columns][good].sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [300, 2000])
+@pytest.mark.parametrize("make", [lamost_like, sdss_like])
+def test_repair_and_optimal_stay_below_a_matching_class_by_class(make, n, rng):
+    plane = make(rings=6)
+    half = np.abs(plane.arrays.xy).max()
+    xy, priority = rng.uniform(-half, half, (n, 2)), rng.integers(0, 2, n)
+    can = plane.reachable(xy * MM)
+    top, both = matched(can[:, np.flatnonzero(priority == 1)]), matched(can)
+    for method in ("optimal", "repair"):
+        found = rs.allocate(plane, xy * MM, allocator=rs.AllocationOptions(method, start="sdss"), priority=priority)
+        assert found.levels[0].value <= top
+        assert found.n_assigned <= both
+        if method == "repair":
+            assert found.levels[0].bound == top
+            assert found.levels[1].bound == both - top or found.levels[0].value < top

@@ -1,0 +1,411 @@
+"""What a plan must hold: what counts, what is lacking, and the limits that nobody exceeds."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import flat
+import rfpsurvey as rs
+from rfpsurvey.allocation import ALLOCATORS, sentences
+from scenes import two_fibers
+
+MM = u.mm
+UNIT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+ROW = rs.FocalPlane([[0, 0], [40, 0], [80, 0]] * MM, UNIT, spectrograph=[7, 7, 9])
+# one science target for each of three positioners that share nothing, and three sky positions for the first
+XY = np.array([[5, 0], [45, 0], [85, 0], [0, 5], [0, 7], [0, -9.0]])
+KIND = ["science"] * 3 + ["sky"] * 3
+FILLING = ["lamost", "sdss", "optimal", "repair"]
+
+
+def allocate(method, wishes, **options):
+    return flat.allocate(ROW, XY * MM, allocator=method, **{"kind": KIND, "requirements": wishes, **options})
+
+
+def said(method, wishes, **options):
+    return sentences(allocate(method, wishes, **options).unmet)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "message"),
+    [
+        (5, "requirements must be a list of Requirement or text, got 5"),
+        ([5], "a requirement must be a Requirement or text such as 'sky=20/spectrograph', got 5"),
+        (["sky=3", None], "a requirement must be a Requirement or text such as 'sky=20/spectrograph', got None"),
+    ],
+)
+def test_requirements_are_a_list_or_one(wishes, message):
+    with pytest.raises(rs.InputError) as error:
+        allocate("lamost", wishes)
+    assert str(error.value) == message
+
+
+@pytest.mark.parametrize(
+    "wishes", ["sky=1", rs.Requirement("sky", 1), ("sky=1",), iter(["sky=1"]), np.array(["sky=1"])]
+)
+def test_one_requirement_or_any_list_of_them_will_do(wishes):
+    assert allocate("lamost", wishes).target_of_positioner.tolist() == [3, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kind": ["science"] * 5}, r"kind must have one value per target, shape \(6,\), got \(5,\)"),
+        ({"kind": ["science"] * 5 + ["star"]}, "unknown kind of target 'star'; choose one of: science, sky, standard"),
+        ({"category": ["a"]}, r"category must have one value per target, shape \(6,\), got \(1,\)"),
+        ({"required": [True]}, r"required must have one value per target, shape \(6,\), got \(1,\)"),
+        ({"forbidden": [0, 1]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
+        ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
+        ({"forbidden": [[3, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
+        ({"forbidden": [[0, 6]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
+        ({"forbidden": [[-1, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
+        ({"objective": "best"}, "unknown objective 'best'; choose one of: count, priority"),
+    ],
+)
+def test_bad_options_are_named(options, message):
+    with pytest.raises(rs.InputError, match=message):
+        allocate("sdss", ["sky=1"], **options)
+
+
+@pytest.mark.parametrize("method", FILLING)
+@pytest.mark.parametrize(
+    ("wishes", "expected"),
+    [
+        (["sky=1"], []),
+        (["sky=2"], ["sky targets: 1 of 2, 1 missing"]),
+        (["sky=3"], ["sky targets: 1 of 3, 2 missing"]),
+        (["sky=4"], ["sky targets: 1 of 4, 3 missing; only 3 are in reach"]),
+        (["sky=1000"], ["sky targets: 1 of 1000, 999 missing; only 3 are in reach"]),
+        (["science=4"], ["science targets: 3 of 4, 1 missing; only 3 are in reach"]),
+        (["standard=2"], ["standard targets: 0 of 2, 2 missing; none is in reach"]),
+        (["sky_boss=2"], ["sky_boss targets: 0 of 2, 2 missing; none is in reach"]),
+        (["sky=1/spectrograph"], ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]),
+        (
+            ["sky=2/spectrograph"],
+            ["sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there"],
+        ),
+        (["sky=2", "sky=-1"], ["sky targets: 1 of 2, 1 missing"]),
+        (
+            ["sky=-1", "sky=2/spectrograph", "sky_boss=1"],
+            [
+                "sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there",
+                "sky_boss targets: 0 of 1, 1 missing; none is in reach",
+            ],
+        ),
+        (["sky=0", "sky=-0", "science=0-3/spectrograph"], []),
+    ],
+)
+def test_what_is_lacking_is_said_in_numbers(method, wishes, expected):
+    found = allocate(method, wishes)
+    assert sentences(found.unmet) == expected
+    n_sky = sum(t >= 3 for t in found.target_of_positioner)
+    assert n_sky == (not {"sky_boss=2", "standard=2", "science=4", "sky=0"} & set(wishes))
+    assert (found.target_of_positioner[1:] == [1, 2]).all()
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
+    xy = np.concatenate([c + [[1, 0], [0, 2], [-3, 0], [0, 4]] for c in ROW.xy.value])
+    found = rs.allocate(
+        ROW,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky=5", "sky=3/spectrograph"]),
+        kind=["sky"] * 12,
+    )
+    assert found.n_assigned == 3
+    why = "all requirements ask for 11 fibers, and there are 3"
+    assert sentences(found.unmet) == [
+        f"sky targets: 3 of 5, 2 missing; {why}",
+        f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",
+    ]
+    assert [(s.spectrograph, s.wanted, s.found, s.possible) for s in found.unmet] == [
+        (None, 5, 3, 12),
+        (7, 3, 2, 8),
+        (9, 3, 1, 4),
+    ]
+
+
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_of_two_requirements_that_contradict_each_other_the_maximum_holds(method):
+    found = allocate(method, ["science=3", "science=-1"])
+    assert sentences(found.unmet) == ["science targets: 1 of 3, 2 missing"]
+    # the first positioner is asked for by both; one of them has to lack a target
+    found = allocate(method, ["sky=1", "near=1"], category=["near", "", "", "", "", ""])
+    assert [(s.wanted, s.found, s.possible) for s in found.unmet] in ([(1, 0, 1)], [(1, 0, 3)])
+    assert found.n_assigned == 3
+
+
+@pytest.mark.parametrize("method", ["balanced", "nearest"])
+def test_rules_without_requirements_only_report(method):
+    assert said(method, ["sky=2", "science=-2"]) == [
+        "sky targets: 0 of 2, 2 missing",
+        "science targets: 3, 1 more than the 2 allowed",
+    ]
+    assert allocate(method, ["sky=2", "science=-2"]).target_of_positioner.tolist() == [0, 1, 2]
+
+
+@pytest.mark.filterwarnings("ignore:sky_separation changes nothing")
+@pytest.mark.parametrize("method", ALLOCATORS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"xy": np.empty((0, 2)) * MM, "kind": []},
+        {"xy": [[np.nan, 0], [900, 0]] * MM, "kind": ["sky", "science"]},
+        {"xy": [[900, 0]] * MM, "kind": ["sky"], "sky_separation": 5 * MM},
+    ],
+)
+def test_a_plan_without_targets_lacks_everything(method, options):
+    options = dict(options)
+    xy = options.pop("xy")
+    found = flat.allocate(ROW, xy, allocator=method, requirements=["science=2", "sky=0", "standard=1-2"], **options)
+    assert found.n_assigned == 0
+    assert sentences(found.unmet) == [
+        "science targets: 0 of 2, 2 missing; none is in reach",
+        "standard targets: 0 of 1, 1 missing; none is in reach",
+    ]
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_an_absurd_number_is_no_crash(method):
+    assert said(method, ["sky=999999999"]) == ["sky targets: 1 of 999999999, 999999998 missing; only 3 are in reach"]
+    with pytest.raises(rs.InputError, match="a requirement must have a form such as"):
+        said(method, ["sky=99999999999999999999"])
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_a_category_comes_before_the_kind_of_the_same_name(method):
+    category = ["", "", "sky", "", "", ""]
+    assert said(method, ["sky=1"]) == []
+    found = allocate(method, ["sky=2"], category=category)
+    assert [str(s) for s in found.unmet] == ["sky targets: 1 of 2, 1 missing; only 1 is in reach"]
+    assert found.target_of_positioner.tolist() == [0, 1, 2]
+    assert said(method, ["sky=2"], category=["x"] * 6) == ["sky targets: 1 of 2, 1 missing"]
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_without_kinds_all_is_science(method):
+    found = allocate(method, ["science=3", "sky=1"], kind=None)
+    assert found.n_assigned == 3
+    assert sentences(found.unmet) == ["sky targets: 0 of 1, 1 missing; none is in reach"]
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_spectrographs_count_on_their_own(method):
+    xy = np.concatenate([XY, [[40, 9], [80, 9.5]]])
+    kind = [*KIND, "sky", "standard"]
+    found = rs.allocate(
+        ROW,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky=1/spectrograph", "standard=1"]),
+        kind=kind,
+    )
+    assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]
+    target_of = found.target_of_positioner
+    assert "sky" in [kind[t] for t in target_of[:2]]
+    assert target_of[2] == 7
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_each_fiber_type_can_have_a_spectrograph_of_its_own(method):
+    plane = rs.FocalPlane(ROW.xy, UNIT, fiber_type=["B+A", "B+A", "B"], spectrograph=[[1, 2], [1, 2], [2, 9]])
+    xy = np.array([[5, 0], [45, 0], [85, 0], [0, 5], [0, 6], [80, 6], [40, 6]])
+    kind, fiber = ["science"] * 3 + ["sky"] * 4, ["B", "", "", "A", "B", "", "B"]
+    found = rs.allocate(
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions(method, requirements=["sky=1/spectrograph"]),
+        kind=kind,
+        fiber_type=fiber,
+        forbidden=[(0, 4)],
+    )
+    # B of the second positioner serves 1; A of the first, or the third without a choice, serve 2; nobody serves 9
+    assert found.target_of_positioner[1] == 6
+    assert found.target_of_positioner[0] == 3 or found.target_of_positioner[2] == 5
+    assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]
+
+
+@pytest.mark.parametrize("method", FILLING)
+def test_a_fiber_type_narrows_what_counts(method):
+    plane = rs.FocalPlane(ROW.xy, UNIT, fiber_type=["B+A", "A", "B"])
+    fiber = ["B", "A", "B", "A", "", "B"]
+    found = rs.allocate(
+        plane, XY * MM, allocator=rs.AllocationOptions(method, requirements=["sky@A=1"]), kind=KIND, fiber_type=fiber
+    )
+    assert found.target_of_positioner.tolist() == [3, 1, 2]
+    assert found.fiber_type.tolist() == ["A", "A", "B"]
+    found = rs.allocate(
+        plane,
+        XY * MM,
+        allocator=rs.AllocationOptions(method, requirements=["science@B=3"]),
+        kind=KIND,
+        fiber_type=fiber,
+    )
+    assert [str(s) for s in found.unmet] == ["science targets for B: 2 of 3, 1 missing; only 2 are in reach"]
+
+
+def held(one, plane, pairs, kind, category, fiber, place=None):
+    """Count what a requirement means, literally, by way of the fiber in use."""
+    n = 0
+    for i, t in pairs:
+        group = category if one.what in set(category) else kind
+        first = plane.fiber_type[i].split("+")[0]
+        column = plane.spectrograph[i]
+        if np.ndim(column):
+            column = column[plane.fiber_types.index(fiber[t] or first)]
+        n += group[t] == one.what and one.fiber_type in ("", fiber[t]) and place in (None, column)
+    return n
+
+
+def random_case(seed):
+    """A plane of two fiber types whose targets crowd, with standards and sky, and limits of all sorts."""
+    rng = np.random.default_rng(seed)
+    plane = two_fibers()
+    spectrograph = rng.integers(0, 3, (37, 2) if seed % 2 else 37)
+    plane = rs.FocalPlane(plane.xy, plane.positioner, fiber_type=plane.fiber_type, spectrograph=spectrograph)
+    n = 160
+    options = {
+        "kind": rng.choice(["science", "science", "standard", "sky"], n),
+        "category": rng.choice(["faint", "bright", ""], n),
+        "fiber_type": rng.choice(["A", "B", ""], n),
+        "priority": rng.integers(0, 3, n),
+        "required": rng.random(n) < 0.04,
+        "requirements": [
+            rs.Requirement("standard", 3, 3, "spectrograph"),
+            rs.Requirement("sky", 4, 6, "tile", "A"),
+            rs.Requirement("faint", 0, int(rng.integers(4, 9))),
+            rs.Requirement("science", 1, 5, "spectrograph"),
+            rs.Requirement("bright", int(rng.integers(3, 30))),
+        ],
+        "forbidden": np.column_stack([rng.integers(0, 37, 200), rng.integers(0, n, 200)]),
+    }
+    return plane, rng.uniform(-75, 75, (n, 2)), options
+
+
+def counts_of(plane, found, options):
+    """Requirement, place and count for all of them."""
+    pairs = [(i, t) for i, t in enumerate(found.target_of_positioner) if t >= 0]
+    columns = options["kind"], options["category"], options["fiber_type"]
+    for one in options["requirements"]:
+        for place in [None] if one.per == "tile" else np.unique(plane.spectrograph):
+            yield one, place, held(one, plane, pairs, *columns, place=place)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("method", FILLING)
+def test_unmet_is_what_a_count_by_hand_finds(method, seed):
+    plane, xy, options = random_case(seed)
+    found = flat.allocate(plane, xy * MM, allocator=method, **options)
+    lacking = {}
+    for one, place, n in counts_of(plane, found, options):
+        if n < one.minimum or (one.maximum is not None and n > one.maximum):
+            lacking[one, place] = (one.minimum if n < one.minimum else one.maximum, n)
+    by_name = {(s.requirement, s.spectrograph): (s.wanted, s.found) for s in found.unmet if s.requirement}
+    assert by_name == lacking
+    can = plane.reachable(xy * MM, options["fiber_type"]).toarray()
+    can[tuple(options["forbidden"].T)] = False
+    for s in found.unmet:
+        if s.requirement is None:
+            seen = options["required"] & can.any(axis=0)
+            n = options["required"][found.target_of_positioner[found.target_of_positioner >= 0]].sum()
+            assert (s.wanted, s.found, s.possible) == (options["required"].sum(), n, seen.sum())
+            continue
+        columns = options["kind"], options["category"], options["fiber_type"]
+        counted = {t for i, t in np.argwhere(can) if held(s.requirement, plane, [(i, t)], *columns, s.spectrograph)}
+        assert s.possible == len(counted)
+    for i, t in options["forbidden"]:
+        assert found.target_of_positioner[i] != t
+
+
+def exceeds(plane, xy, options, **more):
+    """Return whether a plan exceeds a maximum, and how many maxima it reaches."""
+    found = flat.allocate(plane, xy * MM, **options, **more)
+    over = [n - one.maximum for one, _, n in counts_of(plane, found, options) if one.maximum is not None]
+    return max(over) > 0, over.count(0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_no_maximum_is_exceeded(method, seed):
+    over, full = exceeds(*random_case(seed), method=method)
+    assert not over
+    assert full > 1
+
+
+def test_no_maximum_is_exceeded_by_repair():
+    assert not any(exceeds(*random_case(seed), method="repair", start="sdss")[0] for seed in range(6))
+
+
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_no_maximum_is_exceeded_where_there_is_no_time(method):
+    assert not any(exceeds(*random_case(seed), method=method, time_limit=1e-9 * u.s)[0] for seed in range(6))
+
+
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_a_plan_out_of_time_is_a_plan_all_the_same(method):
+    plane, xy, options = random_case(1)
+    found = flat.allocate(plane, xy * MM, allocator=method, time_limit=1e-9 * u.s, **options)
+    best = flat.allocate(plane, xy * MM, allocator=method, **options)
+    assert 10 < found.n_assigned <= 37
+    assert found.gap > 0 == best.gap
+    lacks = [
+        sum(s.wanted - s.found for s in plan.unmet if s.requirement and s.wanted > s.found) for plan in (found, best)
+    ]
+    assert lacks[0] >= lacks[1]
+
+
+def test_repair_of_a_plan_that_exceeds_a_maximum_keeps_it():
+    assert said("repair", ["science=-1"]) == []
+
+
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_required_targets_come_before_everything_else(method):
+    """The one of least priority, standards, and sky that no requirement wants, against requirements and science."""
+    xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
+    kind = ["science", "sky", "science", "standard", "sky", "science"]
+    required = [False, True, False, True, False, True]
+    found = rs.allocate(
+        ROW,
+        xy,
+        allocator=rs.AllocationOptions(method, requirements=["science=3"]),
+        kind=kind,
+        required=required,
+        priority=[9, 0, 9, 0, 0, 1],
+    )
+    assert found.target_of_positioner.tolist() == [1, 3, 5]
+    assert found.levels[0] == ("required targets", 3, 3)
+    assert said(method, ["sky=1"], required=[True, False, False, False, False, False]) == [
+        "sky targets: 0 of 1, 1 missing"
+    ]
+
+
+@pytest.mark.parametrize("method", ["sdss", "optimal"])
+def test_required_targets_that_do_not_fit_are_reported(method):
+    found = rs.allocate(ROW, [[5, 0], [0, 6], [0, 900]] * MM, allocator=method, required=[True] * 3)
+    assert [str(s) for s in found.unmet] == ["required targets: 1 of 3, 2 missing; only 2 are in reach"]
+    found = rs.allocate(ROW, [[0, 900]] * MM, allocator=method, required=[True])
+    assert [str(s) for s in found.unmet] == ["required targets: 0 of 1, 1 missing; none is in reach"]
+    assert rs.allocate(ROW, [[5, 0]] * MM, allocator=method, required=[False]).unmet == ()
+
+
+@pytest.mark.parametrize("method", ALLOCATORS)
+def test_forbidden_pairs_are_never_used(method):
+    free = allocate(method, None)
+    assert allocate(method, None, forbidden=np.empty((0, 2), int)).target_of_positioner.tolist() == [0, 1, 2]
+    assert free.target_of_positioner.tolist() == [0, 1, 2]
+    bound = allocate(method, None, forbidden=[[0, 0], [2, 2], [1, 0]])
+    fills = method in ("sdss", "optimal", "repair")
+    assert bound.target_of_positioner[1:].tolist() == [1, -1]
+    assert (bound.target_of_positioner[0] >= 3) == fills
+    assert bound.n_reachable == 6
+    assert bound.positioner_of_target[[0, 2]].tolist() == [-1, -1]
+
+
+def test_a_requirement_given_twice_is_one():
+    assert said("lamost", ["sky=2", "sky=2"]) == said("lamost", ["sky=2"])
+
+
+def test_an_unknown_fiber_type_is_named():
+    with pytest.raises(rs.InputError, match="the positioners have no fiber types, got the requirement 'sky@BOSS=2'"):
+        said("lamost", ["sky@BOSS=2"])
+    with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
+        rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))

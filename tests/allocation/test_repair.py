@@ -1,0 +1,206 @@
+"""Local moves end the collisions of any plan, and cost no more than they say."""
+
+from itertools import product
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import flat
+import rfpsurvey as rs
+from rfpsurvey.allocation import ALLOCATORS
+from scenes import SCENES, lamost_like, sdss_like
+
+MM = u.mm
+STARTS = sorted(set(ALLOCATORS) - {"repair"})
+NAMES = sorted(set(SCENES) - {"left"})  # the elbow of a whole plan is no option of allocations
+
+
+def scene(name, n=110, seed=3):
+    """A plane of the scenes, a crowd of targets in two classes, and the options that go with them."""
+    rng = np.random.default_rng(seed)
+    plane, given = SCENES[name]
+    options = {"priority": rng.integers(0, 2, n), "parked_obstacles": given.get("parked_obstacles", True)}
+    if plane.fiber_types != ("",):
+        options["fiber_type"] = rng.choice(["", *plane.fiber_types], n)
+    return plane, rng.uniform(-85, 85, (n, 2)) * MM, options
+
+
+def at_fault(plane, found):
+    """Pairs and obstacles of arms that look at a target; two idle arms are nobody's fault."""
+    report = rs.find_collisions(plane, found)
+    busy = found.target_of_positioner >= 0
+    return [tuple(p) for p in report.pairs if busy[p].any()] + [tuple(p) for p in report.obstacle_pairs if busy[p[0]]]
+
+
+def ladder(found, priority):
+    """Targets of the most important class, of the two most important ones, and so on."""
+    used = found.target_of_positioner[found.target_of_positioner >= 0]
+    return [int((priority[used] >= p).sum()) for p in sorted(set(priority.tolist()), reverse=True)]
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("name", NAMES)
+def test_no_arm_collides_whatever_the_start(name, start):
+    plane, xy, options = scene(name)
+    found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
+    assert at_fault(plane, found) == []
+    before = flat.allocate(plane, xy, allocator=start, **options)
+    assert found.meta["n_before"] == before.n_assigned
+    if plane.obstacles is None:
+        assert found.n_assigned >= before.n_assigned - found.meta["n_dropped"]
+        steps = zip(ladder(found, options["priority"]), ladder(before, options["priority"]), strict=True)
+        assert all(after >= first - found.meta["n_dropped"] for after, first in steps)
+    best = flat.allocate(plane, xy, allocator="optimal", **options)
+    assert ladder(found, options["priority"]) <= ladder(best, options["priority"])
+    assert ladder(found, options["priority"])[0] >= 0.8 * ladder(best, options["priority"])[0]
+    again = flat.allocate(plane, xy, allocator="repair", start=before, **options)
+    np.testing.assert_array_equal(again.target_of_positioner, found.target_of_positioner)
+    np.testing.assert_array_equal(again.handedness, found.handedness)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("make", "n"),
+    [
+        (lambda: rs.FocalPlane.hexagonal(lamost_like().positioner, rings=5, pitch=18 * MM), 500),
+        (lambda: sdss_like(rings=5), 500),
+    ],
+    ids=["equal arms", "unequal arms"],
+)
+def test_there_is_something_to_repair(make, n, seed):
+    plane = make()
+    xy = np.random.default_rng(seed).uniform(-130, 130, (n, 2)) * MM
+    start = rs.allocate(plane, xy, allocator="balanced")
+    assert len(at_fault(plane, start)) > 3
+    found = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
+    assert at_fault(plane, found) == []
+    assert found.meta["n_moved"] + found.meta["n_dropped"] >= 2
+    best = rs.allocate(plane, xy, allocator="optimal").n_assigned
+    assert start.n_assigned - found.meta["n_dropped"] <= found.n_assigned <= best
+    assert found.n_assigned >= 0.95 * best
+
+
+@pytest.mark.parametrize("parked", [True, False])
+def test_parked_arms_are_in_the_way_if_they_count(parked):
+    """An idle arm along +x, where its neighbor wants to put its tip: only without parked arms can it."""
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit)
+    alone = rs.allocate(
+        plane, [[16, 1]] * MM, allocator=rs.AllocationOptions("repair", parked_obstacles=parked), forbidden=[[1, 0]]
+    )
+    stands = rs.find_collisions(plane, [[16, 1], [np.nan, np.nan]] * MM, parked_obstacles=parked)
+    assert alone.n_assigned == (len(stands.pairs) == 0) == (not parked)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_plan_without_collisions_is_not_made_worse(name):
+    plane, xy, options = scene(name, seed=8)
+    for method in ("optimal", "repair"):
+        start = flat.allocate(plane, xy, allocator=method, **options)
+        found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
+        assert found.meta["n_dropped"] == found.meta["n_moved"] == 0
+        assert ladder(found, options["priority"]) >= ladder(start, options["priority"])
+        assert at_fault(plane, found) == []
+        if method == "optimal":
+            assert ladder(found, options["priority"]) == ladder(start, options["priority"])
+
+
+@pytest.mark.parametrize("method", ["repair", "optimal"])
+def test_the_other_elbow_saves_both_targets(method):
+    """Of four pairs of elbows one lets both arms stand."""
+    unit = {"central_arm": 8 * MM, "eccentric_arm": 8 * MM, "clearance": 2.25 * MM}
+    centers, xy, apart = [[0, 0], [18, 0]] * MM, [[10, 6], [7, -3]] * MM, [[0, 1], [1, 0]]
+    plane = rs.FocalPlane(centers, rs.Positioner(**unit, handedness="both"))
+    elbows = [
+        hands
+        for hands in product(["right", "left"], repeat=2)
+        if len(rs.find_collisions(plane, xy, handedness=np.array(hands)).pairs) == 0
+    ]
+    assert elbows == [("left", "left")]
+    found = rs.allocate(plane, xy, allocator=method, forbidden=apart)
+    assert found.target_of_positioner.tolist() == [0, 1]
+    assert found.handedness.tolist() == ["left", "left"]
+    assert at_fault(plane, found) == []
+    right = rs.FocalPlane(centers, rs.Positioner(**unit))
+    assert rs.allocate(right, xy, allocator=method, forbidden=apart).n_assigned <= 1
+    again = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=found), forbidden=apart)
+    assert again.handedness.tolist() == ["left", "left"]
+    assert again.meta["n_moved"] == 0
+
+
+@pytest.mark.parametrize("start", ["sdss", "optimal"])
+@pytest.mark.parametrize("seed", range(4))
+def test_maxima_that_the_start_keeps_are_kept(seed, start):
+    plane, xy, options = scene("unequal arms", seed=seed)
+    rng = np.random.default_rng(seed)
+    kind = rng.choice(["science", "standard", "sky"], 110)
+    options |= {"kind": kind, "requirements": ["sky=-6", "standard=-9", "science=-12"]}
+    found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
+    used = found.target_of_positioner[found.target_of_positioner >= 0]
+    counts = [(kind[used] == one).sum() for one in ("sky", "standard", "science")]
+    assert (np.array(counts) <= [6, 9, 12]).all()
+    assert sum(counts) > 20
+    assert at_fault(plane, found) == []
+
+
+def test_the_least_important_target_gives_way():
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, unit)
+    for priority in ([2, 1], [1, 2]):
+        found = rs.allocate(plane, [[12, 0], [14, 0]] * MM, allocator="repair", priority=priority)
+        assert found.n_assigned == 1
+        assert priority[found.target_of_positioner.max()] == 2
+        assert (found.meta["n_before"], found.meta["n_moved"], found.meta["n_dropped"]) == (2, 0, 1)
+        assert [level.value for level in found.levels] == [1, 0]
+    found = rs.allocate(plane, [[12, 0], [14, 0], [37.6, 5]] * MM, allocator="repair")
+    assert sorted(found.target_of_positioner)[1] == 2
+    assert (found.meta["n_moved"], found.meta["n_dropped"]) == (1, 0)
+
+
+def test_what_touches_an_obstacle_is_dropped():
+    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[12, 0, 1]] * MM)
+    found = rs.allocate(plane, [[12, 0]] * MM, allocator="repair")
+    assert (found.n_assigned, found.meta["n_before"], found.meta["n_dropped"]) == (0, 1, 1)
+
+
+def test_a_start_with_found_sky_may_be_repaired():
+    plane, xy, options = scene("equal arms")
+    options |= {"requirements": "sky=6", "sky_separation": 2 * MM}
+    start = flat.allocate(plane, xy, allocator="lamost", **options)
+    found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
+    assert found.unmet == start.unmet == ()
+    assert at_fault(plane, found) == []
+    assert (found.target_of_positioner >= found.n_given).sum() >= 6
+
+
+def test_a_start_that_does_not_fit_is_an_error():
+    plane, xy, _ = scene("equal arms")
+    start = rs.allocate(plane, xy, allocator="lamost")
+    other = rs.FocalPlane(plane.xy[:-1], plane.positioner)
+    fits = "start must be an allocation of the same targets to the same focal plane"
+    for targets, onto in ((xy, other), (xy + 1 * MM, plane), (xy[::-1], plane), (xy[:-1], plane)):
+        with pytest.raises(rs.InputError, match=fits):
+            rs.allocate(onto, targets, allocator=rs.AllocationOptions("repair", start=start))
+    for name in ("best", "repair", ""):
+        with pytest.raises(rs.InputError, match=f"unknown allocator to start with {name!r}; choose one of: balanced,"):
+            rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=name))
+    for value in (5, None, start.target_of_positioner.tolist()):
+        with pytest.raises(rs.InputError, match="start must be an Allocation or the name of an allocator, got "):
+            rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=value))
+
+
+def test_a_start_on_another_plane_of_the_same_size_is_an_error():
+    plane, xy, _ = scene("equal arms")
+    moved = rs.FocalPlane(plane.xy + 300 * MM, plane.positioner)
+    start = rs.allocate(moved, xy, allocator="lamost")
+    with pytest.raises(rs.InputError, match="the same focal plane"):
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
+
+
+def test_a_start_with_fewer_targets_is_an_error():
+    plane, xy, _ = scene("equal arms")
+    start = rs.allocate(plane, xy[:50], allocator="lamost")
+    with pytest.raises(rs.InputError, match="the same targets"):
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))

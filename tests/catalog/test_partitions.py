@@ -1,0 +1,308 @@
+"""Catalogs in many files: read where they are needed, and the same as in one piece."""
+
+import os
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.time import Time
+
+import rfpsurvey as rs
+from rfpsurvey.catalog._parts import Partitions
+from rfpsurvey.survey import _source
+
+pytest.importorskip("pyarrow")
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import flat
+
+CENTER = SkyCoord(359.9 * u.deg, -85 * u.deg)
+OFFSETS = [(0, 0), (1, 2), (-4, 1), (0.1, 0.2), (9, -3)]
+TILES = SkyCoord([CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in OFFSETS])
+
+
+@pytest.fixture(scope="module")
+def sky():
+    catalog = rs.synthetic_catalog("poisson", CENTER, 8 * u.deg, n_targets=5000, rng=4)
+    n = len(catalog)
+    rng = np.random.default_rng(4)
+    return rs.Catalog(
+        catalog.coord,
+        id=[f"star {k}" for k in range(n)],
+        priority=rng.integers(0, 3, n),
+        visits=rng.integers(1, 3, n),
+        kind=rng.choice(["science", "standard"], n),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(sky, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("partitions") / "sky"
+    rs.partition_catalog(sky, folder, order=4)
+    return folder
+
+
+def same(a, b):
+    for name in ("tiles", "completeness", "outcomes", "targets"):
+        one, other = getattr(a, name), getattr(b, name)
+        assert one.colnames == other.colnames
+        for c in one.colnames:
+            np.testing.assert_array_equal(one[c], other[c], err_msg=f"{name} {c}")
+
+
+def test_nothing_is_lost_on_the_way(sky, folder):
+    parts = rs.PartitionedCatalog(folder)
+    whole = parts.read()
+    assert len(parts) == len(whole) == len(sky)
+    rows = np.array([int(name.split()[1]) for name in whole.id])
+    assert np.array_equal(np.sort(rows), np.arange(len(sky)))
+    assert whole.coord.separation(sky.coord[rows]).max() < 1e-6 * u.arcsec
+    for name in ("priority", "visits", "kind"):
+        assert np.array_equal(getattr(whole, name), getattr(sky, name)[rows])
+    assert 1 < parts.meta["n_partitions"] < 40
+
+
+@pytest.mark.parametrize("kept", [10_000_000, 100])
+def test_the_same_survey_as_from_one_piece(folder, small, kept):
+    parts = rs.PartitionedCatalog(folder, kept_rows=kept)
+    options = {"requirements": "standard=2", "allocator": "lamost"}
+    same(flat.plan_survey(parts, small, TILES, **options), flat.plan_survey(parts.read(), small, TILES, **options))
+
+
+def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
+    read = []
+    real = pq.read_table
+    monkeypatch.setattr(
+        pq,
+        "read_table",
+        lambda path, columns, **kw: (read.append((path, columns)), real(path, columns=columns, **kw))[1],
+    )
+    source = _source.Partitioned(rs.PartitionedCatalog(folder))
+    field = source.field(TILES[0].cartesian.xyz.value, np.deg2rad(0.5), np.ones(len(source), dtype=np.uint8))
+    assert len(field.row) > 0
+    assert len({path for path, _ in read}) < 10
+    assert all("_healpix_29" not in columns for _, columns in read)
+
+
+@pytest.mark.parametrize(("kept", "most"), [(10_000_000, 1), (1, 100)])
+def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, most):
+    read = []
+    parts = rs.PartitionedCatalog(folder, kept_rows=kept)
+    source = _source.Partitioned(parts)
+    real = Partitions.part
+    monkeypatch.setattr(Partitions, "part", lambda self, k: (read.append(k), real(self, k))[1])
+    left = np.ones(len(source), dtype=np.uint8)
+    for _ in range(5):
+        for tile in TILES:
+            source.field(tile.cartesian.xyz.value, np.deg2rad(0.5), left)
+    times = np.bincount(read)[1:].max()  # the first is looked at for its kind of ids, too
+    assert times <= most
+    assert (times > 1) == (kept == 1)
+
+
+def test_tiles_are_placed_on_all_partitions(folder):
+    parts = rs.PartitionedCatalog(folder)
+    options = {"radius": 3 * u.deg, "fibers": 500, "method": "mean_shift"}
+    one, other = (rs.place_tiles(catalog, **options).table for catalog in (parts, parts.read()))
+    assert len(one) > 3
+    for name in one.colnames:
+        np.testing.assert_array_equal(one[name], other[name])
+
+
+def changes(sky):
+    """Catalogs that differ from another in one value of one column."""
+    n = len(sky)
+    moved = sky.coord.dec.copy()
+    moved[17] += 1 * u.arcsec
+    priority, kind, visits = sky.priority.copy(), sky.kind.copy(), sky.visits.copy()
+    priority[17] = (priority[17] + 1) % 3
+    kind[17] = "science" if kind[17] == "standard" else "standard"
+    visits[17] = 3 - visits[17]
+    names = [f"star {k}" if k != 17 else "star x7" for k in range(n)]
+    return {
+        "position": replace(sky, coord=SkyCoord(sky.coord.ra, moved)),
+        "priority": replace(sky, priority=priority),
+        "kind": replace(sky, kind=kind),
+        "id": replace(sky, id=names),
+        "visits": replace(sky, visits=visits),
+    }
+
+
+@pytest.mark.parametrize("what", ["position", "priority", "kind", "id", "visits"])
+def test_a_survey_is_not_resumed_with_other_contents(folder, sky, small, tmp_path, what):
+    """Partitions were told apart by the sizes of their files, which a changed value leaves as they are."""
+    plain = {"compression": "none", "use_dictionary": False}
+    stopped = tmp_path / "survey"
+
+    def stop(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        write = pq.write_table
+        patch.setattr(pq, "write_table", lambda table, path: write(table, path, **plain))
+        one = rs.partition_catalog(sky, tmp_path / "one", order=3)
+        other = rs.partition_catalog(changes(sky)[what], tmp_path / "other", order=3)
+    sizes = [[path.stat().st_size for *_, path in parts.parts.files] for parts in (one, other)]
+    assert sizes[0] == sizes[1] or what in ("kind", "id")  # words of other lengths
+    with pytest.raises(KeyboardInterrupt):
+        rs.plan_survey(one, small, TILES, folder=stopped, progress=stop)
+    with pytest.raises(rs.InputError, match="holds another survey: catalog"):
+        rs.plan_survey(other, small, TILES, folder=stopped, resume=True)
+    rs.plan_survey(one, small, TILES, folder=stopped, resume=True)
+
+
+def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
+    """The digest reads as much as a survey does."""
+    parts = rs.partition_catalog(sky, tmp_path / "sky", order=3)
+    rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
+    for *_, path in parts.parts.files:
+        table = pq.read_table(path, partitioning=None)
+        pq.write_table(table.append_column("flux", pa.array(np.arange(float(len(table))))), path)
+    wider = rs.PartitionedCatalog(tmp_path / "sky")
+    rs.plan_survey(wider, small, TILES, folder=tmp_path / "survey", resume=True)
+
+
+def test_resume_and_another_catalog(folder, sky, small, tmp_path):
+    parts = rs.PartitionedCatalog(folder)
+    rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
+    rs.plan_survey(rs.PartitionedCatalog(folder), small, TILES, folder=tmp_path / "survey", resume=True)
+    other = rs.partition_catalog(sky[:-1], tmp_path / "other", order=4)
+    upside_down = rs.PartitionedCatalog(folder, columns={"priority": "-priority"})
+    for catalog in (other, upside_down):
+        with pytest.raises(rs.InputError, match="another survey: catalog"):
+            rs.plan_survey(catalog, small, TILES, folder=tmp_path / "survey", resume=True)
+    with pytest.raises(rs.InputError, match=r"epoch differ \(epoch was None, and is 2026.5\)"):
+        rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey", resume=True, epoch=2026.5)
+
+
+def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
+    parts = rs.partition_catalog(sky, tmp_path / "one", order=0)
+    assert parts.meta["n_partitions"] == 4  # the pole is the corner of four
+    same(rs.plan_survey(parts, small, TILES), rs.plan_survey(parts.read(), small, TILES))
+
+
+@pytest.mark.filterwarnings("ignore:no target was observed")
+def test_proper_motions_and_epochs(small, tmp_path):
+    """A star as fast as Barnard's moves into the field, and out of it, and out of its partition."""
+    moving = SkyCoord(TILES[0].ra, TILES[0].dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=10_300 * u.mas / u.yr)
+    catalog = rs.Catalog(moving.reshape(1), epoch=2000.0)
+    parts = rs.partition_catalog(catalog, tmp_path / "moving", order=9)
+    seen = []
+    for epoch in (1720.0, 2000.0, 2290.0):
+        there = TILES[0].spherical_offsets_by(0 * u.deg, (epoch - 2000) * 10_300 * u.mas).reshape(1)
+        for where in (TILES[:1], there):
+            a, b = (rs.plan_survey(c, small, where, epoch=epoch).summary["n_assigned"] for c in (parts, catalog))
+            assert a == b
+            seen.append(a)
+    assert seen == [0, 1, 1, 1, 0, 1]
+
+
+def test_epochs_of_partitions_may_differ(small, tmp_path):
+    """A slow star of this century in the first partition, and a fast one of 1800 in the last."""
+    for number, (ra, dec, epoch, speed) in enumerate([(45.0, 2.0, 2016.0, 0.0), (100.0, -60.0, 1800.0, 10_000.0)]):
+        name = {0: "Norder=4/Npix=0.parquet", 1: "Norder=4/Npix=2218.parquet"}[number]
+        write(
+            tmp_path / "sky" / name,
+            ra=[ra],
+            dec=[dec],
+            pmra=[0.0],
+            pmdec=[speed],
+            ref_epoch=[epoch],
+            id=[number],
+        )
+    with pytest.raises(rs.InputError, match="outside the pixel"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "sky"), small, TILES)
+    place = SkyCoord([45.0, 100.0] * u.deg, [2.0, -60.0] * u.deg)
+    parts = rs.partition_catalog(
+        rs.Catalog(
+            SkyCoord(place.ra, place.dec, pm_ra_cosdec=[0, 0] * u.mas / u.yr, pm_dec=[0, 10_000] * u.mas / u.yr),
+            epoch=Time([2016.0, 1800.0], format="jyear"),
+        ),
+        tmp_path / "parts",
+        order=9,
+    )
+    tile = SkyCoord([100] * u.deg, [-60 + 226.5 * 10 / 3600] * u.deg)
+    for catalog in (parts, parts.read()):
+        assert rs.plan_survey(catalog, small, tile, epoch=2026.5).summary["n_assigned"] == 1
+
+
+def test_partitions_that_do_not_fit_together(small, tmp_path):
+    write(tmp_path / "columns" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0])
+    write(tmp_path / "columns" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], priority=[1.0])
+    with pytest.raises(rs.InputError, match=r"same columns, but priority differs"):
+        rs.PartitionedCatalog(tmp_path / "columns")
+    write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
+    write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
+    with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), small, SkyCoord([0] * u.deg, [0] * u.deg))
+    none = pa.array([], type=pa.string())
+    write(tmp_path / "empty" / "Norder=0" / "Npix=0.parquet", ra=np.array([]), dec=np.array([]), id=none)
+    with pytest.raises(rs.InputError, match="at least one target"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), small, TILES)
+    write(tmp_path / "empty" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
+    survey = rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), small, SkyCoord([0] * u.deg, [0] * u.deg))
+    assert survey.targets["target_id"].tolist() == ["a"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"columns": 5}, {"columns": "abc"}, {"units": "deg"}, {"frame": 5}, {"kept_rows": "x"}, {"kept_rows": 0}],
+)
+def test_bad_options(folder, options):
+    with pytest.raises(rs.InputError, match=f"{next(iter(options))} must be"):
+        rs.PartitionedCatalog(folder, **options)
+
+
+def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
+    """Columns named in the properties, two orders, several files in a pixel, no ids, no Dir level."""
+    root = tmp_path / "foreign"
+    for order, pixel, name in ((1, 0, "Npix=0.parquet"), (2, 4, "Npix=4/a.parquet"), (2, 4, "Npix=4/b.parquet")):
+        path = root / f"Norder={order}" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({"RA_x": [45.0 + pixel, 46.0], "DEC_x": [1.0, 2.0], "flux": [1.0, 2.0]}), path)
+    (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
+    parts = rs.PartitionedCatalog(root)
+    assert parts.read().id.tolist() == list(range(6))
+    assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]
+
+
+def write(path, **columns):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), path)
+
+
+def test_bad_folders(tmp_path, sky, folder, small):
+    with pytest.raises(rs.InputError, match="there is no such folder"):
+        rs.PartitionedCatalog(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(rs.InputError, match="is a folder without partitions"):
+        rs.PartitionedCatalog(tmp_path / "empty")
+    write(tmp_path / "overlap" / "Norder=0" / "Npix=0.parquet", ra=[1.0], dec=[1.0])
+    write(tmp_path / "overlap" / "Norder=1" / "Npix=3.parquet", ra=[1.0], dec=[1.0])
+    with pytest.raises(rs.InputError, match="Norder=0/Npix=0 and Norder=1/Npix=3 do"):
+        rs.PartitionedCatalog(tmp_path / "overlap")
+    write(tmp_path / "pixel" / "Norder=0" / "Npix=12.parquet", ra=[1.0], dec=[1.0])
+    with pytest.raises(rs.InputError, match="impossible order or pixel"):
+        rs.PartitionedCatalog(tmp_path / "pixel")
+    write(tmp_path / "names" / "Norder=0" / "Npix=0.parquet", x=[1.0], dec=[1.0])
+    with pytest.raises(rs.InputError, match="no column for ra"):
+        rs.PartitionedCatalog(tmp_path / "names")
+    write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
+    with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="1 of 2 rows have no finite"):
+        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), small, SkyCoord([1] * u.deg, [1] * u.deg))
+    (tmp_path / "broken" / "Norder=0").mkdir(parents=True)
+    (tmp_path / "broken" / "Norder=0" / "Npix=0.parquet").write_bytes(b"PAR1")
+    with pytest.raises(rs.InputError, match=r"Npix=0.parquet cannot be read"):
+        rs.PartitionedCatalog(tmp_path / "broken")
+    with pytest.raises(rs.InputError, match="exists; give a folder that does not"):
+        rs.partition_catalog(sky, folder)
+    with pytest.raises(rs.InputError, match="at least one target"):
+        rs.partition_catalog(sky[:0], tmp_path / "none")
+    for order in (14, -1, True, 2.5):
+        with pytest.raises(rs.InputError, match="order must be"):
+            rs.partition_catalog(sky, tmp_path / "none", order=order)
+    assert not any(name.startswith(".") for name in os.listdir(tmp_path))

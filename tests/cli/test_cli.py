@@ -1,0 +1,373 @@
+import os
+import subprocess
+import sys
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable, Table
+
+import rfpsurvey as rs
+from refusals import sentence
+from rfpsurvey import _cli
+
+
+@pytest.mark.parametrize("instrument", ["lamost", "sdss_apo"])
+def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
+    fits, png = tmp_path / "tile.fits", tmp_path / "tile.png"
+    code, out, err = run(
+        "plan",
+        tycho,
+        "--instrument",
+        instrument,
+        "--center",
+        "06h20m00s +23d00m00s",
+        "--pa",
+        15,
+        "--epoch",
+        2026.5,
+        "--output",
+        fits,
+        "--plot",
+        png,
+    )
+    assert (code, err) == (0, "")
+    assert "targets in the catalog                 21662" in out
+    table = QTable.read(fits)
+    assert table["x"].unit == u.mm
+    assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    tile = rs.Tile.read(fits)
+    assert f"{tile.summary['n_assigned']:>10}" in out
+    if instrument == "lamost":
+        assert 1900 < tile.summary["n_in_field"] < 2700
+    assert tile.provenance["parameters"]["epoch"] == "J2026.500"
+
+
+def test_the_embedded_default(run):
+    code, out, _ = run("plan")
+    assert code == 0
+    assert out.startswith("lamost, allocator lamost\n")
+    assert "collision rate" in out
+
+
+def test_module_and_version_and_help(run):
+    done = subprocess.run([sys.executable, "-m", "rfpsurvey", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()[0]) == (0, "rfpsurvey")
+    for arguments, text in ((["--version"], "rfpsurvey "), (["--help"], "plan"), (["plan", "--help"], "Examples:")):
+        code, out, _ = run(*arguments)
+        assert code == 0
+        assert text in out
+
+
+def test_instruments(run):
+    code, out, _ = run("instruments")
+    assert code == 0
+    assert all(name in out for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs"))
+    code, out, _ = run("instruments", "lamost")
+    assert code == 0
+    assert "positioner.central_arm = 8.25 mm\n    published: Chen et al." in out
+    assert "assumed: " in out
+
+
+def test_benchmark(run, tmp_path):
+    chart = tmp_path / "chart.png"
+    call = (
+        "benchmark",
+        "collisions",
+        "--instrument",
+        "sdss_apo",
+        "--method",
+        "exact",
+        "--method",
+        "endpoints",
+        "--repeats",
+        "1",
+        "--plot",
+        str(chart),
+    )
+    code, out, _ = run(*call)
+    assert code == 0
+    assert "endpoints" in out
+    assert chart.stat().st_size > 10_000
+    assert QTable.read(chart.with_suffix(".ecsv"))["method"].tolist() == ["exact", "endpoints"]
+    code, _, err = run(*call)
+    assert code == 2
+    assert "chart.png exists" in err
+    code, out, _ = run("benchmark", "batches", "--instrument", "sdss_apo", "--repeats", "1")
+    assert code == 0
+    assert "10000" in out
+
+
+def test_score(run, tmp_path):
+    x, y = rs.Instrument.preset("lamost").focal_plane.xy[:3].T
+    path = tmp_path / "plan.ecsv"
+    QTable({"positioner": [0, 1, 2], "field": [1, 1, 2], "x": x + 5 * u.mm, "y": y}).write(path)
+    assert "--instrument must say what the assignment was made for" in sentence(*run("score", path)[::2])
+    code, out, _ = run(
+        "score", path, "--instrument", "lamost", "--select", "field=1", "--output", tmp_path / "out.ecsv"
+    )
+    assert code == 0
+    assert rs.Tile.read(tmp_path / "out.ecsv").summary["n_assigned"] == 2
+    assert "allocator scored" in out
+    # a tile of ours knows its instrument
+    code, out, _ = run("score", tmp_path / "out.ecsv")
+    assert code == 0
+    assert out.startswith("lamost")
+    assert "the tile was made for lamost" in sentence(*run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2])
+    assert "leaves no row" in sentence(*run("score", path, "--select", "field=3")[::2])
+    assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
+    assert "must have the form NAME=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
+
+
+def test_columns_units_and_toml(run, tmp_path):
+    center = "10.0 20.0"
+    rng = np.random.default_rng(1)
+    t = Table({"a": rng.uniform(9.7, 10.3, 50), "b": rng.uniform(19.7, 20.3, 50), "rank": np.arange(50)})
+    t.write(tmp_path / "t.ecsv")
+    arguments = ("plan", tmp_path / "t.ecsv", "--center", center, "--instrument", "moons")
+    names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
+    assert "has no unit; say which" in sentence(*run(*arguments, *names)[::2])
+    code, out, _ = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
+    assert code == 0
+    assert "in reach of a positioner" in out
+
+
+def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
+    t = QTable({"ra": [10, np.nan] * u.deg, "dec": [20, 20] * u.deg})
+    t.write(tmp_path / "t.ecsv")
+    code, out, err = run("plan", tmp_path / "t.ecsv", "--center", "10.0 20.0")
+    assert code == 0
+    assert "dropped, no finite coordinates           1\n" in out
+    assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were dropped\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{no}.fits"], "there is no such file"),
+        (["{bad}.fits"], "cannot be read as fits"),
+        (["{bad}.txt"], "must end in one of .fits"),
+        (["{empty}.ecsv"], "the catalog must have at least one target"),
+        (["{noname}.ecsv"], "there is no column for ra and dec; the columns are: x, y"),
+        (["{units}.ecsv"], "column 'ra' (ra) must have a unit convertible to deg, got mm"),
+        (["{unitless}.ecsv"], "column 'ra' has no unit"),
+        (["{good}.ecsv", "--center", "0.0 -60.0"], "no target lies within"),
+        (["{good}.ecsv", "--center", "10.0 22.4765"], "no science target lies in reach of a positioner"),
+        (["--center", "somewhere"], "--center must be coordinates"),
+        (["--instrument", "lamots"], "unknown instrument 'lamots'; choose one of"),
+        (["--instrument", "{no}.toml"], "cannot be read as TOML"),
+        (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
+        (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
+        (["--output", "{no}/tile.fits"], "does not exist"),
+        (["--output", "{good}.ecsv"], "exists; ask for it to be overwritten"),
+        (["--output", "{tile}.csv"], "must end in .fits or .ecsv"),
+        (["--plot", "{tile}.jpg"], "must end in .png or .pdf or .svg"),
+        (["{good}.ecsv", "--unit", "ra"], "--unit must have the form NAME=VALUE"),
+        (["{good}.ecsv", "--column", "rightascension=x"], "unknown column role 'rightascension'"),
+    ],
+)
+def test_bad_input_is_one_sentence(run, tmp_path, arguments, message):
+    (tmp_path / "bad.fits").write_bytes(b"nothing")
+    (tmp_path / "bad.txt").write_bytes(b"nothing")
+    deg = u.deg
+    for name, content in {
+        "empty": {"ra": [] * deg, "dec": [] * deg},
+        "noname": {"x": [1.0], "y": [2.0]},
+        "units": {"ra": [1.0] * u.mm, "dec": [2.0] * deg},
+        "unitless": {"ra": [1.0], "dec": [2.0]},
+        "good": {"ra": [10.0] * deg, "dec": [20.0] * deg},
+    }.items():
+        QTable(content).write(tmp_path / f"{name}.ecsv")
+    filled = [
+        a.format(**{k: tmp_path / k for k in "no bad empty noname units unitless good tile".split()}) for a in arguments
+    ]
+    before = sorted(p.name for p in tmp_path.iterdir())
+    code, _, err = run("plan", *filled)
+    assert message in sentence(code, err)
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_overwrite(run, tmp_path):
+    path = tmp_path / "tile.ecsv"
+    path.write_text("old")
+    assert run("plan", "--instrument", "moons", "--output", path, "--overwrite")[0] == 0
+    assert rs.Tile.read(path).summary["n_positioners"] == 1001
+
+
+def test_usage_errors_exit_with_2(run):
+    assert run("plan", "--nonsense")[0] == 2
+    assert run("nonsense")[0] == 2
+
+
+@pytest.mark.parametrize("center", ["95 23", "95.0,23.0", "9.5e1 2.3e1", "06:20:00 +23:00:00", "06 20 00 +23 00 00"])
+def test_centers_in_any_spelling(center):
+    coord = _cli._app.parse_center(center)
+    assert (coord.ra.deg, coord.dec.deg) == pytest.approx((95, 23))
+
+
+def test_without_a_center_the_middle_of_the_catalog_is_taken(run, tycho):
+    code, out, _ = run("plan", tycho, "--instrument", "moons")
+    assert code == 0
+    assert "center 94.88" in out
+
+
+def test_a_spreadsheets_csv(run, tmp_path):
+    """With the mark at its beginning and a comment."""
+    rows = "\n".join(f"s{k},{10 + 0.01 * k},20.0" for k in range(10))
+    (tmp_path / "s.csv").write_text("\ufeffid,ra,dec\n# a comment\n" + rows + "\n", encoding="utf-8")
+    code, out, _ = run("plan", tmp_path / "s.csv", "--center", "10 20", "--instrument", "lamost")
+    assert code == 0
+    assert "targets in the catalog                    10" in out
+
+
+def test_a_closed_pipe_loses_no_file(tmp_path):
+    command = f"{sys.executable} -u -m rfpsurvey plan --instrument moons --output {tmp_path / 'a.fits'} | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert rs.Tile.read(tmp_path / "a.fits").summary["n_positioners"] == 1001
+    assert "Traceback" not in done.stderr
+
+
+FORKED = """
+import os, runpy, sys
+import rfpsurvey._cli  # once, and not once a command
+for command in sys.argv[2:]:
+    child = os.fork()
+    if child == 0:
+        os.dup2(int(sys.argv[1]), 1)
+        sys.argv = ["rfpsurvey", *command.split()]
+        runpy.run_module("rfpsurvey", run_name="__main__", alter_sys=True)
+        sys.exit()
+    print(command, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr, flush=True)
+"""
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_has_gone_is_told_as_any_shell_does(unbuffered):
+    """With 1, after which a script with pipefail could not tell a broken pipe from bad input."""
+    commands = ["instruments", "--help", "--version", "plan --help", "plan --instrument moons"]
+    receive, send = os.pipe()
+    os.close(receive)
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKED, str(send), *commands],
+        pass_fds=[send],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+    )
+    os.close(send)
+    assert done.stderr.splitlines() == [f"{command} 141" for command in commands]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
+def test_a_full_device_is_a_sentence():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "rfpsurvey", "instruments"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert "No space left on device" in sentence(done.returncode, done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--equinox", "foo"], "equinox must be a Time, a Julian year"),
+        (["--frame", "foo", "{good}"], "unknown frame 'foo'"),
+        (["--pa", "1e17"], "rotation must be one finite value above -3600 deg"),
+        (["--plot", "{folder}/x.png.gz"], "must end in .png or .pdf or .svg"),
+        (["--output", "{folder}/x.ecsv.bz2"], "must end in .fits or .ecsv"),
+        (["{folder}/dir.fits"], "is a folder without partitions"),
+        (["--instrument", "LAMOST"], "Did you mean 'lamost'"),
+    ],
+)
+def test_more_bad_input_is_one_sentence(run, tmp_path, arguments, message):
+    (tmp_path / "dir.fits").mkdir()
+    QTable({"ra": [10.0] * u.deg, "dec": [20.0] * u.deg}).write(tmp_path / "good.ecsv")
+    code, _, err = run("plan", *[a.format(folder=tmp_path, good=tmp_path / "good.ecsv") for a in arguments])
+    assert message in sentence(code, err)
+
+
+def test_probability(run, tmp_path):
+    code, out, _ = run("probability", "sdss_apo", "--precision", 0.01, "--workers", 2)
+    assert code == 0
+    estimate = rs.collision_probability("sdss_apo", method="auto", precision=0.01)
+    assert f"collision probability             {estimate.value:.5f}" in out
+    assert f"{estimate.low:.5f} to {estimate.high:.5f}" in out
+    path = tmp_path / "map.ecsv"
+    code, out, _ = run("probability", "moons", "--method", "closed_form", "--output", path)
+    assert code == 0
+    assert "no error is known" in out
+    table = QTable.read(path)
+    assert table["x"].unit == u.mm
+    assert table["probability"].mean() == pytest.approx(table.meta["value"])
+
+
+def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
+    code, out, _ = run("probability", "lamost", "--targets", tycho)
+    assert code == 0
+    assert "targets given" in out
+    options = ["--targets", "poisson_disc", "--min-separation", 1, "--n-targets", 500, "--target-radius", 60]
+    code, out, _ = run("probability", "sdss_apo", *options, "--max-iterations", 8)
+    assert code == 0
+    assert "min_separation_mm 1" in out
+    code, _, err = run("probability", "lamost", "--targets", "clustered")
+    assert "unknown kind of targets 'clustered'" in sentence(code, err)
+    code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
+    assert "--n-targets belongs to random targets, got a catalog" in sentence(code, err)
+    code, _, err = run("probability", "lamost", "--method", "guess")
+    assert "unknown method of collision probability 'guess'" in sentence(code, err)
+
+
+def test_reproduce(run, tmp_path):
+    code, out, _ = run("reproduce", "small", "--quick", "--folder", tmp_path / "small")
+    assert code == 0
+    assert "small: the probability increases rapidly with the arm ratio" in out
+    assert (tmp_path / "small" / "small.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    code, _, err = run("reproduce", "small", "--quick", "--folder", tmp_path / "small")
+    assert "exists" in sentence(code, err)
+
+
+def test_benchmark_of_probabilities(run, tmp_path):
+    figures = {"central_arm": "3.0 mm", "eccentric_arm": "5.0 mm", "clearance": "1.0 mm"}
+    figure = '{{ value = {}, unit = "{}", status = "assumed", source = "a test of mine" }}'
+    arms = "".join(f"{name} = {figure.format(*text.split())}\n" for name, text in figures.items())
+    bare = '{{ value = {}, status = "assumed", source = "a test of mine" }}'
+    mine = tmp_path / "mine.toml"
+    mine.write_text(
+        f'schema = 1\nname = "mine"\nlayout_is = "nominal"\n[positioner]\n{arms}[layout]\nrings = {bare.format(2)}\n'
+        f"pitch = {figure.format(12.0, 'mm')}\n[optics]\nplate_scale = {figure.format(60.0, 'um / arcsec')}\n"
+    )
+    chart = tmp_path / "chart.svg"
+    code, out, _ = run("benchmark", "probability", "--instrument", mine, "--repeats", 2, "--plot", chart)
+    assert code == 0
+    assert "empirical" in out
+    table = QTable.read(tmp_path / "chart.ecsv")
+    assert set(table["method"]) == {
+        "overlap_ratio",
+        "close_pair",
+        "closed_form",
+        "quadrature",
+        "monte_carlo",
+        "conditional",
+    }
+    assert chart.exists()
+
+
+def test_an_epoch_that_no_column_says(run, tmp_path):
+    """Catalogs of Gaia from other archives name it in their description only."""
+    rows = ["Source,RA_ICRS,DE_ICRS,pmRA,pmDE"] + [f"{k},{95 + 0.01 * k},23,100,50" for k in range(50)]
+    path = tmp_path / "gaia.csv"
+    path.write_text("\n".join(rows))
+    options = ("plan", path, "--instrument", "sdss_apo", "--center", "95.25 23", "--epoch", "2026.0")
+    code, _, err = run(*options)
+    assert code == 2
+    assert "--column epoch=J2016" in err
+    assert run(*options, "--column", "epoch=J2016.0", "--output", tmp_path / "tile.fits")[0] == 0
+    tile = rs.Tile.read(tmp_path / "tile.fits")
+    dec = tile.table["dec"][tile.table["status"] == "assigned"].to_value("deg")
+    assert len(dec) > 5
+    assert dec == pytest.approx(23 + 10 * 0.05 / 3600, abs=1e-7)

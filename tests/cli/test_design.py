@@ -1,0 +1,147 @@
+"""The command ``design``, and the chart that it draws."""
+
+import re
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import flat
+import rfpsurvey as rs
+from refusals import sentence
+from rfpsurvey.plot._style import COLLISION
+
+MM = u.mm
+GRID = {"central_arm": [7.5, 8.25, 9] * MM, "ratio": [1, 1.5], "pitch": [25, 28, 31] * MM, "clearance": 2 * MM}
+
+
+@pytest.fixture(scope="module")
+def table():
+    return flat.explore_designs(**GRID)
+
+
+def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
+    output, plot = tmp_path / "designs.ecsv", tmp_path / "front.svg"
+    axes = ["--central-arm", "7.5:9:3", "--ratio", "1,1.5", "--pitch", "25:31:3", "--clearance", 2]
+    code, out, err = run("design", *axes, "--workers", 2, "--output", output, "--plot", plot)
+    assert (code, err) == (0, "")
+    assert out.startswith("18 designs, loss of fibers: independent; on the front (coverage max, loss min)")
+    assert out.rstrip().endswith(f"wrote {output}\nwrote {plot}")
+    found = QTable.read(output)
+    for name in ("central_arm", "pitch", "loss", "pareto"):
+        assert (found[name] == table[name]).all()
+    share = rs.design.design_sensitivities(table, figures=["loss"])["share"][0]
+    assert re.search(rf"loss +central_arm +{share:.4g}", out)
+    assert b"</svg>" in plot.read_bytes()
+    code, _, err = run("design", *axes, "--output", output)
+    assert "exists; continue it (--resume" in sentence(code, err)
+    assert run("design", *axes, "--output", output, "--resume", "--plot", plot)[0] == 0
+
+
+def test_points_of_sobol_and_other_losses(run, tmp_path):
+    options = ["--ratio", "1:1.5", "--pitch", "26:30", "--n-designs", 16, "--targets-per-positioner", 2]
+    options += ["--estimand", "collision_free", "--n-skies", 2, "--objective", "usable=max", "--objective", "loss=min"]
+    code, out, _ = run("design", *options, "--output", tmp_path / "d.fits")
+    assert code == 0
+    assert "loss of fibers: collision_free; on the front (usable max, loss min)" in out
+    found = QTable.read(tmp_path / "d.fits")
+    assert len(found) == 16
+    assert set(found["method"]) == {"optimal"}
+    assert (found["targets"] == 2).all()
+    code, out, _ = run("design")
+    assert code == 0
+    assert "36 designs, loss of fibers: independent" in out
+    code, out, _ = run("design", "--ratio", 1, "--pitch", 25.6)
+    assert code == 0
+    assert "no sensitivities: at least one of central_arm" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--central-arm", "long"], "--central-arm must be a number, or several as 7,8,9 or LOW:HIGH:NODES"),
+        (["--pitch", "22:30:3:4"], "--pitch must be a number, or several"),
+        (["--pitch", "22:30"], "--pitch 22:30: a grid needs at least two nodes, as 22:30:5"),
+        (["--pitch", "22:30:5", "--n-designs", 9], "with --n-designs give limits only, as 22:30"),
+        (["--ratio", "-1"], "ratio must be finite and above 0, got -1"),
+        (["--objective", "loss"], "--objective must have the form NAME=VALUE"),
+        (["--method", "guess"], "unknown method of design studies 'guess'"),
+        (["--output", "{folder}/no/d.fits"], "does not exist"),
+        (["--plot", "{folder}/d.jpg"], "must end in .png or .pdf or .svg"),
+        (["--resume"], "resume needs the path"),
+    ],
+)
+def test_bad_input_is_one_sentence(run, tmp_path, arguments, message):
+    code, _, err = run("design", *[str(a).format(folder=tmp_path) for a in arguments])
+    assert message in sentence(code, err)
+
+
+def offsets(collections):
+    points = np.vstack([c.get_offsets() for c in collections])
+    return points[np.lexsort(points.T)]
+
+
+def test_every_design_is_drawn_and_the_front_is_joined(table):
+    ax = rs.plot.plot_designs(table)
+    everything, front = ax.collections[::2], ax.collections[1::2]
+    assert len(everything) == len(front) == 2  # values of the ratio
+    drawn, best = (offsets([ax.scatter(t["coverage"], t["loss"])]) for t in (table, table[table["pareto"]]))
+    np.testing.assert_allclose(offsets(everything), drawn)
+    np.testing.assert_allclose(offsets(front), best)
+    assert len(best) > 1
+    best = best[np.argsort(best[:, 0], kind="stable")]
+    np.testing.assert_allclose(ax.get_lines()[0].get_xydata(), best)
+    assert ax.get_ylabel() == "fraction of fibers lost to collisions (independent)"
+
+
+def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
+    """Few points were almost invisible, and the ratio of the arms was not shown where the pitch had more values."""
+    ax = rs.plot.plot_designs(table)
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    ratios = np.unique(table["ratio"])
+    assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in ratios]
+    assert words[-1] == f"front: no other design is better in both ({table['pareto'].sum()} of {len(table)})"
+    ax.figure.draw_without_rendering()  # colors are made of values when a figure is drawn
+    one, other = ax.collections[0], ax.collections[2]
+    assert len(one.get_paths()[0].vertices) != len(other.get_paths()[0].vertices)
+    assert to_hex(one.get_facecolor()[0]) != to_hex(other.get_facecolor()[0])
+    assert min(one.get_sizes()[0], other.get_sizes()[0]) >= 50
+    assert one.get_facecolor()[0, 3] >= 0.8
+    # many values have a color bar
+    many = rs.plot.plot_designs(table, color="loss")
+    assert many.figure.axes[1].get_ylabel() == "fraction of fibers lost to collisions (independent)"
+
+
+def test_columns_marks_and_style_can_be_chosen(table):
+    lamost = flat.explore_designs(central_arm=8.25 * MM, ratio=1, pitch=25.6 * MM, clearance=2.25 * MM)
+    ax = Figure().add_subplot()
+    assert (
+        rs.plot.plot_designs(table, x="pitch", y="loss", color="ratio", mark={"LAMOST": lamost}, ax=ax, cmap="cividis")
+        is ax
+    )
+    assert len(ax.get_lines()) == 0
+    star = ax.collections[-1]
+    assert to_hex(star.get_facecolor()[0]) == COLLISION.lower()
+    np.testing.assert_allclose(star.get_offsets(), [[25.6, lamost["loss"][0]]])
+    assert [t.get_text() for t in ax.texts] == ["LAMOST"]
+    assert ax.collections[0].get_cmap().name == "cividis"
+    assert ax.get_xlabel() == "pitch [mm]"
+
+
+def test_what_cannot_be_drawn_is_refused(table):
+    other = flat.explore_designs(
+        **{**GRID, "estimand": "allocated", "n_skies": 2, "central_arm": 8 * MM, "pitch": 25 * MM}
+    )
+    for call, words in (
+        (lambda: rs.plot.plot_designs("table"), "must be what explore_designs returns"),
+        (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
+        (
+            lambda: rs.plot.plot_designs(table, mark={"other": other}),
+            "must answer the same question as table: allocated, 4 targets a positioner, not indep",
+        ),
+    ):
+        with pytest.raises(rs.InputError, match=words):
+            call()

@@ -1,0 +1,178 @@
+"""Many configurations at once, against one at a time."""
+
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from rfpsurvey._kernels import allocation as kernels
+from scenes import MM, SCENES, both_hands, lamost_like, many_tips, sdss_like, two_fibers, with_troubles
+
+
+def assert_same(counts, reports):
+    assert counts.n_pairs.tolist() == [len(r.pairs) for r in reports]
+    assert counts.n_obstacle_pairs.tolist() == [len(r.obstacle_pairs) for r in reports]
+    assert counts.n_in_collision.tolist() == [int((r.in_collision & r.counted).sum()) for r in reports]
+    assert counts.n_counted.tolist() == [int(r.counted.sum()) for r in reports]
+    assert counts.n_assigned.tolist() == [int(r.assigned.sum()) for r in reports]
+    assert counts.n_borderline.tolist() == [r.n_borderline for r in reports]
+    np.testing.assert_array_equal(counts.rate, [r.rate for r in reports])
+    np.testing.assert_array_equal(counts.rate_assigned, [r.rate_assigned for r in reports])
+    np.testing.assert_array_equal(counts.per_positioner, sum(r.in_collision.astype(int) for r in reports))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_counts_are_those_of_single_configurations(name, rng):
+    plane, options = SCENES[name]
+    tips = many_tips(plane, rng, 70)
+    reports = [rs.find_collisions(plane, t, **options) for t in tips]
+    assert sum(len(r.pairs) for r in reports) > 5
+    assert_same(rs.count_collisions(plane, tips, **options), reports)
+
+
+@pytest.mark.parametrize(
+    "plane",
+    [lamost_like(), two_fibers(), with_troubles(sdss_like()), with_troubles(two_fibers()), both_hands()],
+    ids=["equal arms", "capsules", "troubles", "capsules with troubles", "both hands"],
+)
+def test_draws_are_configurations_of_the_queues(plane, rng):
+    """The same uniform numbers, taken through the public path of one configuration at a time."""
+    edge = np.abs(plane.arrays.xy).max()
+    xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
+    types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
+    allocation = rs.allocate(plane, xy * MM, fiber_type=types)
+    counts = rs.count_collisions(plane, allocation, n_configurations=70, rng=5)
+    if plane.positioner.handedness == "both":
+        assert (allocation.handedness == "left").any()
+    uniform = np.concatenate(
+        [g.random((m, len(plane))) for g, m in zip(np.random.default_rng(5).spawn(2), (64, 6), strict=True)]
+    )
+    reports = []
+    for row in uniform:
+        target = np.empty(len(plane), np.int64)
+        kernels.draw_configuration(*allocation.queues, row, target)
+        used = target >= 0
+        tips = np.where(used[:, None], xy[target], np.nan)
+        drawn = replace(
+            allocation,
+            target_of_positioner=target,
+            tips=tips * MM,
+            handedness=np.where(plane.arrays.sides(tips) < 0, "left", "right"),
+            fiber_type=np.where(used & (types is not None), types[target] if types is not None else "", ""),
+        )
+        reports.append(rs.find_collisions(plane, drawn))
+    assert sum(len(r.pairs) for r in reports) > 5
+    assert_same(counts, reports)
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_an_executor_changes_nothing(pool, rng):
+    plane = lamost_like()
+    tips = many_tips(plane, rng, 130)
+    allocation = rs.allocate(plane, rng.uniform(-70, 70, (150, 2)) * MM)
+    with pool(2) as executor:
+        for given, options in ((tips, {}), (allocation, {"n_configurations": 200, "rng": 3})):
+            here = rs.count_collisions(plane, given, **options)
+            there = rs.count_collisions(plane, given, executor=executor, **options)
+            assert there.n_pairs.sum() > 0
+            for field in here.__dataclass_fields__:
+                np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
+
+
+def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
+    plane = lamost_like()
+    for parked in (True, False):
+        allocation = rs.allocate(
+            plane,
+            rng.uniform(-70, 70, (12, 2)) * MM,
+            allocator=rs.AllocationOptions("balanced", parked_obstacles=parked),
+        )
+        counts = rs.count_collisions(plane, allocation, n_configurations=3)
+        assert (counts.n_counted == (len(plane) if parked else allocation.n_assigned)).all()
+        assert rs.find_collisions(plane, allocation).counted.sum() == counts.n_counted[0]
+
+
+def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
+    plane = lamost_like(1)
+    tips = np.stack([plane.xy + 3 * MM] * 140)
+    tips[130, 2] += 50 * MM
+    with pytest.raises(
+        rs.InputError, match="configuration 130: 1 tips are out of reach, the first that of positioner 2"
+    ):
+        rs.count_collisions(plane, tips)
+    limited = replace(plane, positioner=replace(plane.positioner, phi_range=[0, 170] * u.deg))
+    tips = np.stack([plane.xy + 3 * MM] * 140)
+    tips[130, 2] = limited.xy[2] + 0.1 * MM
+    with pytest.raises(rs.InputError, match="configuration 130: 1 tips are beyond the joint limits"):
+        rs.count_collisions(limited, tips)
+
+
+def test_joint_limits_hold_for_the_elbow_in_use():
+    """A right-handed unit with phi in [0, 180] deg cannot be told to use its left elbow."""
+    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, phi_range=[0, 180] * u.deg)
+    plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, unit)
+    tips = plane.xy + 5 * MM
+    assert len(rs.find_collisions(plane, tips).pairs) == 0
+    for call in (
+        lambda: rs.find_collisions(plane, tips, handedness="left"),
+        lambda: rs.count_collisions(plane, tips[None], handedness="left"),
+    ):
+        with pytest.raises(rs.InputError, match="2 tips are beyond the joint limits"):
+            call()
+
+
+def test_nothing_to_count():
+    plane = lamost_like(1)
+    empty = rs.count_collisions(plane, np.empty((0, 7, 2)) * MM)
+    assert len(empty) == 0
+    assert empty.per_positioner.tolist() == [0] * 7
+    idle = rs.count_collisions(sdss_like(1), np.full((2, 7, 2), np.nan) * MM)
+    assert np.isnan(idle.rate).all()
+    assert idle.n_pairs.tolist() == [0, 0]
+    apart = rs.FocalPlane.hexagonal(plane.positioner, rings=1, pitch=60 * MM)
+    assert rs.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
+        ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
+        ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
+        ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach, the first that of positioner"),
+        ({"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3}, "n_configurations belongs to an Allocation"),
+        ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
+        ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.count_collisions(lamost_like(1), **arguments)
+
+
+def test_bad_draws_are_named():
+    plane = lamost_like(1)
+    xy = plane.xy + 1 * MM
+    with pytest.raises(rs.InputError, match="n_configurations must say how many to draw"):
+        rs.count_collisions(plane, rs.allocate(plane, xy))
+    with pytest.raises(rs.InputError, match="drawn from the queues of 'balanced', not of 'lamost'"):
+        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
+    with pytest.raises(rs.InputError, match="the method 'exact', not by 'cuda'"):
+        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, method="cuda")
+    with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
+        rs.count_collisions(lamost_like(2), rs.allocate(plane, xy), n_configurations=3)
+    elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
+    with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
+        rs.count_collisions(elsewhere, rs.allocate(plane, xy), n_configurations=3)
+    with pytest.raises(rs.InputError, match="rng must be a seed of at least 0, a numpy Generator or None"):
+        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, rng=np.random.RandomState(1))
+    for wrong in ("lamost", rs.Instrument.preset("lamost")):
+        with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
+            rs.count_collisions(wrong, xy)
+        with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
+            rs.find_collisions(wrong, xy)
+    with pytest.raises(rs.InputError, match="an Allocation brings its own poses"):
+        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, handedness="left")

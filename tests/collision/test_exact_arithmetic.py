@@ -1,0 +1,122 @@
+"""The pair test against exact rational arithmetic, random and adversarial pairs."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adversarial import ADVERSARIAL, random_pairs
+from oracles import closer_than, squared_distance
+from pair_test import decide
+from rfpsurvey._kernels import collisions, reference
+from rfpsurvey.collision._exact_arithmetic import closer_exactly
+from strategies import segments
+
+
+def longest_difference(first, second):
+    ends = np.array([first[:2], first[2:], second[:2], second[2:]])
+    return float(np.hypot(*(ends[:, None] - ends[None]).transpose(2, 0, 1)).max())
+
+
+def assert_within_the_bound(first, second):
+    """The computed distance is within 20 u S of the true one, in rational arithmetic."""
+    got = Fraction(float(np.sqrt(collisions.segments_squared(*first, *second))))
+    bound = Fraction(collisions.DISTANCE_ERROR) * Fraction(longest_difference(first, second) * (1 + 1e-15))
+    true2 = squared_distance(first, second)
+    assert max(got - bound, 0) ** 2 <= true2 <= (got + bound) ** 2
+
+
+@pytest.mark.parametrize("n", [3000, pytest.param(10_000, marks=pytest.mark.exhaustive)])
+def test_random_pairs_are_decided_as_by_rationals(n):
+    rng = np.random.default_rng(1)
+    answers = [(decide(*p), closer_than(*p)) for p in random_pairs(rng, n)]
+    assert all(got == expected for got, expected in answers)
+    assert np.mean([expected for _, expected in answers]) > 0.1
+
+
+@pytest.mark.parametrize("n", [500, pytest.param(1250, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("name", ADVERSARIAL)
+def test_adversarial_pairs_are_decided_as_by_rationals_or_borderline(name, n):
+    rng = np.random.default_rng(2)
+    n_borderline = 0
+    for _ in range(n):
+        first, second, limit = ADVERSARIAL[name](rng)
+        got = decide(first, second, limit)
+        assert decide(second, first, limit) == got
+        expected = closer_than(first, second, limit)
+        assert closer_exactly(first, second, limit) == expected
+        n_borderline += got is None
+        assert got in (None, expected)
+        assert_within_the_bound(first, second)
+    # nasty enough to matter, and not all given up
+    assert 0.016 * n < n_borderline < 0.96 * n
+
+
+@given(segments(2), st.sampled_from([1.25, 2.5, 4.5]))
+def test_any_pair_is_decided_as_by_rationals(pair, limit):
+    got = decide(*pair.tolist(), limit)
+    assert got in (None, closer_than(*pair, limit))
+    assert_within_the_bound(*pair.tolist())
+
+
+def test_the_error_bound_is_not_idle():
+    """Errors of pairs that are easy to find are a twentieth of the proven bound or more."""
+    rng = np.random.default_rng(3)
+    worst = 0.0
+    for _ in range(4000):
+        first, second, _ = ADVERSARIAL["tee"](rng)
+        got = Fraction(float(np.sqrt(collisions.segments_squared(*first, *second))))
+        true2 = squared_distance(first, second)
+        # d - d_true = (d^2 - d_true^2) / (d + d_true)
+        error = float(abs(got**2 - true2)) / (2 * float(got))
+        worst = max(worst, error / (collisions.UNIT * longest_difference(first, second)))
+    assert 0.8 < worst < 20
+
+
+def test_almost_collinear_segments_do_not_cross():
+    """Behind each other on one line the signs of all turns are rounding: taken at their word, some pairs cross."""
+    n = 60_000
+    rng = np.random.default_rng(4)
+    angle = rng.uniform(0, 2 * np.pi, n)
+    along = np.cumsum(rng.uniform(1, 10, (4, n)), axis=0)
+    x, y = (
+        start + along * u for start, u in zip(rng.uniform(-1, 1, (2, n)), (np.cos(angle), np.sin(angle)), strict=True)
+    )
+
+    def turn(a, b, p):
+        return (x[b] - x[a]) * (y[p] - y[a]) - (y[b] - y[a]) * (x[p] - x[a])
+
+    naive = (turn(0, 1, 2) * turn(0, 1, 3) < 0) & (turn(2, 3, 0) * turn(2, 3, 1) < 0)
+    assert naive.any()
+    segments = np.hstack([[x[0], y[0], x[1], y[1]], [x[2], y[2], x[3], y[3]]])
+    squared = np.empty(n)
+    reference.all_pairs(segments, np.arange(n), np.arange(n, 2 * n), squared)
+    np.testing.assert_allclose(np.sqrt(squared), along[2] - along[1], rtol=1e-12)
+
+
+def test_the_largest_error_that_was_found():
+    """Segments that barely cross: the true distance is 0, and the turn of one end is not certain."""
+    ends = (
+        0.18889802440087516,
+        0.8021520411840636,
+        0.6890731994393491,
+        0.29378029915802245,
+        0.6876219460278843,
+        0.29525533482897737,
+        0.15479771473589315,
+        0.39529346736581467,
+    )
+    assert squared_distance(ends[:4], ends[4:]) == 0
+    got = np.sqrt(collisions.segments_squared(*ends))
+    assert 6 < got / (collisions.UNIT * longest_difference(ends[:4], ends[4:])) < 20
+
+
+def test_segments_too_short_to_square_are_not_lost():
+    assert decide((0, 0, 2e-162, 0), (0, 4.25, 0, 5), 4.5) is True
+    assert decide((0, 4.25, 0, 5), (0, 0, 2e-162, 0), 4.5) is True
+
+
+def test_a_limit_of_nothing_is_never_met():
+    assert not closer_exactly((0, 0, 1, 0), (0, -1, 0, 1), 0.0)

@@ -1,0 +1,174 @@
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import flat
+import rfpsurvey as rs
+from rfpsurvey.allocation import ALLOCATORS
+
+MM = u.mm
+CENTER = SkyCoord(150.1, 2.2, unit="deg")
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    return rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=1200, rng=1)
+
+
+@pytest.fixture(scope="module")
+def table(crowded):
+    return rs.compare_allocators(crowded, "moons", CENTER)
+
+
+def test_every_method_has_a_row_and_none_beats_the_optimum(table):
+    assert table["allocator"].tolist() == list(ALLOCATORS)
+    row = dict(zip(table["allocator"], table, strict=True))
+    assert row["optimal"]["gap"] == 0
+    assert row["optimal"]["usable"] == table["usable"].max()
+    assert row["sdss"]["science"] == table["science"].max() == table.meta["blind_science"]
+    for name in ("optimal", "repair"):
+        assert row[name]["colliding"] == row[name]["pairs"] == 0
+        assert row[name]["usable"] == row[name]["science"]
+    assert row["lamost"]["colliding"] > 100
+    assert row["optimal"]["loss"] < 0.05 < 0.2 < row["lamost"]["loss"]
+    np.testing.assert_allclose(table["loss"], 1 - table["usable"] / row["sdss"]["science"])
+
+
+def test_the_rows_say_what_the_tiles_say(table, crowded):
+    tile = rs.plan_tile(crowded, "moons", CENTER, allocator="nearest")
+    row = table[list(table["allocator"]).index("nearest")]
+    assert row["science"] == tile.summary["n_assigned"]
+    assert row["colliding"] == tile.summary["n_colliding"]
+    assert row["pairs"] == tile.summary["n_colliding_pairs"]
+
+
+def test_classes_and_requirements_have_columns(crowded):
+    n = len(crowded)
+    kind = np.where(np.arange(n) % 10 == 0, "sky", "science")
+    catalog = rs.Catalog(crowded.coord, priority=np.arange(n) % 2 + 1.0, kind=kind)
+    requirements = ["sky=30/spectrograph", "standard=4"]
+    found = rs.compare_allocators(
+        catalog,
+        "moons",
+        CENTER,
+        options=rs.AllocationOptions(requirements=requirements, time_limit=20 * u.s),
+        allocators=["lamost", "optimal"],
+    )
+    assert (found["sky"] >= 60).all()
+    assert found["missing"].tolist() == [4, 4]
+    assert found.meta["unmet"]["optimal"] == ["standard targets: 0 of 4, 4 missing; none is in reach"]
+    np.testing.assert_array_equal(found["priority_2"] + found["priority_1"], found["science"])
+
+
+@pytest.mark.parametrize(
+    ("allocators", "message"), [([], "at least one allocator"), (["best"], "unknown allocator 'best'")]
+)
+def test_bad_names_are_named(crowded, allocators, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.compare_allocators(crowded, "moons", CENTER, allocators=allocators)
+
+
+def test_no_arm_covers_a_guide_star(crowded):
+    stars = SkyCoord([150.05, 150.12], [2.15, 2.25], unit="deg")
+    options = {"keep_out": stars, "keep_out_radius": 20 * u.arcsec}
+    tile = flat.plan_tile(crowded, "moons", CENTER, allocator="optimal", **options)
+    assert tile.summary["n_obstacle_collisions"] == 0
+    xy = rs.Instrument.preset("moons").projection(CENTER).to_focal_plane(stars).value
+    radius = 20 * 0.571
+    t = tile.table
+    elbow = np.column_stack([t["elbow_x"], t["elbow_y"]]).value
+    tip = np.column_stack([t["tip_x"], t["tip_y"]]).value
+    along = np.linspace(0, 1, 200)[:, None, None]
+    points = elbow + along * (tip - elbow)
+    for star in xy:
+        assert np.nanmin(np.hypot(*(points - star).T)) > radius + 2 - 0.1
+    blind = flat.plan_tile(crowded, "moons", CENTER, allocator="lamost", **options)
+    assert blind.summary["n_obstacle_collisions"] > 0
+    length = rs.plan_tile(crowded, "moons", CENTER, allocator="optimal", keep_out=stars, keep_out_radius=radius * MM)
+    assert length.summary["n_assigned"] == tile.summary["n_assigned"]
+    with pytest.raises(rs.InputError, match="keep_out and keep_out_radius must be given together"):
+        rs.plan_tile(crowded, "moons", CENTER, keep_out=stars)
+
+
+def test_required_targets_are_found_by_their_ids(crowded):
+    named = rs.Catalog(crowded.coord, id=[f"g{k}" for k in range(len(crowded))])
+    plain = rs.plan_tile(named, "moons", CENTER, allocator="optimal")
+    left = sorted(set(named.id) - set(plain.table["target_id"].filled("")))[:20]
+    tile = rs.plan_tile(named, "moons", CENTER, allocator="optimal", required=left)
+    assert set(left) <= set(tile.table["target_id"].filled(""))
+    assert tile.summary["unmet"] == []
+    with pytest.raises(rs.InputError, match="required must hold ids of the catalog, got nobody"):
+        rs.plan_tile(named, "moons", CENTER, allocator="optimal", required=["nobody"])
+    wide = rs.synthetic_catalog("uniform", CENTER, 2 * u.deg, n_targets=20000, rng=1)
+    far = int(np.argmax(wide.coord.separation(CENTER)))
+    tile = rs.plan_tile(wide, "moons", CENTER, allocator="optimal", required=[far])
+    assert tile.summary["unmet"] == [f"required targets outside the field: {far} (1 in all)"]
+
+
+def test_the_clock_stops_the_search_but_not_the_plan(crowded):
+    plane = rs.Instrument.preset("moons").focal_plane
+    xy = rs.Instrument.preset("moons").projection(CENTER).to_focal_plane(crowded)
+    full = rs.allocate(plane, xy, allocator="optimal")
+    short = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=1e-3 * u.s))
+    assert len(rs.find_collisions(plane, short).pairs) == 0
+    assert short.bound >= full.objective >= short.objective
+    assert short.gap > 0
+    most = [rs.Requirement("science", maximum=400)]
+    short = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", requirements=most, time_limit=1e-3 * u.s))
+    assert 300 < short.n_assigned <= 400
+    assert len(rs.find_collisions(plane, short).pairs) == 0
+
+
+def test_commands(run, tmp_path, crowded):
+    path, out = tmp_path / "sky.ecsv", tmp_path / "table.ecsv"
+    crowded.write(path)
+    code, said, err = run(
+        "compare-allocators",
+        path,
+        "--instrument",
+        "moons",
+        "--allocator",
+        "optimal",
+        "--allocator",
+        "repair",
+        "--require",
+        "sky=20/spectrograph",
+        "--sky-separation",
+        2,
+        "--output",
+        out,
+    )
+    assert (code, err) == (0, "")
+    table = QTable.read(out)
+    assert table["allocator"].tolist() == ["optimal", "repair"]
+    assert (table["sky"] >= 40).all()
+    assert "not met" not in said
+    code, said, err = run("plan", path, "--instrument", "moons", "--allocator", "optimal", "--require", "instrument")
+    assert code == 0
+    assert "gap to the best plan                  0.0000" in said
+    code, said, err = run("plan", path, "--instrument", "lamost", "--require", "instrument", "--require", "sky=2")
+    assert code == 2
+    assert "give no others" in err
+    code, said, err = run("plan", path, "--instrument", "moons", "--require", "skies")
+    assert code == 2
+    assert "a requirement must have a form such as" in err
+
+
+def test_fields_without_science_and_misspelled_names(crowded):
+    sky = rs.Catalog(crowded.coord, kind=np.full(len(crowded), "sky"), category=np.full(len(crowded), "sky_faint"))
+    table = rs.compare_allocators(sky, "moons", CENTER, options=rs.AllocationOptions(requirements="sky=20"))
+    assert table["sky"].tolist() == [0, 0, 20, table["sky"][3], table["sky"][4], table["sky"][5]]
+    with pytest.raises(
+        rs.InputError, match="none of the 1[12].. targets in the field is science; requirements such as"
+    ):
+        rs.plan_tile(sky, "moons", CENTER)
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions("optimal", requirements=["sky_fiant=20"]))
+    assert tile.summary["unmet"] == [
+        "sky_fiant targets: 0 of 20, 20 missing; none is in reach; did you mean 'sky_faint'?"
+    ]
+    with pytest.raises(rs.InputError, match="sky_separation must be one finite value above 0 arcsec"):
+        rs.plan_tile(
+            sky, "moons", CENTER, allocator=rs.AllocationOptions(requirements="sky=20", sky_separation=0 * u.arcsec)
+        )

@@ -1,0 +1,251 @@
+import sys
+import textwrap
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+
+SHIPPED = ["desi", "lamost", "moons", "pfs", "sdss_apo", "sdss_lco"]
+COUNTS = {"lamost": 4000, "sdss_apo": 500, "sdss_lco": 500, "moons": 1001, "desi": 5000, "pfs": 2394}
+TYPES = {"lamost": 2, "sdss_apo": 3, "sdss_lco": 3, "moons": 3, "desi": 2, "pfs": 2}
+
+
+def test_the_shipped_instruments_are_listed():
+    assert set(SHIPPED) <= set(rs.available_instruments())
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_figure_has_a_status_and_a_source(presets, name):
+    instrument = presets[name]
+    assert len(instrument.focal_plane) == COUNTS[name]
+    assert instrument.focal_plane.collision_type == TYPES[name]
+    assert instrument.layout == "nominal"
+    assert instrument.title
+    assert len(instrument.notes) > 50
+    table = instrument.to_table()
+    assert len(table) > 8
+    assert set(table["status"]) <= {"published", "derived", "assumed"}
+    assert all(len(source) > 8 for source in table["source"])
+
+
+@pytest.mark.parametrize(
+    ("name", "angle", "radius", "tolerance"),
+    [
+        ("sdss_apo", 1.0, 220.519, 1e-3),
+        ("sdss_lco", 1.0, 331.490, 1e-3),
+        ("pfs", 0.69, 226.600, 1e-3),
+        ("desi", 1.6, 405.892, 5e-3),  # the fit to the Echo22 table is good to 0.0039 mm
+        ("lamost", 2.0, 20000 * np.tan(np.deg2rad(2.0)), 1e-9),
+    ],
+)
+def test_plate_scales(presets, name, angle, radius, tolerance):
+    center = SkyCoord(95, 23, unit="deg")
+    plane = presets[name].projection(center)
+    xy = plane.to_focal_plane(center.directional_offset_by([0, 120, 240] * u.deg, angle * u.deg))
+    np.testing.assert_allclose(np.hypot(*xy.value.T), radius, atol=tolerance)
+
+
+def test_plate_scales_before_the_scale_to_the_wok(presets):
+    for name, radius in (("sdss_apo", 220.562), ("sdss_lco", 331.504)):
+        radial = presets[name].distortion["BOSS"]
+        assert radial.to_radius(1 * u.deg).value / radial.factor == pytest.approx(radius, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "inner", "outer", "separation", "pitch"),
+    [
+        ("lamost", 0, 16.5, 4.5, 25.6),
+        ("sdss_apo", 7.5697, 22.3697, 4.0782, 22.4),
+        ("sdss_lco", 7.5697, 22.3697, 4.0782, 22.4),
+        ("moons", 9, 25, 4.0, 25.058),
+        ("desi", 0, 6, 1.98, 10.4),
+        ("pfs", 0, 4.75, 2.0, 8.0),
+    ],
+)
+def test_geometry(presets, name, inner, outer, separation, pitch):
+    plane = presets[name].focal_plane
+    unit = plane.positioner
+    assert unit.inner_radius.value == pytest.approx(inner, abs=5e-5)
+    assert unit.outer_radius.value == pytest.approx(outer, abs=5e-5)
+    assert unit.min_separation.value == pytest.approx(separation, abs=5e-5)
+    xy = plane.xy.value
+    d = np.hypot(*(xy[0] - xy[1:]).T)
+    assert d.min() == pytest.approx(pitch)
+
+
+def test_lamost_lies_within_its_focal_plate(presets):
+    plane = presets["lamost"].focal_plane
+    assert np.hypot(*plane.xy.value.T).max() <= 848.7 + 0.05
+    assert presets["lamost"].plate_scale.to_value(u.mm / u.deg) == pytest.approx(349.0659, abs=1e-4)
+    groups, counts = np.unique(plane.spectrograph, return_counts=True)
+    assert len(groups) == 16
+    assert set(counts) == {250}
+    # contiguous: nobody is farther from its group's middle than a block of 250 cells is wide
+    for g in groups:
+        block = plane.xy.value[plane.spectrograph == g]
+        assert np.hypot(*(block - block.mean(axis=0)).T).max() < 650
+
+
+def test_desi_and_pfs_layouts(presets):
+    desi, pfs = presets["desi"].focal_plane, presets["pfs"].focal_plane
+    assert set(np.unique(desi.spectrograph, return_counts=True)[1]) == {500}
+    r = np.hypot(*desi.xy.value.T)
+    assert r.min() >= 28.6
+    x, y = pfs.xy.value.T
+    assert (x.min(), x.max()) == pytest.approx((-193.99, 193.99), abs=0.01)
+    assert (y.min(), y.max()) == pytest.approx((-220.0, 224.0))
+    # three fields of 798, by symmetry
+    turned = np.deg2rad(120)
+    again = pfs.xy.value @ [[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]]
+    assert len(np.unique(np.round(np.vstack([pfs.xy.value, again]), 6) + 0.0, axis=0)) == 2394
+
+
+def test_sdss_layout(presets):
+    plane = presets["sdss_apo"].focal_plane
+    types, counts = np.unique(plane.fiber_type, return_counts=True)
+    assert dict(zip(types.tolist(), counts.tolist(), strict=True)) == {"BOSS": 202, "BOSS+APOGEE": 298}
+    assert len(plane.obstacles) == 46
+    index = {name: k for k, name in enumerate(plane.id)}
+    assert "R0C14" not in index  # the central hole is empty
+    np.testing.assert_allclose(plane.xy[index["R0C1"]].value, [-13 * 22.4, 0], atol=1e-9)
+    np.testing.assert_allclose(plane.xy[index["R+13C1"]].value, [-6.5 * 22.4, 13 * 22.4 * np.sqrt(3) / 2])
+    assert np.hypot(*plane.xy.value.T).max() == pytest.approx(291.2)
+    # no fiducial stands where a robot does
+    gap = np.hypot(*(plane.xy.value[:, None] - plane.obstacles.value[None, :, :2]).transpose(2, 0, 1))
+    assert gap.min() == pytest.approx(22.4)
+    for name, radius in (("sdss_apo", 1.414), ("sdss_lco", 0.947)):
+        assert presets[name].field_radius.value == pytest.approx(radius, abs=1e-3)
+
+
+def test_target_density_is_per_fiber(presets):
+    lamost = presets["lamost"]
+    area = 2 * np.pi * (1 - np.cos(lamost.field_radius.to_value(u.rad))) * (180 / np.pi) ** 2
+    assert lamost.target_density.value * area == pytest.approx(4 * 4000)
+
+
+DESCRIPTION = """
+    schema = 1
+    name = "mine"
+    layout_is = "as built"
+    [positioner]
+    central_arm = { value = 0.3, unit = "cm", status = "assumed", source = "a test of mine" }
+    eccentric_arm = { value = 5.0, unit = "mm", status = "assumed", source = "a test of mine" }
+    clearance = { value = 1.0, unit = "mm", status = "assumed", source = "a test of mine" }
+    [layout]
+    rings = { value = 2, status = "assumed", source = "a test of mine" }
+    pitch = { value = 12.0, unit = "mm", status = "assumed", source = "a test of mine" }
+    [optics]
+    plate_scale = { value = 60.0, unit = "um / arcsec", status = "assumed", source = "a test of mine" }
+"""
+
+
+def test_an_instrument_of_ones_own(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(textwrap.dedent(DESCRIPTION))
+    mine = rs.Instrument.read(path)
+    assert mine.layout == "as built"
+    assert len(mine.focal_plane) == 19
+    assert mine.focal_plane.positioner.outer_radius == 8 * u.mm
+    assert mine.plate_scale.to_value(u.mm / u.deg) == pytest.approx(216)
+
+
+def test_other_packages_add_instruments(tmp_path, monkeypatch):
+    """An installed distribution with an entry point, as pip leaves it behind."""
+    (tmp_path / "mine.toml").write_text(textwrap.dedent(DESCRIPTION))
+    (tmp_path / "their_package.py").write_text(
+        "from pathlib import Path\nimport rfpsurvey as rs\npath = Path(__file__).with_name('mine.toml')\n"
+        "def make():\n    return rs.Instrument.read(path)\n"
+    )
+    info = tmp_path / "their_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[rfpsurvey.instruments]\ntheirs = their_package:make\ntheir_file = their_package:path\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert {"theirs", "their_file"} <= set(rs.available_instruments())
+    for name in ("theirs", "their_file"):
+        assert rs.Instrument.preset(name).name == "mine"
+    sys.modules.pop("their_package", None)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[[", "cannot be read as TOML"),
+        ('name = "x"', "section .positioner. must be there"),
+        (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
+        (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
+        (
+            DESCRIPTION.replace("value = 0.3", "value = -1"),
+            "positioner.central_arm must be a length above 0, got -1 cm",
+        ),
+        (
+            DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'),
+            "the unit of optics.plate_scale must be convertible to mm / rad, got 'um'",
+        ),
+        (DESCRIPTION.replace('unit = "cm"', 'unit = "centimetre"'), "centimetre"),
+        (DESCRIPTION.replace("pitch = ", "pich = "), "unknown entry of .layout. 'pich'.* Did you mean 'pitch'"),
+    ],
+)
+def test_bad_descriptions_are_named(tmp_path, content, message):
+    path = tmp_path / "bad.toml"
+    path.write_text(textwrap.dedent(content))
+    with pytest.raises(rs.InputError, match=message) as caught:
+        rs.Instrument.read(path)
+    assert "bad.toml" in str(caught.value)
+
+
+def test_unknown_names_list_the_choices(tmp_path):
+    with pytest.raises(
+        rs.InputError, match="unknown instrument 'lamst'; choose one of: .*lamost.* Did you mean 'lamost'"
+    ):
+        rs.Instrument.preset("lamst")
+    with pytest.raises(rs.InputError, match="cannot be read as TOML"):
+        rs.Instrument.read(tmp_path / "missing.toml")
+
+
+def test_the_description_in_the_documentation_works(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "instruments.rst").read_text()
+    block = page.split(".. code-block:: toml\n")[1].split("\n``rfpsurvey plan")[0]
+    path = tmp_path / "mine.toml"
+    path.write_text(textwrap.dedent(block))
+    mine = rs.Instrument.read(path)
+    assert len(mine.focal_plane) == 469
+    (tmp_path / "wider.toml").write_text('inherits = "mine"\nname = "wider"\n[layout]\nrings.value = 2\n')
+    with pytest.raises(rs.InputError, match="layout.rings must have a status, got only value"):
+        rs.Instrument.read(tmp_path / "wider.toml")
+    rings = 'rings = { value = 2, status = "assumed", source = "a smaller one" }\n'
+    (tmp_path / "wider.toml").write_text(f'inherits = "mine"\nname = "wider"\n[layout]\n{rings}')
+    assert len(rs.Instrument.read(tmp_path / "wider.toml").focal_plane) == 19
+
+
+def test_every_fiber_type_needs_a_map(presets):
+    sdss = presets["sdss_apo"]
+    with pytest.raises(rs.InputError, match="must have a map for the fiber type 'APOGEE'"):
+        rs.Instrument("half", sdss.focal_plane, distortion={"BOSS": sdss.distortion["BOSS"]})
+
+
+def test_what_tiles_of_each_preset_must_hold(presets):
+    expected = {
+        "lamost": ("sky=20/spectrograph", "standard=5/spectrograph"),
+        "sdss_apo": ("sky@BOSS=50", "sky@APOGEE=35", "standard@BOSS=50", "standard@APOGEE=15"),
+        "sdss_lco": ("sky@BOSS=50", "sky@APOGEE=35", "standard@BOSS=50", "standard@APOGEE=15"),
+        "moons": (),
+        "desi": ("sky=40/spectrograph", "standard=10/spectrograph"),
+        "pfs": ("sky=240", "standard=40"),
+    }
+    for name, instrument in presets.items():
+        assert instrument.requirements == expected[name]
+        assert tuple(str(rs.Requirement.parse(text)) for text in instrument.requirements) == expected[name]
+
+
+def test_descriptions_of_a_later_form_are_refused(tmp_path):
+    text = (Path(rs.__file__).parent / "presets" / "lamost.toml").read_text()
+    (tmp_path / "later.toml").write_text(text.replace("schema = 1", "schema = 2"))
+    with pytest.raises(rs.InputError, match="schema must be 1, the only one that this version reads, got 2"):
+        rs.Instrument.read(tmp_path / "later.toml")

@@ -1,0 +1,30 @@
+"""Damaged files of every format: read with all rows, or refused in a sentence."""
+
+import numpy as np
+import pytest
+
+from damaged_files import FINE, damage, outcome
+from valid_files import samples
+
+N_EACH = 10
+
+
+@pytest.fixture(scope="module")
+def valid(tmp_path_factory):
+    return samples(tmp_path_factory.mktemp("valid"))
+
+
+def test_valid_files_are_read(valid):
+    for sample in valid:
+        assert outcome(sample, sample.path) == ("read", ""), sample.path.name
+
+
+@pytest.mark.parametrize("seed", range(N_EACH))
+def test_damaged_files_are_refused_or_read_whole(valid, tmp_path, seed):
+    """More of them, each in a process of its own: python tests/benchmarks/fuzz_readers.py."""
+    for number, sample in enumerate(valid):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        path, done = damage(np.random.default_rng([99, seed, number]), sample, folder)
+        what, text = outcome(sample, path)
+        assert what in FINE, f"{sample.path.name} ({done}): {what}: {text}"

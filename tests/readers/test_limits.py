@@ -1,0 +1,127 @@
+"""Small files that took minutes, or more memory than there is: each is refused, in little time."""
+
+import bz2
+import gzip
+import lzma
+import subprocess
+import sys
+
+import pytest
+
+import rfpsurvey as rs
+from refusals import refusal
+from rfpsurvey._readers import _limits
+
+MOST_BYTES, MOST_SECONDS = 2 * 2**30, 10
+
+CHILD = """
+import resource, sys, time
+from pathlib import Path
+import rfpsurvey as rs
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    start = time.perf_counter()
+    try:
+        found = (rs.Instrument if path.suffix == ".toml" else rs.Catalog).read(path)
+    except rs.InputError as found:
+        text = str(found).replace(str(path), "")
+    else:
+        text = repr(found)
+    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    print(path.name, time.perf_counter() - start, grown, text, sep="\\t", flush=True)
+"""
+
+
+def card(key, value):
+    return f"{key:8}= {value:>20}".ljust(80).encode()
+
+
+def fits(*cards):
+    primary = [("SIMPLE", "T"), ("BITPIX", 8), ("NAXIS", 0)]
+    table = [("XTENSION", "'BINTABLE'"), ("BITPIX", 8), ("NAXIS", 2), *cards, ("PCOUNT", 0), ("GCOUNT", 1)]
+    headers = [b"".join(card(*c) for c in unit) + b"END".ljust(80) for unit in (primary, table)]
+    return b"".join(header.ljust(-(-len(header) // 2880) * 2880) for header in headers)
+
+
+VOTABLE = (
+    '<?xml version="1.0"?><VOTABLE version="1.4"><RESOURCE><TABLE{}><FIELD name="ra" datatype="{}"{}/><DATA>'
+    "<TABLEDATA><TR><TD>1</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"
+)
+ECSV = "# %ECSV 1.0\n# ---\n# datatype:\n"
+BOMBS = {
+    "newlines.csv.gz": lambda: gzip.compress(b"id,ra,dec\n1,2,3\n" + b"\n" * 70_000_000, 1),
+    "newlines.csv.bz2": lambda: bz2.compress(b"id,ra,dec\n1,2,3\n" + b"\n" * 70_000_000),
+    "newlines.ecsv.xz": lambda: lzma.compress(b"# %ECSV 1.0\n" + b"\n" * 70_000_000, preset=0),
+    "newlines.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"\n" * 20_000_000,
+    "comments.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"#\n" * 3_000_000,
+    "zeros.fits.gz": lambda: gzip.compress(
+        fits(("NAXIS1", 8), ("NAXIS2", 36_000_000), ("TFIELDS", 1), ("TFORM1", "'D'")) + bytes(288_000_000), 1
+    ),
+    "columns.csv": lambda: b",".join(b"a%d" % k for k in range(200_000)) + b"\n",
+    "wide.csv": lambda: b"id,ra,dec\n" + b"x" * 2_000_000 + b",1,2\n" + b"a,1,2\n" * 1_000_000,
+    "fields.fits": lambda: fits(("NAXIS1", 8), ("NAXIS2", 1), ("TFIELDS", 999999999)) + bytes(2880),
+    "rows.fits": lambda: fits(("NAXIS1", 0), ("NAXIS2", 10**10), ("TFIELDS", 1), ("TFORM1", "'0A'")),
+    "cards.fits": lambda: card("SIMPLE", "T") + b"COMMENT".ljust(80) * 300_000,
+    "keys.toml": lambda: (".".join(["a"] * 50_000) + " = 1").encode(),
+    "more_keys.toml": lambda: "\n".join(f"a.b{k}.c = 1" for k in range(60_000)).encode(),
+    "large.toml": lambda: b"# comment\n" * 200_000,
+    "header.ecsv": lambda: (ECSV + "# - {name: a, datatype: int64}\n" * 100_000 + "a\n").encode(),
+    "laughs.ecsv": lambda: (
+        ECSV
+        + "# - {name: a, datatype: int64}\n# meta:\n#   a0: &a0 [x]\n"
+        + "".join(f"#   a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12))
+        + "a\n1\n"
+    ).encode(),
+    "shape.ecsv": lambda: (
+        ECSV + "# - {name: a, datatype: string, subtype: 'float64[1000,1000,1000]'}\n"
+        '# - {name: b, datatype: int64}\na b\n"" 1\n'
+    ).encode(),
+    "laughs.vot": lambda: (
+        '<?xml version="1.0"?><!DOCTYPE V [<!ENTITY a0 "x">'
+        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
+        + "]><VOTABLE>&a11;</VOTABLE>"
+    ).encode(),
+    "arraysize.vot": lambda: VOTABLE.format("", "char", ' arraysize="100000000"').encode(),
+    "nrows.vot": lambda: VOTABLE.format(' nrows="3000000000"', "double", "").encode(),
+}
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """What is said of each file, the seconds it takes, and the largest memory of the process so far."""
+    folder = tmp_path_factory.mktemp("bombs")
+    for name, make in BOMBS.items():
+        (folder / name).write_bytes(make())
+    command = [sys.executable, "-c", CHILD, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    return {line.split("\t")[0]: line.split("\t")[1:] for line in done.stdout.strip().split("\n")}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_takes_little_time_and_memory(reports, name):
+    """3 MB of compressed line breaks took 64 s and 6 GB, a number of columns 65 s and 11 GB, one key 59 s."""
+    seconds, n_bytes, text = reports[name]
+    assert text.startswith(":")
+    assert " must " in text
+    assert float(seconds) < MOST_SECONDS
+    assert float(n_bytes) < MOST_BYTES
+
+
+def test_the_limits_leave_real_catalogs_alone(tmp_path, monkeypatch):
+    """Random coordinates compress to a third; what is small may compress as it likes."""
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(gzip.compress(b"id,ra,dec\n" + b"1,2,3\n" * 1_000_000))
+    assert len(rs.Catalog.read(path)) == 1_000_000
+    monkeypatch.setattr(_limits, "FREE", 1_000_000)
+    assert "must have at most 1000000 bytes, 100 times the file" in refusal(path)
+
+
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, lzma.compress])
+def test_compressed_files_that_are_cut_off(tmp_path, compress):
+    path = tmp_path / "a.csv.gz"
+    content = compress(b"id,ra,dec\n" + b"1,2,3\n" * 1000)
+    path.write_bytes(content)
+    assert len(rs.Catalog.read(path)) == 1000
+    for part in (content[:-9], content[: len(content) // 2], content[:20]):
+        path.write_bytes(part)
+        assert "cannot be read" in refusal(path)

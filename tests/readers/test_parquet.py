@@ -1,0 +1,142 @@
+"""Parquet as pandas and others write it, in one file and in partitions."""
+
+from decimal import Decimal
+
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from refusals import refusal
+
+pa = pytest.importorskip("pyarrow")
+pd = pytest.importorskip("pandas")
+pq = pytest.importorskip("pyarrow.parquet")
+
+N = 6
+UNITS = {"ra": "deg", "dec": "deg"}
+
+
+def read(path):
+    return rs.Catalog.read(path, units=UNITS)
+
+
+def both(folder, columns):
+    """Return the catalog of a file, and that of partitions with the same rows."""
+    base = {"ra": np.full(N, 45.0), "dec": np.full(N, 3.0)}
+    table = columns if isinstance(columns, pa.Table) else pa.table({**base, **columns})
+    one = folder / "a.parquet"
+    pq.write_table(table, one)
+    part = folder / "sky" / "Norder=0" / "Npix=0.parquet"
+    part.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, part)
+    return read(one), rs.PartitionedCatalog(folder / "sky").read()
+
+
+TEXTS = ["a", "b", None, "c", "a", None]
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        pa.array(TEXTS),
+        pa.array(TEXTS, pa.large_string()),
+        pa.array(TEXTS).dictionary_encode(),
+        pa.array([None if t is None else t.encode() for t in TEXTS]),
+        pa.chunked_array([pa.array(TEXTS[:2]).dictionary_encode(), pa.array(TEXTS[2:]).dictionary_encode()]),
+    ],
+)
+def test_text_may_be_missing_and_in_categories(tmp_path, column):
+    """Categories were refused, and missing text ended in a traceback."""
+    for catalog in both(tmp_path, {"category": column, "id": np.arange(N)}):
+        assert catalog.category.tolist() == ["a", "b", "", "c", "a", ""]
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        pa.array([1, 2, None, 4, 5, 6], pa.int64()),
+        pa.array([1, 2, None, 4, 5, 6], pa.float32()),
+        pa.array([1, 2, None, 4, 5, 6], pa.uint8()),
+        pa.array([Decimal("1.0"), Decimal("2.0"), None, Decimal(4), Decimal(5), Decimal(6)], pa.decimal128(9, 3)),
+        pa.array([1, 2, None, 4, 5, 6], pa.int64()).dictionary_encode(),
+    ],
+)
+def test_numbers_may_be_missing_decimal_and_in_categories(tmp_path, column):
+    with pytest.raises(rs.InputError, match="priority must be a number for every target, but 1 of 6 have none"):
+        both(tmp_path, {"priority": column})
+    whole = pa.concat_arrays([column[:2], column[3:], column[:1]])
+    for catalog in both(tmp_path, {"priority": whole, "other": column}):
+        assert catalog.priority.tolist() == [1, 2, 4, 5, 6, 1]
+
+
+def test_missing_ids_are_refused(tmp_path):
+    with pytest.raises(rs.InputError, match="id.* must be integers or text for every row, but 1 rows have none"):
+        both(tmp_path, {"id": pa.array([1, 2, None, 4, 5, 6])})
+
+
+def test_frames_of_pandas(tmp_path):
+    frame = pd.DataFrame(
+        {
+            "name": pd.array(["a", None, "c", "d", "e", "f"], dtype="string"),
+            "ra": np.full(N, 45.0),
+            "dec": np.full(N, 3.0),
+            "visits": pd.array([1, 2, 1, 1, 1, 1], dtype="Int64"),
+            "good": pd.array([True, None, False, True, True, True], dtype="boolean"),
+            "category": pd.Categorical(["x", "y", "x", None, "x", "y"]),
+            "when": pd.to_datetime(["2026-01-01"] * N),
+            "took": pd.to_timedelta([1] * N, unit="s"),
+            "several": [[1, 2]] * N,
+        },
+        index=np.arange(10, 10 + N),
+    )
+    path = tmp_path / "a.parquet"
+    frame.to_parquet(path)
+    assert "__index_level_0__" in pq.read_schema(path).names
+    catalog = read(path)
+    assert catalog.id.tolist() == ["a", "", "c", "d", "e", "f"]
+    assert catalog.visits.tolist() == [1, 2, 1, 1, 1, 1]
+    assert catalog.category.tolist() == ["x", "y", "x", "", "x", "y"]
+    for role, name, message in (
+        ("priority", "when", "column 'when' (priority) must hold numbers or text, got datetime64"),
+        ("priority", "several", "there is no column 'several'"),
+    ):
+        assert message in refusal(path, lambda p, r=role, n=name: rs.Catalog.read(p, units=UNITS, columns={r: n}))
+    table = pa.Table.from_pandas(frame)
+    for one in both(tmp_path, table):
+        assert one.category.tolist() == ["x", "y", "x", "", "x", "y"]
+
+
+def test_units_that_astropy_wrote_are_kept(tmp_path):
+    import astropy.units as u
+    from astropy.table import QTable
+
+    path = tmp_path / "a.parquet"
+    QTable({"id": ["Ä", "b"], "ra": [1, 2.0] * u.hourangle, "dec": [1, 2.0] * u.deg}).write(path)
+    catalog = rs.Catalog.read(path)
+    assert catalog.coord.ra.deg == pytest.approx([15, 30])
+    assert catalog.id.tolist() == ["Ä", "b"]
+
+
+def test_ids_that_are_bytes(tmp_path):
+    pq.write_table(pa.table({"ra": [1.0], "dec": [2.0], "id": [b"\xff\xfe"]}), tmp_path / "a.parquet")
+    assert "column 'id' must hold numbers or text, got the bytes b'\\xff\\xfe'" in refusal(tmp_path / "a.parquet", read)
+
+
+def test_properties_of_partitions(tmp_path):
+    folder = tmp_path / "sky"
+    both(tmp_path, {})
+    (folder / "hats.properties").write_bytes(b"hats_col_ra=ra\nobs_title=M\xfcller\n")
+    with pytest.raises(rs.InputError, match="hats.properties must be text in UTF-8, got the byte 0xfc"):
+        rs.PartitionedCatalog(folder)
+    (folder / "hats.properties").write_text("hats_nrows=7\n")
+    with pytest.warns(rs.RfpsurveyWarning, match="must have 7 rows, as its properties say, but 6 are there"):
+        assert len(rs.PartitionedCatalog(folder)) == N
+
+
+def test_a_file_cannot_claim_many_rows(tmp_path):
+    """A column of equal values takes next to nothing on disk, and all of the memory when it is read."""
+    zeros = np.zeros(15_000_000)
+    pq.write_table(
+        pa.table({"ra": zeros, "dec": zeros, "id": zeros}), tmp_path / "a.parquet", row_group_size=len(zeros)
+    )
+    assert "the number of rows must fit the file" in refusal(tmp_path / "a.parquet", read)

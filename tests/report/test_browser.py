@@ -1,0 +1,205 @@
+"""Pages in a real browser: Chromium or its kin, if there is one; RFPSURVEY_BROWSER names another."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from urllib.parse import unquote
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, QTable
+
+import flat
+import rfpsurvey as rs
+from pages import Reader
+
+CENTER = SkyCoord(95, 23, unit="deg")
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-extensions",
+    "--virtual-time-budget=2000",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--enable-logging=stderr",
+)
+WATCH = """<script>
+window.seen = [];
+addEventListener("error", (event) => seen.push(`error: ${event.message}`), true);
+addEventListener("securitypolicyviolation", (event) => seen.push(`refused: ${event.blockedURI}`));
+</script>"""
+TRY = """<script>
+addEventListener("load", () => {
+  for (const part of document.querySelectorAll("details")) {
+    part.open = true;
+    part.dispatchEvent(new Event("toggle"));
+  }
+  const cut = Array.from(document.querySelectorAll("figure:not(.wide) .scroll"),
+    (region) => region.scrollWidth - region.clientWidth);
+  const hidden = Array.from(document.querySelectorAll(".scroll:has(table)"), (region) => {
+    const edge = region.getBoundingClientRect().right + 1;
+    const heads = Array.from(region.querySelectorAll("thead th"));
+    const more = region.previousElementSibling;
+    return [heads.filter((head) => head.getBoundingClientRect().right > edge).length,
+      more.className === "more" && !more.hidden ? more.textContent : ""];
+  });
+  const orders = Array.from(document.querySelectorAll("table.rows"), (table) =>
+    Array.from(table.querySelectorAll("thead button"), (button, k) => [1, 2].map(() => {
+      button.focus();
+      document.activeElement.click();
+      const head = button.closest("th");
+      const states = Array.from(table.querySelectorAll("thead th"), (th) => th.getAttribute("aria-sort"));
+      return [head.getAttribute("aria-sort"), states.filter((state) => state !== "none").length,
+        Array.from(table.tBodies[0].rows, (row) => row.cells[k].dataset.value ?? row.cells[k].textContent),
+        Array.from(table.tBodies[0].rows, (row) => row.cells[0].textContent)];
+    })));
+  const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  const fetched = performance.getEntriesByType("resource").map((entry) => entry.name);
+  parent.postMessage(encodeURIComponent(JSON.stringify({ seen, orders, fetched, wide, cut, hidden })), "*");
+});
+</script>"""
+# windows are at least 500 pixels wide, frames are not
+FRAME = """<!DOCTYPE html><html><body>
+<iframe src="copy.html" style="border: 0; width: {width}px; height: 900px"></iframe>
+<script>
+addEventListener("message", (event) => {
+  const found = document.createElement("script");
+  found.type = "application/json";
+  found.id = "found";
+  found.textContent = event.data;
+  document.body.append(found);
+});
+</script></body></html>"""
+
+
+@pytest.fixture(scope="session")
+def browse(tmp_path_factory):
+    """Return a function from path and width to the page as the browser has it in the end, and what it logged."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    browser = os.environ.get("RFPSURVEY_BROWSER") or next(filter(None, map(shutil.which, names)), None)
+    if browser is None:
+        pytest.skip("there is no Chromium here, and RFPSURVEY_BROWSER names no other browser")
+    profile = tmp_path_factory.mktemp("profile")
+
+    def call(path, width=1200):
+        options = (*OPTIONS, f"--user-data-dir={profile}", f"--window-size={width},900")
+        done = subprocess.run(
+            [browser, *options, "--dump-dom", path.as_uri()], capture_output=True, text=True, check=True, timeout=120
+        )
+        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return call
+
+
+def tried(browse, path, width=1200):
+    """Click every head twice in a copy of a page, whose policy lets the test's script run; return what was found."""
+    text, relaxed = re.subn(
+        r"script-src 'sha256-[^']*'", "script-src 'unsafe-inline'", path.read_text(encoding="utf-8")
+    )
+    assert relaxed == 1
+    copy = path.with_name("copy.html")
+    copy.write_text(text.replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{TRY}</body>"), encoding="utf-8")
+    frame = path.with_name("frame.html")
+    frame.write_text(FRAME.replace("{width}", str(width)), encoding="utf-8")
+    dom, console = browse(frame, width + 100)
+    assert console == []
+    found = json.loads(unquote(re.search(r'id="found">([^<]*)<', dom)[1]))
+    assert found["seen"] == []
+    assert found["fetched"] == []
+    return found
+
+
+def page_of(kind, folder, small):
+    """Write the page of a small result."""
+    sky = rs.synthetic_catalog("poisson", CENTER, 0.5 * u.deg, density=200 / u.deg**2, rng=3)
+    if kind == "tile":
+        result = rs.plan_tile(sky, "sdss_apo", CENTER)
+    elif kind == "survey":
+        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2))
+    elif kind == "tiling":
+        result = rs.place_tiles(sky, small, passes=2)
+    elif kind == "allocators":
+        result = rs.compare_allocators(sky, small, CENTER, allocators=["lamost", "nearest", "repair"])
+    else:
+        result = flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1)
+    path = folder / f"{kind}.html"
+    rs.write_report(result, path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["tile", "survey", "tiling", "allocators", "estimate"])
+def test_pages_open_without_an_error_and_sort_by_every_column(browse, tmp_path, small, kind):
+    path = page_of(kind, tmp_path, small)
+    tables = [t for t in Reader(path.read_text()).tables if t["class"].split()[0] == "rows" and len(t["rows"]) > 2]
+    found = tried(browse, path, width=400)
+    assert found["wide"] <= 0  # a phone scrolls tables and wide figures, not the page
+    assert max(found["cut"], default=0) <= 0  # and it shows figures whole
+    clicked = [orders for orders in found["orders"] if orders]
+    assert len(clicked) == len(tables) == {"tile": 3, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
+    for orders in clicked:
+        for (up, one, ascending, _), (down, other, descending, _) in orders:
+            assert (up, one, down, other) == ("ascending", 1, "descending", 1)
+            assert sorted(ascending) == sorted(descending)
+            there = [[v for v in order if v not in ("", "\N{EN DASH}")] for order in (ascending, descending)]
+            assert [order[: len(t)] for order, t in zip((ascending, descending), there, strict=True)] == there
+            if all(map(is_number, there[0])):
+                numbers = [[float(v) for v in t] for t in there]
+                assert numbers == [sorted(numbers[0]), sorted(numbers[0], reverse=True)]
+
+
+@pytest.mark.parametrize("width", [400, 1200])
+def test_a_table_says_how_many_columns_are_hidden(browse, tmp_path, small, width):
+    """Wide tables ended at the edge of the page, as if that were all."""
+    hidden = tried(browse, page_of("tile", tmp_path, small), width)["hidden"]
+    assert len(hidden) == 3
+    assert width == 1200 or min(number for number, _ in hidden) > 0
+    for number, words in hidden:
+        assert words == (
+            "" if number == 0 else f"{number} more column{'s' * (number > 1)}: scroll sideways \N{RIGHTWARDS ARROW}"
+        )
+
+
+def is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def test_sorting_knows_numbers_keeps_ties_and_puts_what_is_missing_last(browse, tmp_path):
+    table = QTable(
+        {
+            "name": list("abcdef"),
+            "number": [10.0, 9.0, np.nan, -1e-3, np.inf, -2.0] * u.mm,
+            "count": MaskedColumn([10, 9, 100, 9, 10, 2], mask=[0, 0, 0, 0, 0, 1]),
+            "word": ["s10", "s9", "", "S1", "s9", "t"],
+        }
+    )
+    rs.write_report(table, tmp_path / "page.html")
+    ((_, number, count, word),) = tried(browse, tmp_path / "page.html")["orders"]
+    # ties stay in the order in which they are on the page when the button is pressed: that of the sort before
+    assert ["".join(names) for *_, names in number] == ["fdbaec", "eabdfc"]
+    assert ["".join(names) for *_, names in count] == ["bdeacf", "ceabdf"]
+    assert ["".join(names) for *_, names in word] == ["debafc", "faebdc"]
+
+
+def test_the_page_itself_runs_its_script_under_its_policy(browse, tmp_path):
+    rs.write_report(QTable({"a": [2, 1], "b": ["x", "y"]}), tmp_path / "page.html")
+    dom, console = browse(tmp_path / "page.html")
+    assert console == []
+    assert dom.count("<button") == dom.count('aria-sort="none"') == 2
+    # and no other: what slipped through would be refused
+    text = (tmp_path / "page.html").read_text().replace("</body>", "<script>document.title = 'run'</script></body>")
+    (tmp_path / "page.html").write_text(text)
+    dom, console = browse(tmp_path / "page.html")
+    assert "<title>Untitled table</title>" in dom
+    assert len(console) == 1

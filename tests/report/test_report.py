@@ -1,0 +1,436 @@
+import base64
+import hashlib
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, QTable
+from astropy.time import Time
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+import flat
+import rfpsurvey as rs
+from pages import LOADING, Reader, full
+from rfpsurvey import reproduction
+from rfpsurvey.plot._reproduction import FIGURES as DRAWN
+from rfpsurvey.report import _svg, _tile, estimate_facts
+from rfpsurvey.report._numbers import column_texts
+from rfpsurvey.report._tables import FIGURES as CAPTIONS
+from rfpsurvey.report._text import text_of
+
+CENTER = SkyCoord(95, 23, unit="deg")
+NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
+
+
+@pytest.fixture(scope="module")
+def tile(presets):
+    sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+
+
+@pytest.fixture(scope="module")
+def survey(small):
+    sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=60 / u.deg**2, rng=3)
+    return rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2))
+
+
+def nasty_table():
+    table = QTable(
+        {
+            "name": [NASTY, "plain", ""],
+            "<b>length": [1.23456789, np.nan, -3e-9] * u.mm,
+            "count": MaskedColumn([10, 9, 100], mask=[False, True, False]),
+            "pair": [[1, 2], [3, 4], [5, 6]],
+            "when": Time(["2026-01-01", "2026-02-01", "2026-03-01"]),
+        }
+    )
+    table.meta.update(
+        title="x", note=NASTY, nested={NASTY: {"deeper": [NASTY, None]}}, length=[1, 2] * u.mm, nan=np.nan
+    )
+    return table
+
+
+def nasty_figure():
+    ax = Figure().add_subplot()
+    ax.plot([1, 10, 100], [1, 2, 3], color="0.5")
+    ax.set_xscale("log")
+    ax.set_xlabel(NASTY.replace("\x07", ""))
+    return ax
+
+
+def claims():
+    """What `reproduce` returns, without its folder."""
+    one = reproduction._claims.Claim("small", "it is so", "1", "1.1", "reproduced", "as read")
+    other = reproduction._claims.Claim("small", "it is not", "2", "1.1", "not reproduced", "as read")
+    table = reproduction._claims.claims_table([one, other])
+    table.meta.update(made_by="reproduce", quick=True)
+    return table
+
+
+@pytest.fixture(scope="module")
+def results(tile, survey, small):
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.3 * u.deg, n_targets=60, rng=1)
+    return {
+        "tile": tile,
+        "survey": survey,
+        "tiling": rs.place_tiles(rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg), "lamost"),
+        "estimate": flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
+        "table": nasty_table(),
+        "allocators": rs.compare_allocators(sky, small, CENTER, allocators=["nearest", "repair"]),
+        "claims": claims(),
+    }
+
+
+KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators", "claims")
+
+
+def written(result, folder, **options):
+    path = folder / "page.html"
+    rs.write_report(result, path, overwrite=True, **options)
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_is_well_formed_complete_and_fetches_nothing(results, tmp_path, kind):
+    text = written(results[kind], tmp_path, figures={NASTY: nasty_figure(), "again": nasty_figure()})
+    page = Reader(text)
+    assert page.all("html") == [{"lang": "en"}]
+    assert [len(page.all(tag)) for tag in ("title", "h1", "main", "footer")][1:] == [1, 1, 1]
+    metas = {a.get("name", a.get("http-equiv")): a.get("content") for a in page.all("meta")}
+    assert "width=device-width" in metas["viewport"]
+    # the only script is the page's own, and the only one that the browser would run
+    (script,) = page.text("script")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert metas["Content-Security-Policy"].startswith("default-src 'none'")
+    assert f"script-src 'sha256-{digest}'" in metas["Content-Security-Policy"]
+    ids = [attrs["id"] for _, attrs, _ in page.elements if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    for tag, attrs, _ in page.elements:
+        assert not any(name.startswith("on") for name in attrs), (tag, attrs)
+        for name in LOADING & set(attrs):
+            assert attrs[name].startswith(("#", "data:image/png;base64,", "data:,")), (tag, name, attrs[name][:80])
+            assert not attrs[name].startswith("#") or attrs[name][1:] in ids
+        for value in attrs.values():
+            assert all(name in ids for name in re.findall(r"url\(([^)]*)\)", value or "") if name[:1] != "#")
+            assert all(name in ids for name in re.findall(r"url\(#([^)]*)\)", value or ""))
+    (style,) = page.text("style")
+    assert not re.search(r"@import|url\(|https?:", style)
+    assert all(attrs.get("scope") in ("col", "row") for attrs in page.all("th"))
+    for tag, attrs, above in page.elements:
+        if tag == "svg":
+            assert attrs["role"] == "img"
+            assert set(attrs["aria-labelledby"].split()) <= set(ids)
+            assert above[-2:] == ("figure", "div")
+    titles = [above[-1] for tag, _, above in page.elements if tag == "title"]
+    assert titles.count("svg") == len(page.all("svg")) == len(page.all("figcaption")) >= 2
+
+
+def test_what_others_wrote_is_shown_as_text(tmp_path):
+    page = Reader(written(nasty_table(), tmp_path, title=NASTY, figures={NASTY: nasty_figure()}))
+    shown = NASTY.replace("\x07", "\N{REPLACEMENT CHARACTER}")
+    assert "".join(page.text("h1")) == shown
+    heads, rows = page.table("3 rows and 5 columns.")
+    assert rows[0][0]["text"] == shown
+    assert heads == ["name", "<b>length mm", "count", "pair", "when"]
+    assert page.facts()["note"] == shown
+    assert page.facts()["deeper"].startswith(shown)
+    assert shown in page.text("figcaption") + page.text("strong")
+    assert NASTY.replace("\x07", "") in "".join(page.text("text"))
+    assert len(page.all("script")) == 1
+
+
+def test_a_title_that_marks_itself_as_safe_is_shown_as_text(tmp_path):
+    class Safe(str):
+        def __html__(self):
+            return self
+
+    assert Reader(written(QTable({"a": [1]}), tmp_path, title=Safe("<b>x</b>"))).text("h1") == ["<b>x</b>"]
+
+
+def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
+    _, rows = Reader(written(nasty_table(), tmp_path)).table("3 rows and 5 columns.")
+    assert [row[1]["text"] for row in rows] == ["1.235", "\N{EN DASH}", "-3.000e-09"]
+    np.testing.assert_array_equal([full(row[1]) for row in rows], [1.23456789, np.nan, -3e-9])
+    assert [row[2]["text"] for row in rows] == ["10", "\N{EN DASH}", "100"]
+    assert ["missing" in row[2]["class"] for row in rows] == [False, True, False]
+    assert rows[2][0]["class"] == "missing"
+    assert rows[0][3]["text"] == "[1 2]"
+    assert rows[1][4]["text"].startswith("2026-02-01")
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))
+def test_numbers_keep_four_digits(values):
+    for value, text in zip(values, column_texts(np.array(values)), strict=True):
+        assert abs(float(text) - value) <= 0.5001e-3 * abs(value)
+
+
+def test_numbers_of_a_column_have_the_same_decimals():
+    assert column_texts(np.array([1.5, 12.25, 3.0])) == ["1.50", "12.25", "3.00"]
+    assert column_texts(np.array([0.1234567, 1.0])) == ["0.1235", "1.0000"]
+    assert column_texts(np.array([1e-7, 12345678.0, 12345.6])) == ["1.000e-07", "1.235e+07", "12346"]
+    assert column_texts(np.array([True, False])) == ["yes", "no"]
+
+
+def test_a_tile_has_its_own_numbers(tile, tmp_path):
+    page = Reader(written(tile, tmp_path, data="/some/where/tile.fits"))
+    t, facts = tile.table, page.facts()
+    colliding = t[t["in_collision"]]
+    heads, rows = page.table("Positioners in collision.")
+    assert len(rows) == len(colliding) == int(facts["in collision"]) > 20
+    for name, head in (("clearance", "clearance mm"), ("ra", "ra deg"), ("x", "x mm"), ("target_id", "target id")):
+        values = [full(row[heads.index(head)]) for row in rows]
+        np.testing.assert_array_equal(values, getattr(colliding[name], "value", colliding[name]))
+    assert [row[0]["text"] for row in rows] == colliding["id"].tolist()
+    assert facts["digest"] == tile.provenance["instrument"]["digest"]
+    assert facts["rng"] == str(tile.provenance["parameters"]["rng"])
+    # the foot gives numbers in full
+    assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
+    # those that barely do not collide: the same as by hand
+    heads, rows = page.table("The smallest clearances")
+    free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
+    np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]
+    assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
+    assert "/some/where" not in "".join(text for _, text in page.texts)
+
+
+def test_a_tile_lists_all_its_assignments(presets, tmp_path):
+    """The page named the file with all assignments and showed a part of them."""
+    pfs = presets["pfs"]
+    sky = rs.synthetic_catalog("uniform", CENTER, pfs.field_radius, n_targets=4000, rng=1)
+    tile = rs.plan_tile(sky, pfs, CENTER, allocator="balanced")
+    text = written(tile, tmp_path)
+    page, t = Reader(text), tile.table[tile.table["status"] == "assigned"]
+    heads, rows = page.table("All assignments.")
+    assert len(rows) == len(t) == tile.summary["n_assigned"] > 1500
+    for name, unit, decimals in (("ra", "deg", 6), ("dec", "deg", 6), ("tip_x", "mm", 3), ("phi", "deg", 3)):
+        column = heads.index(f"{name.replace('_', ' ')} {unit}")
+        values = [full(row[column]) for row in rows]
+        np.testing.assert_allclose(values, t[name].value, atol=0.51 * 10.0**-decimals, rtol=0)
+    for name in ("id", "target_id"):
+        shown = [row[heads.index(name.replace("_", " "))]["text"] for row in rows]
+        assert shown == [str(value) for value in t[name]]
+    flags = [row[heads.index("in collision")]["text"] for row in rows]
+    assert flags.count("yes") == t["in_collision"].sum() > 0
+    assert len(page.all("details")) == 1  # opened by those who look for it
+    assert len(text) < 1_500_000
+    page = Reader(written(tile, tmp_path, max_rows=30, data="tile.fits"))
+    assert len(page.table("All assignments.")[1]) == 30
+    assert f"Shown: 30 of {len(t)} rows; all are in tile.fits." in "".join(p["caption"] for p in page.tables)
+
+
+@pytest.mark.parametrize("kind", ["tile", "survey"])
+def test_a_number_has_one_form_on_a_page(results, tmp_path, kind):
+    """A rate was 2.10 % at the top of the page, and 0.021 below."""
+    page, rate = Reader(written(results[kind], tmp_path)), results[kind].summary["collision_rate"]
+    assert page.facts()["collision rate"] in page.text("dd")
+    assert float(page.facts()["collision rate"]) == pytest.approx(rate, rel=1e-3)
+    assert not [text for text in page.text("dd") if "%" in text]
+
+
+def test_a_table_is_not_called_table_thrice(tmp_path):
+    page = Reader(written(QTable({"a": [1]}), tmp_path))
+    heads = [*page.text("h1"), *page.text("h2"), page.tables[0]["caption"]]
+    assert heads == ["Untitled table", "All values", "Provenance", "1 row and 1 column."]
+    page = Reader(written(QTable({"a": [1]}, meta={"title": "Pitches"}), tmp_path))
+    assert "".join(page.text("h1", "h2", "strong")).count("Pitches") == 1
+
+
+def test_a_survey_has_its_own_numbers(survey, tmp_path):
+    page = Reader(written(survey, tmp_path))
+    heads, rows = page.table("The tiles of the survey")
+    assert len(rows) == len(survey)
+    for name in ("n_observed", "collision_rate", "completeness"):
+        values = [full(row[heads.index(name.replace("_", " "))]) for row in rows]
+        np.testing.assert_array_equal(values, survey.tiles[name])
+    heads, rows = page.table("Completeness after each pass")
+    np.testing.assert_array_equal(
+        [full(row[heads.index("n observed")]) for row in rows], survey.completeness["n_observed"]
+    )
+    assert int(page.facts()["visits wanted"]) == survey.summary["n_visits_wanted"]
+    assert page.facts()["model"] == survey.summary["model"]
+    assert len(page.all("svg")) == 2
+
+
+def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
+    """The page of a tiling had keys such as "n on tiles" and "radius deg"."""
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=1)
+    for tiling in (results["tiling"], rs.place_tiles(sky, small)):
+        facts = Reader(written(tiling, tmp_path)).facts()
+        keys = {key.replace("_", " ") for key in tiling.summary if "_" in key}
+        foot = {key for key in facts if "_" in key}
+        assert not keys & (set(facts) - foot)
+        assert float(facts["radius of a field in degrees"]) == pytest.approx(tiling.summary["radius_deg"], rel=1e-3)
+    assert int(facts["targets wanted"]) == tiling.summary["n_targets"]
+
+
+def test_claims_have_verdicts_and_their_experiments(tmp_path):
+    page = Reader(written(claims(), tmp_path))
+    _, rows = page.table("What the paper says")
+    assert [(row[3]["text"], row[3]["class"]) for row in rows] == [("reproduced", "good"), ("not reproduced", "bad")]
+    assert page.text("dd")[:2] == ["1", "1"]
+
+
+def test_every_figure_of_an_experiment_has_a_caption():
+    """Some had the name of their table as a caption, and lines that no caption named."""
+    drawn = {name for figures in DRAWN.values() for name in figures}
+    assert set(CAPTIONS) == drawn
+    for title, words in CAPTIONS.values():
+        assert title.endswith(".")
+        assert len(words) > 60
+    for name in ("large", "poisson_disc", "surrogate", "intervals", "one_sky"):
+        assert "gray line" in CAPTIONS[name][1]
+
+
+def test_the_first_sentence_of_a_caption_is_in_bold(tmp_path):
+    caption = "Designs. The line is the front. Bars are errors."
+    text = written(QTable({"k": [1]}), tmp_path, figures={caption: Figure(), "One sentence.": Figure()})
+    assert "<strong>Designs.</strong> The line is the front. Bars are errors.</figcaption>" in text
+    assert "<strong>One sentence.</strong></figcaption>" in text
+
+
+def test_the_map_of_a_survey_is_explained(survey, tmp_path):
+    text = written(survey, tmp_path)
+    assert "The color is the completeness of the field." in text
+    assert ("filled up to a smaller radius" in text) == (len(set(survey.tiles["pass"])) > 1)
+
+
+def test_no_row_is_left_out_in_silence(tmp_path):
+    table = QTable({"k": np.arange(150)})
+    page = Reader(written(table, tmp_path, max_rows=100, data="all.fits"))
+    _, rows = page.table("150 rows and 1 column.")
+    assert [full(row[0]) for row in rows] == list(range(100))
+    assert page.tables[0]["caption"] == "150 rows and 1 column. Shown: 100 of 150 rows; all are in all.fits."
+    assert Reader(written(table, tmp_path)).tables[0]["caption"] == "150 rows and 1 column."
+    assert "no rows" in written(QTable({"k": []}), tmp_path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_same_result_gives_the_same_bytes(results, tmp_path, kind):
+    assert written(results[kind], tmp_path) == written(results[kind], tmp_path)
+
+
+def test_another_process_writes_the_same_bytes(tmp_path):
+    code = (
+        "import sys; from matplotlib.figure import Figure; from astropy.table import QTable; import rfpsurvey as rs\n"
+        "ax = Figure().add_subplot(); ax.plot([1, 2], 'o-', label='a'); ax.scatter([1, 2], [3, 4]); ax.legend()\n"
+        "rs.write_report(QTable({'a': [1.5]}), sys.argv[1], figures=ax)"
+    )
+    environment = {**os.environ, "PYTHONHASHSEED": "7"}
+    subprocess.run([sys.executable, "-c", code, tmp_path / "there.html"], check=True, env=environment)
+    ax = Figure().add_subplot()
+    ax.plot([1, 2], "o-", label="a")
+    ax.scatter([1, 2], [3, 4])
+    ax.legend()
+    rs.write_report(QTable({"a": [1.5]}), tmp_path / "here.html", figures=ax)
+    assert (tmp_path / "here.html").read_bytes() == (tmp_path / "there.html").read_bytes()
+
+
+def test_heavy_figures_become_images_and_are_left_as_they_were(presets, tmp_path):
+    ax = Figure().add_subplot()
+    lines = ax.add_collection(LineCollection(np.random.default_rng(1).random((31_000, 2, 2))))
+    text = written(QTable({"a": [1]}), tmp_path, figures=ax)
+    assert text.count("data:image/png") == 1
+    assert len(text) < 1_000_000
+    assert not lines.get_rasterized()
+    sky = rs.synthetic_catalog("poisson", CENTER, 2.5 * u.deg, density=800 / u.deg**2, rng=1)
+    assert len(written(rs.plan_tile(sky, presets["lamost"], CENTER), tmp_path)) < 2_000_000
+
+
+def test_grays_follow_the_page_and_colors_do_not(tmp_path):
+    ax = Figure().add_subplot()
+    ax.plot([1, 2], color="#444444")
+    ax.plot([1, 3], color="#d00000")
+    text = written(QTable({"a": [1]}), tmp_path, figures=ax)
+    assert "stroke: var(--g44,#444444)" in text
+    assert "stroke: #d00000" in text
+    dark = dict(re.findall(r"--g([0-9a-f]{2}):#([0-9a-f]{6})", text))
+    assert {"00", "44"} <= set(dark)
+    assert set(dark) == set(re.findall(r"var\(--g([0-9a-f]{2}),", text.partition("<body>")[2]))
+    assert int(dark["00"][:2], 16) > int(dark["44"][:2], 16) > 0x80  # light on dark, in the same order
+
+
+def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
+    low, high = _tile._crowded(tile).to_value(u.mm)
+    xy = np.column_stack([tile.table["x"].value, tile.table["y"].value])
+    red = xy[tile.table["in_collision"]]
+    inside = ((red >= low) & (red <= high)).all(axis=1).sum()
+    half = (high - low) / 2
+    assert inside >= max((np.abs(red - middle) < half).all(axis=1).sum() for middle in red) > 3
+
+
+def test_ids_of_figures_never_clash():
+    """Matplotlib makes ids from what is drawn: the same figure twice has the same ones."""
+    first, second = (_svg.svg_of(nasty_figure(), name)["content"] for name in ("f1", "f2"))
+    names = [set(re.findall(r'id="([^"]*)"', text)) for text in (first, second)]
+    assert len(names[0]) == len(names[1]) > 3
+    assert not names[0] & names[1]
+    assert "<style" not in first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"path": "page.pdf"}, "must end in .html or .htm"),
+        ({"path": "no/page.html"}, "does not exist"),
+        ({"path": "there.html"}, "exists; ask for it to be overwritten"),
+        ({"result": [1, 2]}, "a report is about one of: Tile, Survey, Tiling, Estimate, Table; got list"),
+        ({"figures": ["x"]}, "figures must be Figures or Axes of matplotlib, got str"),
+        ({"max_rows": 0}, "max_rows must be a whole number of at least 1, got 0"),
+        ({"title": 3}, "title must be text, got 3"),
+    ],
+)
+def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message):
+    (tmp_path / "there.html").write_text("old")
+    options = {"result": QTable({"a": [1]}), "path": "page.html", **arguments}
+    options["path"] = tmp_path / options["path"]
+    with pytest.raises(rs.InputError, match=re.escape(message)):
+        rs.write_report(options.pop("result"), options.pop("path"), **options)
+    assert [p.name for p in tmp_path.iterdir()] == ["there.html"]
+    assert (tmp_path / "there.html").read_text() == "old"
+
+
+def test_text_of_any_language_stays_as_it_is():
+    """No-break and ideographic spaces and joiners are text; what turns the direction of a page is not."""
+    words = ["a\u00a0b", "\u65e5\u672c\u3000\u8a9e", "x\u200dy", "1\u202f000"]
+    for word in words:
+        assert text_of(word) == word
+    assert text_of("a\r\nb\tc") == "a\nb\tc"
+    assert text_of("a\x00b\u202ec\ud800") == "a\ufffdb\ufffdc\ufffd"
+
+
+@pytest.mark.parametrize("made_by", [None, 3, ["x"], "compare_instruments", "compare_allocators", "reproduce"])
+def test_tables_that_are_not_what_they_seem(tmp_path, made_by):
+    table = QTable({"n": [1]}, meta={"made_by": made_by, 5: 1, "deep": {6: {7: "x"}}})
+    rs.write_report(table, tmp_path / "page.html", max_rows=np.int64(3), figures={"\x00\ud800": Figure()})
+    assert "deep 6" in (tmp_path / "page.html").read_text()
+
+
+def test_nothing_of_the_provenance_is_lost(tmp_path):
+    meta = {
+        "x": "first",
+        "": {"y": "second"},
+        "a b": {"p": "third"},
+        "a": {"b": {"q": "fourth"}},
+        "a_b": {"r": "fifth"},
+    }
+    rs.write_report(QTable({"n": [1]}, meta={**meta, "none here": {}}), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert all(word in text for word in ("first", "second", "third", "fourth", "fifth", "none here"))
+
+
+def test_small_probabilities_keep_their_digits(presets):
+    estimate = rs.collision_probability(presets["desi"], method="closed_form")
+    rare = replace(estimate, value=3.2e-7, low=2.8e-7, high=3.6e-7, standard_error=2e-8)
+    facts = estimate_facts(rare)
+    assert facts["collision probability"].startswith("0.00000032")
+    assert "0.00000028 to 0.00000036" in "".join(facts.values()).replace("280 ", "28 ").replace("360", "36")

@@ -1,0 +1,385 @@
+"""Surveys on disk: any number of workers, killed at any moment, damaged, refused."""
+
+import errno
+import hashlib
+import io
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import flat
+import rfpsurvey as rs
+from rfpsurvey import _io
+
+CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
+
+
+@pytest.fixture(scope="module")
+def case(small):
+    """Arguments of a survey with draws, several passes, priorities and collisions."""
+    sky = rs.synthetic_catalog("poisson", CENTER, 4 * u.deg, density=100 / u.deg**2, rng=3)
+    rng = np.random.default_rng(1)
+    sky = rs.Catalog(sky.coord, visits=rng.integers(1, 4, len(sky)))
+    lon, lat = (a.ravel() for a in np.meshgrid(1.2 * np.arange(-2, 3), 1.2 * np.arange(-2, 3)))
+    centers = SkyCoord(lon * u.deg, lat * u.deg, frame=CENTER.skyoffset_frame()).icrs
+    table = QTable({"ra": np.tile(centers.ra, 2), "dec": np.tile(centers.dec, 2)})
+    table["pass"] = np.repeat([0, 1], len(centers))
+    return sky, small, rs.Tiling.from_table(table)
+
+
+def plan(case, folder, **options):
+    return flat.plan_survey(*case, allocator="balanced", folder=folder, **options)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(case, tmp_path_factory):
+    """The content of every file of a run that nothing happened to."""
+    folder = tmp_path_factory.mktemp("undisturbed") / "survey"
+    plan(case, folder)
+    return content(folder)
+
+
+def content(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
+    held = plan(case, None)
+    written = plan(case, tmp_path / "survey")
+    assert content(tmp_path / "survey") == undisturbed
+    read = rs.Survey.read(tmp_path / "survey")
+    for survey in (written, read):
+        assert survey.summary == held.summary
+        assert survey.provenance == held.provenance
+        for name in ("tiles", "completeness", "outcomes", "targets"):
+            one, other = getattr(survey, name), getattr(held, name)
+            assert one.colnames == other.colnames
+            for c in one.colnames:
+                np.testing.assert_array_equal(one[c], other[c], err_msg=f"{name} {c}")
+    assert read.visits(5)["tile"][0] == 5
+    table = QTable.read(tmp_path / "survey" / "tiles" / "000" / "000005.fits")
+    assert table.meta["TILE"] == 5
+    assert table.meta["NASSIGN"] == len(table) == read.tiles["n_assigned"][5]
+
+
+def test_threads_and_processes(case, tmp_path, undisturbed):
+    with ThreadPoolExecutor(2) as executor:
+        plan(case, tmp_path / "threads", executor=executor)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context) as executor:
+        plan(case, tmp_path / "processes", executor=executor)
+    assert content(tmp_path / "threads") == undisturbed
+    assert content(tmp_path / "processes") == undisturbed
+
+
+@pytest.mark.exhaustive
+@pytest.mark.filterwarnings("ignore")  # those of a cluster that loses workers
+def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        killed = []
+
+        def kill(done, _):
+            if done >= 20 and not killed:
+                killed.append(client.run(os.getpid))
+                os.kill(next(iter(killed[0].values())), signal.SIGKILL)
+
+        plan(case, tmp_path / "survey", executor=client.get_executor(), progress=kill)
+        assert killed
+    assert content(tmp_path / "survey") == undisturbed
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("n", [6, pytest.param(20, marks=pytest.mark.exhaustive)])
+def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
+    """Each time somewhere between the first and the last file, and several times in a row."""
+    context = multiprocessing.get_context("fork")
+    begin = time.perf_counter()
+    plan(case, tmp_path / "clock")
+    whole = time.perf_counter() - begin
+    killed, run = 0, 0
+    while killed < n:
+        run += 1
+        folder = tmp_path / f"survey-{run}"
+        for attempt in range(4):
+            process = context.Process(target=plan, args=(case, folder), kwargs={"resume": attempt > 0})
+            process.start()
+            process.join(rng.uniform(0, whole))
+            killed += process.is_alive()
+            process.kill()
+            process.join()
+        plan(case, folder, resume=True)
+        assert content(folder) == undisturbed
+
+
+def test_what_a_kill_leaves_behind_is_not_trusted(case, tmp_path, undisturbed):
+    """A part without its line, a line without its end, a line without its part, a temporary file."""
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    for name in ("tiles.fits", "completeness.ecsv", "outcomes.fits"):
+        (folder / name).unlink()
+    lines = (folder / "index.csv").read_text().splitlines(keepends=True)
+    (folder / "index.csv").write_text("".join(lines[:20]) + lines[20][:30])
+    (folder / "tiles" / "000" / "000003.fits").unlink()
+    (folder / "tiles" / "000" / "000040.fits").write_bytes(b"a part without a line")
+    (folder / "tiles" / "000" / ".rfpsurvey-x1b2").mkdir()
+    (folder / "tiles" / "000" / ".rfpsurvey-x1b2" / "000041.fits").write_bytes(b"half of a")
+    with pytest.raises(rs.InputError, match=r"is not finished \(16 tiles are there\): continue it"):
+        rs.Survey.read(folder)
+    with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is missing"):
+        plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+@pytest.mark.parametrize("what", ["text", "another table", "cut off"])
+def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, tmp_path, undisturbed, what):
+    """A part with the right checksum was taken for a table of visits: a traceback."""
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    part = folder / "tiles" / "000" / "000007.fits"
+    other = _io.table_bytes(QTable({"a": [1, 2]}), "a.fits")
+    content_of = {"text": b"nothing", "another table": other, "cut off": part.read_bytes()[:5760]}[what]
+    part.write_bytes(content_of)
+    lines = (folder / "index.csv").read_text().splitlines(keepends=True)
+    line = f"tiles/000/000007.fits,{len(content_of)},{hashlib.sha256(content_of).hexdigest()}\n"
+    (folder / "index.csv").write_text("".join(line if "000007" in old else old for old in lines))
+    with pytest.warns(rs.RfpsurveyWarning, match=r"tile 7 \(by row\) is planned again"):
+        plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_a_damaged_part_is_named_and_made_again(case, tmp_path, undisturbed):
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    part = folder / "tiles" / "000" / "000007.fits"
+    damaged = bytearray(part.read_bytes())
+    damaged[6000] ^= 1
+    part.write_bytes(damaged)
+    with pytest.warns(rs.RfpsurveyWarning, match=r"000007.fits is damaged \(it is not what was written\)"):
+        plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def flip(path, place):
+    damaged = bytearray(path.read_bytes())
+    damaged[place] ^= 1
+    path.write_bytes(damaged)
+
+
+def test_a_damaged_survey_is_not_read(case, tmp_path):
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    flip(folder / "tiles" / "000" / "000007.fits", 6000)
+    survey = rs.Survey.read(folder)
+    with pytest.raises(rs.InputError, match=r"000007.fits is damaged \(it is not what was written\)"):
+        survey.visits(7)
+    assert len(survey.visits(8))
+    for name in ("tiles.fits", "outcomes.fits", "completeness.ecsv"):
+        flip(folder / name, -200)
+        with pytest.raises(rs.InputError, match=rf"{name} is damaged"):
+            rs.Survey.read(folder)
+        flip(folder / name, -200)
+
+
+@pytest.mark.parametrize("damage", [b"\xff\xfe junk\n", b"tiles/000/000900.fits,5," + b"0" * 64 + b"\n", b"a,b,c\n"])
+def test_a_damaged_index_is_told_and_mended(case, tmp_path, undisturbed, damage):
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    lines = (folder / "index.csv").read_bytes().splitlines(keepends=True)
+    (folder / "index.csv").write_bytes(b"".join([*lines[:5], damage, *lines[8:]]))
+    with pytest.warns(rs.RfpsurveyWarning, match="index.csv is damaged"):
+        plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_killed_before_anything_is_there(case, tmp_path, undisturbed):
+    folder = tmp_path / "survey"
+    folder.mkdir()
+    (folder / ".rfpsurvey-3x").mkdir()
+    (folder / ".rfpsurvey-3x" / "survey.json").write_text("{")
+    plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_a_part_from_other_circumstances_is_planned_again(case, tmp_path):
+    """A whole and verified part, but of a run that drew otherwise: the books still balance."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    plan(case, one)
+    plan(case, other, rng=7)
+    tiles = rs.Survey.read(one).tiles
+    first = np.argmax(np.where(tiles["round"] == 0, tiles["n_assigned"], 0))
+    name = f"tiles/000/{first:06d}.fits"
+    (one / name).write_bytes((other / name).read_bytes())
+    lines = {folder: (folder / "index.csv").read_text().splitlines(keepends=True) for folder in (one, other)}
+    (line,) = [line for line in lines[other] if line.startswith(name)]
+    (one / "index.csv").write_text("".join(line if old.startswith(name) else old for old in lines[one]))
+    with pytest.warns(rs.RfpsurveyWarning, match="planned when other targets were left"):
+        survey = plan(case, one, resume=True)
+    visits = survey.targets
+    times = np.bincount(visits["target_row"][visits["observed"]], minlength=len(survey.outcomes))
+    assert np.array_equal(times, survey.outcomes["observed"])
+    assert (times <= survey.outcomes["wanted"]).all()
+
+
+def test_blank_sky_is_resumed(case, tmp_path):
+    options = {"requirements": "sky=2", "sky_separation": 30 * u.arcsec}
+    plan(case, tmp_path / "survey", **options)
+    before = content(tmp_path / "survey")
+    lines = before["index.csv"].decode().splitlines(keepends=True)
+    (tmp_path / "survey" / "index.csv").write_text("".join(lines[:25]))
+    plan(case, tmp_path / "survey", resume=True, **options)
+    assert content(tmp_path / "survey") == before
+
+
+def test_names_that_fits_cannot_hold_are_refused_at_once(case, tmp_path):
+    sky, small, tiling = case
+    table = tiling.table.copy()
+    table.replace_column("tile", [f"t\t{k}" for k in range(len(table))])
+    star = rs.Catalog(sky.coord, id=[f"étoile {k}" for k in range(len(sky))])
+    for other, what in (((sky, small, table), "50 tile ids"), ((star, small, tiling), "target ids")):
+        with pytest.raises(rs.InputError, match=rf"printable ASCII text only, but .*{what}"):
+            plan(other, tmp_path / "survey")
+        assert not (tmp_path / "survey").exists()
+        assert len(plan(other, None).tiles) == 50
+
+
+def test_a_worker_that_dies_is_told(case, tmp_path, undisturbed):
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as executor:
+
+        def kill(done, _):
+            for pid in list(executor._processes):
+                os.kill(pid, signal.SIGKILL)
+
+        with pytest.raises(BrokenExecutor, match="a worker died; tiles that were written stay"):
+            plan(case, tmp_path / "survey", executor=executor, progress=kill)
+    plan(case, tmp_path / "survey", resume=True)
+    assert content(tmp_path / "survey") == undisturbed
+
+
+def test_an_error_names_its_tile(case, monkeypatch):
+    def fail(job):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("rfpsurvey.survey._run.work", fail)
+    with pytest.raises(ZeroDivisionError) as error:
+        plan(case, None)
+    assert error.value.__notes__[0].startswith("while tile ")
+
+
+def test_a_finished_survey_is_verified_only(case, tmp_path, undisturbed):
+    plan(case, tmp_path / "survey")
+    before = (tmp_path / "survey" / "tiles" / "000" / "000000.fits").stat().st_mtime_ns
+    plan(case, tmp_path / "survey", resume=True)
+    assert (tmp_path / "survey" / "tiles" / "000" / "000000.fits").stat().st_mtime_ns == before
+    assert content(tmp_path / "survey") == undisturbed
+
+
+def test_two_runs_in_one_folder_are_refused(case, tmp_path):
+    tried = []
+
+    def intrude(done, _):
+        if done == 1:
+            with pytest.raises(rs.InputError, match="another run is at work in this folder"):
+                plan(case, tmp_path / "survey", resume=True)
+            tried.append(done)
+
+    plan(case, tmp_path / "survey", progress=intrude)
+    assert tried
+
+
+def test_another_survey_in_the_folder_is_refused(case, tmp_path):
+    sky, small, tiling = case
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    with pytest.raises(rs.InputError, match=r"holds a survey; continue it \(--resume, resume=True\)"):
+        plan(case, folder)
+    for other, name in (
+        ((sky[1:], small, tiling), "catalog"),
+        ((sky, small, tiling.table[1:]), "tiles"),
+        ((sky, "lamost", tiling), "instrument"),
+    ):
+        with pytest.raises(rs.InputError, match=rf"holds another survey: .*{name}"):
+            plan(other, folder, resume=True)
+    for changes in ({"visits": 2}, {"lost_in_collision": False}, {"order": "given"}, {"parked_obstacles": False}):
+        with pytest.raises(rs.InputError, match=f"holds another survey: {next(iter(changes))}"):
+            plan(case, folder, resume=True, **changes)
+    renamed = replace(small, focal_plane=replace(small.focal_plane, id=np.arange(len(small.focal_plane)) + 100))
+    ranked = rs.Catalog(sky.coord, visits=sky.visits, priority=np.arange(len(sky)))
+    for other, name in (((sky, renamed, tiling), "instrument"), ((ranked, small, tiling), "catalog")):
+        with pytest.raises(rs.InputError, match=f"holds another survey: .*{name}"):
+            plan(other, folder, resume=True)
+    with pytest.raises(rs.InputError, match=r"rng differ \(rng was 0, and is 5\)"):
+        plan(case, folder, resume=True, rng=5)
+    (tmp_path / "papers").mkdir()
+    (tmp_path / "papers" / "thesis.tex").touch()
+    with pytest.raises(rs.InputError, match="papers holds something else"):
+        plan(case, tmp_path / "papers")
+    assert os.listdir(tmp_path / "papers") == ["thesis.tex"]
+    with pytest.raises(rs.InputError, match="is a file"):
+        plan(case, tmp_path / "papers" / "thesis.tex")
+    with pytest.raises(rs.InputError, match="the folder .*nowhere does not exist"):
+        plan(case, tmp_path / "nowhere" / "survey")
+
+
+def test_a_full_disk_keeps_what_is_there(case, tmp_path, undisturbed, monkeypatch):
+    written = []
+
+    class Full(io.FileIO):
+        def write(self, data):
+            if len(written) == 30:
+                super().write(data[: len(data) // 2])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            written.append(self)
+            return super().write(data)
+
+    folder = tmp_path / "survey"
+    with monkeypatch.context() as patch:
+        patch.setattr(_io, "open", Full, raising=False)
+        with pytest.raises(rs.InputError, match="cannot be written: No space left on device"):
+            plan(case, folder)
+    assert not list(folder.rglob(".*"))
+    parts = [name for name in content(folder) if name.startswith("tiles/")]
+    assert len(parts) == 28  # two writes were those of the request and of the index
+    assert all(content(folder)[name] == undisturbed[name] for name in parts)
+    plan(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_other_versions_of_the_software_are_told(case, tmp_path):
+    folder = tmp_path / "survey"
+    plan(case, folder)
+    request = (folder / "survey.json").read_text()
+    (folder / "survey.json").write_text(request.replace(sys.version.split()[0], "3.0.0"))
+    with pytest.warns(rs.RfpsurveyWarning, match="other versions of the software"):
+        plan(case, folder, resume=True)
+    assert (folder / "survey.json").read_text() == request
+    for text in ("{", "null", "[1]", '{"a": ' * 20000 + "1" + "}" * 20000, " " * 11_000_000):
+        (folder / "survey.json").write_text(text)
+        with pytest.raises(rs.InputError, match=r"survey.json is damaged"):
+            plan(case, folder, resume=True)
+
+
+def test_progress_is_one_line_with_a_rate(case, tmp_path, capsys):
+    plan(case, None, progress=True)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    last = shown.err.split("\r")[-1]
+    assert last.startswith("50 of 50 tiles, ")
+    assert "tiles/s, 0:00:00 left" in last
+    plan(case, None)
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,419 @@
+"""Whole surveys: what a tile gets, what becomes of targets, and that nothing depends on who does the work."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import flat
+import rfpsurvey as rs
+
+CENTER = SkyCoord(0.1 * u.deg, 60 * u.deg)
+
+
+def grid(step, n=3):
+    """Tiles about the center, in two passes, the second shifted."""
+    offsets = [(i * step, j * step) for i in range(-n // 2 + 1, n // 2 + 1) for j in range(-n // 2 + 1, n // 2 + 1)]
+    centers = [CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in offsets]
+    centers += [CENTER.spherical_offsets_by((x + step / 2) * u.deg, y * u.deg) for x, y in offsets]
+    table = QTable({"ra": [c.ra.deg for c in centers] * u.deg, "dec": [c.dec.deg for c in centers] * u.deg})
+    table["pass"] = np.repeat([1, 2], len(offsets))
+    return rs.Tiling.from_table(table)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    catalog = rs.synthetic_catalog(
+        "clustered", CENTER, 2 * u.deg, density=400 / u.deg**2, cluster_size=5, cluster_scale=0.05 * u.deg, rng=3
+    )
+    rng = np.random.default_rng(5)
+    return rs.Catalog(catalog.coord, priority=rng.integers(1, 4, len(catalog)), visits=rng.integers(0, 4, len(catalog)))
+
+
+def same(a, b):
+    """Are two surveys equal, table by table?"""
+    for one, other in zip(
+        (a.tiles, a.completeness, a.outcomes, a.targets), (b.tiles, b.completeness, b.outcomes, b.targets), strict=True
+    ):
+        assert one.colnames == other.colnames
+        for name in one.colnames:
+            assert np.array_equal(np.asarray(one[name]), np.asarray(other[name])), name
+    return a.summary == b.summary
+
+
+def one_by_one(sky, tiling, instrument, order, **options):
+    """Plan the tiles with plan_tile, in a plain loop."""
+    left = sky.visits.astype(int).copy()
+    visits, summaries = {}, {}
+    for k in order:
+        rows = np.flatnonzero(left > 0)
+        try:
+            tile = flat.plan_tile(sky[rows], instrument, tiling.coord[k], **options)
+        except rs.InputError:
+            continue
+        table = tile.table[tile.table["status"] == "assigned"]
+        ids = np.asarray(table["target_id"])
+        summaries[k] = tile.summary
+        rows = zip(ids.tolist(), np.asarray(table["id"]).tolist(), table["in_collision"].tolist(), strict=True)
+        visits[k] = set(rows)
+        left[ids[~table["in_collision"]]] -= 1
+    return left, visits, summaries
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
+def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocator):
+    tiling = grid(1.2)
+    survey = rs.plan_survey(sky, small, tiling, allocator=allocator)
+    order = np.lexsort((np.arange(len(tiling)), survey.tiles["round"]))
+    left, visits, summaries = one_by_one(sky, tiling, small, order, allocator=allocator)
+    assert len(summaries) == len(tiling)
+    for k, summary in summaries.items():
+        for name in ("n_in_field", "n_reachable", "n_assigned", "n_colliding", "n_colliding_pairs", "collision_rate"):
+            assert survey.tiles[name][k] == summary[name], name
+        assert survey.tiles["fiber_use"][k] == summary["n_assigned"] / summary["n_positioners"]
+    for k, tile in enumerate(survey.tiles["tile"]):
+        table = survey.visits(tile)
+        found = zip(*(table[name].tolist() for name in ("target_id", "positioner", "in_collision")), strict=True)
+        assert set(found) == visits.get(k, set())
+    assert np.array_equal(survey.outcomes["wanted"] - survey.outcomes["observed"].astype(int), left)
+    assert survey.summary["n_visits_observed"] == sky.visits.sum() - left.sum()
+    assert survey.summary["n_colliding"] == (0 if allocator == "repair" else survey.targets["in_collision"].sum())
+
+
+def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_path):
+    center = rs.Tiling.from_table(QTable({"ra": [CENTER.ra.deg] * u.deg, "dec": [CENTER.dec.deg] * u.deg}))
+    said = {}
+    for name, instrument in {"small": small, "lamost": presets["lamost"], "sdss_apo": presets["sdss_apo"]}.items():
+        survey = rs.plan_survey(sky, instrument, center, folder=tmp_path / name)
+        said[name] = survey.summary["model"]
+        assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
+        n_pairs = len(instrument.focal_plane.neighbor_pairs())
+        assert f"each tile tests the {n_pairs} pairs within reach of each other" in said[name]
+        # the statement on a tile differs in the pairs alone
+        tile = rs.plan_tile(sky, instrument, CENTER).summary["model"]
+        assert tile.split(";")[0] == said[name].split(";")[0]
+        assert tile.split(", which is exact for ")[1] == said[name].split(" is exact for ")[1]
+    assert "(collision type 2)" in said["lamost"]
+    assert "(collision type 3)" in said["sdss_apo"]
+    assert "capsules" in said["sdss_apo"]
+    assert "radial map, one for each fiber type" in said["sdss_apo"]
+    far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
+    apart = rs.Instrument("apart", far, plate_scale=300 * u.mm / u.deg)
+    survey = rs.plan_survey(sky, apart, center)
+    assert "No two arms can touch (collision type 1), so that no pair was tested" in survey.summary["model"]
+
+
+def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
+    visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False).targets
+    pairs = np.column_stack([visits["tile"], visits["target_row"]])
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    times = np.bincount(visits["target_row"], minlength=len(sky))
+    assert (times <= sky.visits).all()
+    assert visits["observed"].all()
+
+
+def test_visits_given_by_hand(sky, small):
+    tiling = grid(1.2)
+    by_column = rs.plan_survey(sky, small, tiling)
+    plain = rs.Catalog(sky.coord, priority=sky.priority)
+    assert same(rs.plan_survey(plain, small, tiling, visits=sky.visits), by_column)
+    assert rs.plan_survey(plain, small, tiling).summary["n_visits_wanted"] == len(sky)
+    assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
+
+
+@pytest.mark.filterwarnings("ignore:no target was observed")
+def test_what_became_of_each_target(small):
+    """One positioner, and for each outcome a target that must have it."""
+    one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
+    instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
+    projection = instrument.projection(CENTER)
+    xy = np.array([[0, 1.0], [0, 2.0], [9.0, 0.0], [11.0, 0.0], [0.0, 30.0], [-2.0, 0.0], [24.0, 5.0]])
+    coord = SkyCoord([*projection.to_sky(xy * u.mm), CENTER.directional_offset_by(0 * u.deg, 9 * u.deg)])
+    names = ["first", "second", "left", "right", "beyond", "unwanted", "often", "far"]
+
+    def outcome(chosen, visits, **options):
+        rows = [names.index(name) for name in chosen]
+        catalog = rs.Catalog(coord[rows], id=chosen, visits=visits)
+        survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), allocator="nearest", **options)
+        table = survey.outcomes
+        return {str(i): rs.Survey.OUTCOMES[k] for i, k in zip(table["target_id"], table["outcome"], strict=True)}
+
+    assert outcome(["first", "second", "beyond", "unwanted", "often", "far"], [1, 1, 1, 0, 2, 1]) == {
+        "first": "observed",
+        "second": "competed out",
+        "beyond": "reachable by no positioner",
+        "unwanted": "not wanted",
+        "often": "partly observed",
+        "far": "on no tile",
+    }
+    both = ["left", "right"]
+    assert set(outcome(both, [1, 1]).values()) == {"collided out"}
+    assert set(outcome(both, [1, 1], lost_in_collision=False).values()) == {"observed"}
+
+
+@pytest.mark.parametrize("order", ["color", "given"])
+def test_completeness_counts_what_the_visits_say(sky, small, order):
+    """Targets counted as complete in the pass of their last tile in time, which need not be the last pass."""
+    tiling = grid(1.2)
+    if order == "given":  # tiles of the second pass come before and after those of the first
+        tiling = rs.Tiling(tiling.table[np.random.default_rng(2).permutation(len(tiling))])
+    survey = rs.plan_survey(sky, small, tiling, order=order)
+    number = dict(zip(survey.tiles["tile"].tolist(), survey.tiles["pass"].tolist(), strict=True))
+    visits = survey.targets[survey.targets["observed"]]
+    of_pass = np.array([number[t] for t in visits["tile"].tolist()])
+    for row in survey.completeness:
+        chosen = sky.visits > 0
+        if row["priority"] != "all":
+            chosen &= sky.priority == float(row["priority"])
+        seen = visits["target_row"][of_pass <= row["pass"]]
+        times = np.bincount(seen, minlength=len(sky))
+        assert row["n_targets"] == chosen.sum()
+        assert row["n_wanted"] == sky.visits[chosen].sum()
+        assert row["n_observed"] == times[chosen].sum()
+        assert row["n_complete"] == (times >= sky.visits)[chosen].sum()
+        assert row["completeness"] == pytest.approx(times[chosen].sum() / sky.visits[chosen].sum())
+    assert set(survey.completeness["priority"]) == {"all", "1", "2", "3"}
+
+
+def test_a_target_is_complete_after_the_last_pass_that_it_needs(small):
+    """Its tile of pass 2 is observed before that of pass 1: pass 1 alone does not complete two visits."""
+    tiles = QTable({"ra": [0.1, 0.1] * u.deg, "dec": [60, 60] * u.deg, "pass": [2, 1]})
+    target = rs.Catalog(SkyCoord([CENTER.directional_offset_by(0 * u.deg, 0.05 * u.deg)]), visits=[2])
+    survey = rs.plan_survey(target, small, tiles, order="given")
+    assert survey.completeness["n_observed"].tolist() == [1, 2]
+    assert survey.completeness["n_complete"].tolist() == [0, 1]
+
+
+def classes(sky, small, priority):
+    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), small, grid(1.2), passes=[2])
+    return survey.completeness[1:]
+
+
+def test_priorities_are_counted_apart_up_to_twenty(sky, small):
+    values = np.arange(len(sky)) % 20 + 1e7
+    table = classes(sky, small, values)
+    assert table["priority"].tolist() == [str(round(v)) for v in np.unique(values)[::-1]]
+    assert table["n_targets"].tolist() == np.bincount((values - 1e7).astype(int))[::-1].tolist()
+
+
+def test_more_priorities_are_counted_in_ranges(sky, small, rng):
+    table = classes(sky, small, rng.random(len(sky)))
+    assert len(table) == 10
+    assert table["n_targets"].sum() == len(sky)
+    assert np.all(np.abs(table["n_targets"] / len(sky) - 0.1) < 0.01)
+    ranges = np.array([[float(x) for x in name.split(" to ")] for name in table["priority"]])
+    assert (ranges[:, 0] < ranges[:, 1]).all()
+    assert (ranges[1:, 1] < ranges[:-1, 0]).all()
+    assert len(classes(sky, small, np.arange(len(sky)) % 21)) == 10
+
+
+def test_a_common_priority_is_never_split(sky, small):
+    """Nine of ten have the same value: it is a class of its own, as are those above and below it."""
+    n = len(sky)
+    for low in (True, False):
+        priority = np.where(np.arange(n) % 10 > 0, 500.0, np.arange(n) * (0.1 if low else 10.0) + (0 if low else 600))
+        table = classes(sky, small, priority)
+        common = [name for name in table["priority"] if " " not in name and float(name) == 500]
+        parts = [[float(x) for x in name.split(" to ")] for name in table["priority"]]
+        holding = [p for p in parts if p[0] <= 500 <= p[-1]]
+        assert len(holding) == 1
+        assert common or low
+        assert table["n_targets"].sum() == n
+
+
+def test_standards_and_sky_are_never_used_up(small):
+    coord = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=2).coord
+    kind = np.where(np.arange(60) < 20, "sky", np.where(np.arange(60) < 30, "standard", "science"))
+    catalog = rs.Catalog(coord, kind=kind)
+    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
+    survey = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements=["sky=5", "standard=2"]))
+    for tile in (0, 1):
+        kinds = survey.visits(tile)["kind"].tolist()
+        assert kinds.count("sky") == 5
+        assert kinds.count("standard") == 2
+    assert survey.summary["n_unmet"] == 0
+    assert survey.summary["n_targets"] == 30
+    assert not survey.outcomes["observed"][:30].any()
+    lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements="sky=25"))
+    assert lacking.tiles["n_unmet"].tolist() == [1, 1]
+    assert lacking.summary["n_unmet"] == 2
+    codes = survey.outcomes["outcome"][:30]
+    assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not wanted"}
+    assert rs.plan_survey(catalog, small, tiles).summary["n_assigned"] <= 30
+
+
+def test_blank_sky_has_its_position(small):
+    catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=20, rng=2)
+    survey = rs.plan_survey(
+        catalog,
+        small,
+        CENTER.reshape(1),
+        allocator=rs.AllocationOptions(requirements="sky=3", sky_separation=30 * u.arcsec),
+    )
+    visits = survey.targets
+    sky = visits[visits["kind"] == "sky"]
+    assert len(sky) == 3
+    assert set(sky["target_row"]) == {-1}
+    where = SkyCoord(sky["ra"], sky["dec"])
+    assert catalog.coord[:, None].separation(where).min() > 30 * u.arcsec
+    others = visits[visits["kind"] == "science"]
+    where = SkyCoord(others["ra"], others["dec"])
+    assert catalog.coord[others["target_row"]].separation(where).max() < 1e-6 * u.arcsec
+
+
+def test_blank_sky_keeps_away_from_targets_that_nobody_wants(small):
+    catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=400, rng=2)
+    options = {"requirements": "sky=5", "sky_separation": 100 * u.arcsec, "visits": np.arange(400) % 40 == 0}
+    visits = flat.plan_survey(catalog, small, CENTER.reshape(1), **options).targets
+    sky = visits[visits["kind"] == "sky"]
+    assert len(sky) == 5
+    where = SkyCoord(sky["ra"], sky["dec"])
+    assert catalog.coord[:, None].separation(where).min() > 100 * u.arcsec
+
+
+def test_fields_that_overlap_are_planned_in_turn(sky, small):
+    radius = small.field_radius
+    for factor, n in ((1.95, 2), (2.05, 1)):
+        apart = SkyCoord([CENTER, CENTER.directional_offset_by(30 * u.deg, factor * radius)])
+        assert rs.plan_survey(sky, small, apart).summary["n_rounds"] == n
+
+
+def test_each_tile_draws_by_itself(sky, small):
+    """The same targets seen by two tiles far from each other: not the same draw."""
+    other = CENTER.directional_offset_by(0 * u.deg, 10 * u.deg)
+    offsets = np.random.default_rng(1).uniform(-0.4, 0.4, (2, 2000)) * u.deg
+    both = [SkyCoord(*offsets, frame=c.skyoffset_frame()).icrs for c in (CENTER, other)]
+    survey = rs.plan_survey(SkyCoord(both).ravel(), small, SkyCoord([CENTER, other]), allocator="balanced")
+    assert survey.summary["n_rounds"] == 1
+    one, two = (survey.visits(k)["target_row"] % 2000 for k in (0, 1))
+    assert not np.array_equal(one, two)
+
+
+def test_a_field_without_targets_has_no_completeness(sky, small):
+    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 20 * u.deg)])
+    survey = rs.plan_survey(sky, small, tiles)
+    assert survey.tiles["n_in_field"][1] == survey.tiles["n_assigned"][1] == 0
+    assert np.isnan(survey.tiles["completeness"][1])
+    near = sky.coord.separation(CENTER) < small.field_radius
+    table = survey.outcomes[near]
+    assert survey.tiles["completeness"][0] == pytest.approx(table["observed"].sum() / table["wanted"].sum())
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"passes": [1, 1]}, "must be different passes"),
+        ({"passes": [1.5]}, "must be different passes"),
+        ({"passes": "all"}, "must be different passes"),
+        ({"passes": [np.nan]}, "must be different passes"),
+        ({"rng": -1}, "rng must be a seed of at least 0"),
+        ({"visits": 256}, "whole numbers from 0 to 255"),
+        ({"visits": [1, 2]}, "must be one number or have the shape"),
+        ({"visits": "often"}, "visits must be"),
+        ({"executor": 2}, "must be a concurrent.futures.Executor"),
+        ({"start": "repair"}, "allocator to start with"),
+        ({"time_limit": 5}, "time_limit must be a Quantity"),
+        ({"objective": "most"}, "unknown objective"),
+    ],
+)
+def test_bad_options(sky, small, options, sentence):
+    with pytest.raises(rs.InputError, match=sentence):
+        flat.plan_survey(sky, small, grid(1.2), **options)
+
+
+def test_nothing_to_plan(sky, small):
+    with pytest.raises(rs.InputError, match="at least one target"):
+        rs.plan_survey(sky[:0], small, grid(1.2))
+    with pytest.raises(rs.InputError, match="at least one tile"):
+        rs.plan_survey(sky, small, grid(1.2).table[:0])
+    nobody = rs.plan_survey(sky, small, grid(1.2), visits=0)
+    assert nobody.summary["n_assigned"] == 0
+    assert set(nobody.summary["outcomes"]) == {"not wanted"}
+
+
+def test_what_is_told_is_told_once(sky, small):
+    twins = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 2)
+    wide = rs.place_tiles(rs.Region.cap(CENTER, 1 * u.deg), radius=1 * u.deg)
+    away = SkyCoord([CENTER.directional_offset_by(0 * u.deg, 30 * u.deg)])
+    for arguments, options, sentence in (
+        ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement asks"),
+        ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch changes nothing"),
+        ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
+        ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
+        ((twins, grid(1.2)), {}, "share their id"),
+        ((sky, away), {}, "no target was observed"),
+        ((sky, wide), {}, "placed for fields of 1 deg, those of small have 0.4"),
+    ):
+        with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
+            flat.plan_survey(arguments[0], small, arguments[1], **options)
+        assert len(told) == 1
+    rs.plan_survey(
+        sky,
+        small,
+        grid(1.2),
+        allocator=rs.AllocationOptions(requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec),
+    )
+
+
+def test_visits_say_where_they_are(sky, small):
+    visits = rs.plan_survey(sky, small, grid(1.2)).targets
+    where = SkyCoord(visits["ra"], visits["dec"])
+    assert where.separation(sky.coord[visits["target_row"]]).max() < 1e-8 * u.arcsec
+
+
+def test_a_tile_of_a_survey_can_be_scored(presets):
+    """From the visits to poses of all arms, with the collisions that the survey counted."""
+    sdss = presets["sdss_apo"]
+    catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
+    fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
+    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1))
+    tile = rs.score_tile(survey.visits(0), sdss, center=CENTER, position_angle=0 * u.deg)
+    for name in ("n_assigned", "n_colliding", "n_colliding_pairs"):
+        assert tile.summary[name] == survey.tiles[name][0]
+    assert tile.summary["n_out_of_reach"] == 0
+
+
+def test_order_and_passes(sky, small):
+    tiling = grid(1.2)
+    second_first = rs.plan_survey(sky, small, tiling, passes=[2, 1])
+    assert second_first.tiles["round"][9:].max() < second_first.tiles["round"][:9].min()
+    only = rs.plan_survey(sky, small, tiling, passes=[2])
+    assert len(only) == 9
+    assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
+    given = rs.plan_survey(sky, small, tiling, order="given")
+    left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
+    assert np.array_equal(given.outcomes["wanted"] - given.outcomes["observed"].astype(int), left)
+
+
+def test_drawing_allocators_draw_the_same_for_the_same_seed(sky, small):
+    tiling = grid(1.2)
+    surveys = [rs.plan_survey(sky, small, tiling, allocator="balanced", rng=seed) for seed in (1, 1, 2)]
+    assert same(*surveys[:2])
+    assert not np.array_equal(surveys[0].targets["target_id"], surveys[2].targets["target_id"])
+    drawn = rs.plan_survey(sky, small, tiling, allocator="balanced", rng=np.random.default_rng(1))
+    assert drawn.summary["n_tiles"] == len(tiling)
+
+
+def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
+    """The same survey, turned: a pole, and the origin of right ascension, are places like any other."""
+    results = []
+    for center in (SkyCoord(180 * u.deg, 0 * u.deg), SkyCoord(0 * u.deg, 0 * u.deg), SkyCoord(77 * u.deg, 90 * u.deg)):
+        rng = np.random.default_rng(8)
+        frame = center.skyoffset_frame()
+        lon, lat = rng.uniform(-1, 1, (2, 2000)) * u.deg
+        catalog = rs.Catalog(SkyCoord(lon, lat, frame=frame).icrs)
+        tiles = SkyCoord([-0.5, 0, 0.5] * u.deg, [0, 0.2, -0.2] * u.deg, frame=frame).icrs
+        # north at each tile is that of the sky, so that arms differ: the number of targets in the field does not
+        survey = rs.plan_survey(catalog, small, tiles, allocator="nearest")
+        results.append((survey.tiles["n_in_field"][0], survey.summary["n_rounds"]))
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.filterwarnings("ignore:no target was observed")
+def test_targets_move_to_the_epoch(small):
+    fast = SkyCoord(CENTER.ra, CENTER.dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=36e6 * u.mas / u.yr).reshape(1)
+    catalog = rs.Catalog(fast, epoch=2000.0)
+    assert rs.plan_survey(catalog, small, CENTER.reshape(1)).summary["n_assigned"] == 1
+    assert rs.plan_survey(catalog, small, CENTER.reshape(1), epoch=2002.0).summary["n_assigned"] == 0

@@ -1,0 +1,205 @@
+"""What cannot be used is refused by public functions, in a sentence that says what must be what and what was given."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, QTable, Table
+from astropy.time import Time
+
+import rfpsurvey as rs
+from rfpsurvey.collision import place_arms
+from scenes import few
+
+MM, DEG = u.mm, u.deg
+CENTER = SkyCoord(95, 23, unit="deg")
+TWO = SkyCoord([95, 96] * DEG, [23, 23] * DEG)
+ROBOT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+PLANE = rs.FocalPlane([[0, 0], [25.6, 0], [0, 25.6]] * MM, ROBOT)
+TYPED = replace(PLANE, fiber_type=["A", "B", "A+B"])
+XY = [[1, 2], [25, 1]] * MM
+PLAN = rs.allocate(PLANE, XY)
+TABLE = PLANE.to_table()
+
+
+def table_with(**positioner):
+    table = TABLE.copy()
+    table.meta["positioner"] = {**table.meta["positioner"], **positioner}
+    return table
+
+
+def survey():
+    sky = rs.Catalog(TWO)
+    return rs.plan_survey(sky, rs.Instrument("small", PLANE, plate_scale=200 * MM / DEG), CENTER)
+
+
+def sky_table(**columns):
+    return QTable({"ra": [10.0, 20.0] * DEG, "dec": [1.0, 2.0] * DEG, **columns})
+
+
+CALLS = {
+    "coord must have the shape (n,), got (1, 2)": lambda: rs.Catalog(SkyCoord([[1, 2]], [[1, 2]], unit="deg")),
+    "epoch must be one time or shape (2,), got (3,)": lambda: rs.Catalog(
+        TWO, epoch=Time([2000, 2001, 2002], format="jyear")
+    ),
+    "id must be integers or text for every row, but 1 rows have none": lambda: rs.Catalog(
+        TWO, id=MaskedColumn([1, 2], mask=[False, True])
+    ),
+    "columns must be a dict from role to column, got ['ra']": lambda: rs.Catalog.from_table(
+        sky_table(), columns=["ra"]
+    ),
+    "columns must name a column for ra, got 3": lambda: rs.Catalog.from_table(sky_table(), columns={"ra": 3}),
+    "table must be an astropy Table or QTable, got dict": lambda: rs.Catalog.from_table({"ra": [1], "dec": [1]}),
+    "must lie between -360 and 360 deg, got 400.0 deg": lambda: rs.Catalog.from_table(
+        QTable({"ra": [400.0] * DEG, "dec": [1.0] * DEG})
+    ),
+    "cluster_size must be from 0.001 to 1e+09, got 0": lambda: rs.synthetic_catalog(
+        "clustered", CENTER, 1 * DEG, density=1 / DEG**2, cluster_size=0, cluster_scale=0.1 * DEG
+    ),
+    "positioner must be a Positioner, got int": lambda: rs.FocalPlane(XY, 3),
+    "fiber_type must have at most 62 types, got 63": lambda: rs.FocalPlane(
+        np.arange(126.0).reshape(63, 2) * 50 * MM, ROBOT, fiber_type=[f"t{k}" for k in range(63)]
+    ),
+    "id must be unique, but 'a' occurs more than once": lambda: replace(PLANE, id=["a", "b", "a"]),
+    "n_points must be large enough for a point in the footprint, got 1": lambda: rs.FocalPlane(
+        [[0, 0], [100, 0], [0, 100], [1, 1]] * MM, ROBOT
+    ).coverage(n_points=1, rng=1),
+    "fiber_type must have the shape (2,), got (1,)": lambda: TYPED.reachable(XY, ["A"]),
+    "fiber_type must be one of A, B or empty, got C": lambda: TYPED.reachable(XY, ["A", "C"]),
+    "table must be an astropy Table or QTable, got list": lambda: rs.FocalPlane.from_table([]),
+    "the positioner in the table's meta has unknown entries: color": lambda: rs.FocalPlane.from_table(
+        table_with(color=1)
+    ),
+    "the positioner in the table's meta cannot be read:": lambda: rs.FocalPlane.from_table(table_with(clearance="far")),
+    "focal_plane must be a FocalPlane, got str": lambda: rs.Instrument("a", "b", plate_scale=1 * MM / DEG),
+    "targets_per_fiber must be a positive number, got 0": lambda: rs.Instrument(
+        "a", PLANE, plate_scale=1 * MM / DEG, targets_per_fiber=0
+    ),
+    "factor must be a number, got [[1], 'x']": lambda: rs.RadialMap(
+        "theta", [1.0], max_angle=1 * DEG, factor=[[1], "x"]
+    ),
+    "the vertices of a polygon must be finite": lambda: rs.Region.polygon(
+        SkyCoord([0, 1, np.nan] * DEG, [0, 1, 0] * DEG)
+    ),
+    "handedness must be one name or have the shape (3,), got (1,)": lambda: rs.find_collisions(
+        PLANE, PLANE.xy, handedness=["left"]
+    ),
+    "handedness belongs to tips": lambda: place_arms(
+        PLANE, theta=[0, 0, 0] * DEG, phi=[0, 0, 0] * DEG, handedness="left"
+    ),
+    "fiber_type must have the shape (3,), got (2,)": lambda: rs.find_collisions(TYPED, PLANE.xy, fiber_type=["A", "B"]),
+    "the positioners have no fiber types, got the fiber type 'A'": lambda: rs.find_collisions(
+        PLANE, PLANE.xy, fiber_type=["", "A", ""]
+    ),
+    "an Allocation or Arms bring their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
+    "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
+    "required must hold truth values, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
+    "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
+        PLANE, XY, forbidden=[[0], [1, 2]]
+    ),
+    "fiber_type of 'sky' must be a name, got 3": lambda: rs.Requirement("sky", 1, fiber_type=3),
+    "the allocators to compare are given by allocators, not by allocator": lambda: rs.compare_allocators(
+        rs.Catalog(TWO), "moons", CENTER, allocator="lamost"
+    ),
+    "axes must be two Axes, got 1": lambda: rs.plot.plot_speed_accuracy(
+        QTable(
+            {
+                "method": ["exact"],
+                "n_points": [0],
+                "time": [1] * u.ms,
+                "n_colliding_true": [1],
+                "misclassified": [0],
+                "max_error": [0] * MM,
+            }
+        ),
+        axes=[None],
+    ),
+    "table must be a QTable, got Table": lambda: rs.Tiling(Table()),
+    "table must be an astropy Table or QTable, got int": lambda: rs.Tiling.from_table(3),
+    "units must be a dict from role to unit, got 'deg'": lambda: rs.Tiling.from_table(sky_table(), units="deg"),
+    "columns must be a dict from role to column, got 'ra'": lambda: rs.Tiling.from_table(sky_table(), columns="ra"),
+    "pass must be a whole number for every tile, got text such as 'first'": lambda: rs.Tiling.from_table(
+        sky_table(**{"pass": ["first", "second"]})
+    ),
+    "table must be a QTable, got dict": lambda: rs.Tile({}),
+    "the table is not that of a tile: it lacks ": lambda: rs.Tile(QTable({"id": [1]})),
+    "center must be one direction, got the shape (2,)": lambda: rs.plan_tile(rs.Catalog(TWO), "moons", TWO),
+    "the survey has no tile nine; its tiles are such as ": lambda: survey().visits("nine"),
+}
+
+
+@pytest.mark.parametrize("message", CALLS)
+def test_a_wrong_argument_is_a_sentence(message):
+    with pytest.raises(rs.InputError) as caught:
+        CALLS[message]()
+    assert message in str(caught.value)
+
+
+def test_a_wrong_path_is_a_sentence(tmp_path):
+    catalog = rs.Catalog(TWO)
+    (tmp_path / "here.fits").mkdir()
+    for call, message in (
+        (lambda: rs.Catalog.read(3), "a path must be text or a path, got 3"),
+        (lambda: catalog.write(tmp_path / "here.fits"), "is a folder; an output must be a file"),
+        (lambda: rs.partition_catalog(catalog, tmp_path / "no" / "stars"), "no does not exist"),
+        (lambda: rs.Survey.read(tmp_path), "does not hold a survey: there is no survey.json"),
+    ):
+        with pytest.raises(rs.InputError) as caught:
+            call()
+        assert message in str(caught.value)
+
+
+def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
+    """The sentence asked for other target ids."""
+    instrument = rs.Instrument("small", replace(PLANE, fiber_type=["Ä"] * 3), plate_scale=200 * MM / DEG)
+    with pytest.raises(rs.InputError, match="hold ASCII text only, but the column 'fiber_type' has other"):
+        rs.plan_survey(rs.Catalog(TWO), instrument, CENTER, folder=tmp_path / "survey")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda s: rs.plan_tile(few(), 5, CENTER),
+            "instrument must be an Instrument, the name of a preset or the path of a TOML file, got 5",
+        ),
+        (lambda s: rs.plan_tile(few(), s, CENTER, rng="x"), "rng must be a seed of at least 0, a numpy Generator"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, rng=-1), "rng must be a seed of at least 0"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=[1, 2] * u.deg), "rotation must be one value"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=np.nan * u.deg), "rotation must be one finite value"),
+        (lambda s: few().within(CENTER, -1 * u.deg), "radius must be one finite value of at least 0 rad"),
+        (lambda s: few().at_epoch(57388), "a Julian year from 1700 to 2300"),
+        (lambda s: few(2, priority=["a", "b"]), "priority must be numbers"),
+        (
+            lambda s: s.projection(CENTER).to_focal_plane(SkyCoord([[1, 2]], [[1, 2]], unit="deg")),
+            r"coord must have the shape",
+        ),
+        (
+            lambda s: rs.find_collisions(s.focal_plane, s.focal_plane.xy, theta=np.zeros(37) * u.deg),
+            "give either tips, or both",
+        ),
+        (
+            lambda s: rs.find_collisions(
+                s.focal_plane, place_arms(rs.FocalPlane([[0, 0]] * MM, s.focal_plane.positioner), [[1, 0]] * MM)
+            ),
+            "the arms are those of 1 positioners, not of 37",
+        ),
+        (lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s), "got Instrument; an Instrument has one"),
+        (lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg), "stuck must give both theta"),
+        (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
+        (lambda s: replace(s.focal_plane, id=3), "id must have one value a positioner"),
+        (
+            lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets="ten"),
+            "the number of targets must be one",
+        ),
+        (lambda s: rs.synthetic_catalog("uniform", CENTER, [1, 2] * u.deg, n_targets=1), "radius must be one value"),
+        (lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=1e30), "from 0 to 1e.09"),
+        (lambda s: rs.FocalPlane.hexagonal(s.focal_plane.positioner, radius=np.nan * MM, pitch=8 * MM), "radius must"),
+    ],
+)
+def test_bad_input_is_a_sentence(small, call, message):
+    """These ended in exceptions of other packages, or in nonsense."""
+    with pytest.raises(rs.InputError, match=message):
+        call(small)
