@@ -23,7 +23,9 @@ def results():
         "tiling": rs.place_tiles(sky, moons),
         "allocation": plan,
         "report": rs.find_collisions(moons.focal_plane, plan),
-        "estimate": rs.collision_probability(moons, method="quadrature", max_iterations=64),
+        "estimate": rs.collision_probability(
+            moons, method="quadrature", precision=rs.probability.Precision(max_iterations=64)
+        ),
     }
 
 
