@@ -146,7 +146,7 @@ def _with_meta(table, cards):
 
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
-    """Write a file that appears whole or not at all; with ``sync``, also if the power fails."""
+    """Write a file that appears whole or not at all; with ``sync`` its content is on disk before it has its name."""
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
     try:
         # a new file with a random name: nobody else writes there, and no link is followed

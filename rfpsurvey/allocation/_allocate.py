@@ -108,7 +108,7 @@ def allocate(
         _priorities(priority, n),
         _labels(kind, n, "kind"),
         _labels(category, n, "category"),
-        np.asarray(fiber_type, dtype=str) if named else None,
+        np.array(fiber_type, dtype=str, copy=True) if named else None,
         _flags(required, n),
     )
     if columns.kind is not None:

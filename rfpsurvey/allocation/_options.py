@@ -59,9 +59,11 @@ class AllocationOptions:
         ``priority``: class after class. ``count``: the number of science targets before the classes (``sdss``,
         ``optimal``).
     time_limit : Quantity, optional
-        ``sdss`` and ``optimal`` then return the best plan so far, with its gap.
+        ``sdss`` and ``optimal`` then return the best plan so far, with its gap; 60 s by default. It holds for the
+        search of ``start`` too.
     start : Allocation or str, optional
-        For ``repair``, and allocators that ask for it: the plan to begin with, or the allocator that makes it.
+        For ``repair``, and allocators that ask for it: the plan to begin with, or the allocator that makes it (not
+        ``repair``).
     parked_obstacles : bool, optional
         Whether idle equal-arm positioners are obstacles.
 
@@ -101,7 +103,7 @@ class AllocationOptions:
         if self.sky_separation is not None:
             unit = self.sky_separation.unit if _is_angle(self.sky_separation) else u.mm
             to_scalar(self.sky_separation, unit, "sky_separation", low=0)
-        if self.requirements != "instrument":
+        if not self._of_instrument:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
         object.__setattr__(self, "parked_obstacles", bool(self.parked_obstacles))
 
@@ -110,6 +112,30 @@ class AllocationOptions:
         usual = {f.name: f.default if f.default_factory is MISSING else f.default_factory() for f in fields(self)[1:]}
         changed = [f"{name}={value!r}" for name, value in given.items() if value != usual[name]]
         return f"AllocationOptions({', '.join([repr(self.name), *changed])})"
+
+    @property
+    def _of_instrument(self) -> bool:
+        return isinstance(self.requirements, str) and self.requirements == "instrument"
+
+    def check_for_fields(self, what: str, *, science_only: bool = False) -> None:
+        """Refuse options that can only hold for one field, or, with ``science_only``, that ask for other targets.
+
+        Parameters
+        ----------
+        what : str
+            What is planned, for the error.
+        science_only : bool, optional
+            Whether only science targets are assigned.
+
+        Raises
+        ------
+        InputError
+            If ``start`` is an allocation, or requirements or a sky separation are given where only science counts.
+        """
+        if not isinstance(self.start, str):
+            raise InputError(f"start must be the name of an allocator for {what}, got an allocation of one field")
+        if science_only and (self._of_instrument or self.requirements or self.sky_separation is not None):
+            raise InputError(f"{what} counts science targets only: give an allocator without requirements and sky")
 
     @property
     def name(self) -> str:
@@ -140,10 +166,10 @@ class AllocationOptions:
             If requirements of the instrument, or an angle, are asked for and no instrument is given.
         """
         requirements, separation = self.requirements, self.sky_separation
-        if instrument is None and (requirements == "instrument" or _is_angle(separation)):
-            given = "requirements='instrument'" if requirements == "instrument" else f"sky_separation={separation}"
+        if instrument is None and (self._of_instrument or _is_angle(separation)):
+            given = "requirements='instrument'" if self._of_instrument else f"sky_separation={separation}"
             raise InputError(f"{given} needs an instrument, as plan_tile has; allocate takes lengths and requirements")
-        if requirements == "instrument":
+        if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
             text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
@@ -153,7 +179,7 @@ class AllocationOptions:
             separation = (separation * instrument.plate_scale).to(u.mm)
         built_in = self.name in ALLOCATORS
         unused = {}
-        if built_in and self.allocator not in ("sdss", "optimal"):
+        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # which may begin with one of these
             unused["time_limit"] = 60 * u.s
         if built_in and self.allocator != "repair":
             unused["start"] = AllocationOptions.start
@@ -166,7 +192,7 @@ class AllocationOptions:
         requirements = self.requirements
         return {
             "allocator": self.name,
-            "requirements": requirements if requirements == "instrument" else [str(one) for one in requirements],
+            "requirements": requirements if self._of_instrument else [str(one) for one in requirements],
             f"sky_separation_{unit}": None if separation is None else float(separation.to_value(unit)),
             "objective": self.objective,
             "time_limit_s": self.seconds,

@@ -44,9 +44,9 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
         target_of, elbows = _checked(problem, answer.target_of_positioner), answer.handedness
         if elbows is not None:
             elbows = _elbows(problem, target_of, elbows)
+        if problem.watched is not None:  # sky that stuck fibers observe
+            target_of = np.where(problem.watched >= 0, problem.watched, target_of)
         _check_claims(problem, target_of, answer)
-    if problem.watched is not None:  # sky that stuck fibers observe
-        target_of = np.where(problem.watched >= 0, problem.watched, target_of)
     meta = {**(answer.meta or {}), **({"software": plugin.software} if plugin.package else {})}
     return answer._replace(target_of_positioner=target_of, handedness=elbows, meta=meta)
 

@@ -31,22 +31,23 @@ class CatalogArrays:
     """
 
     def __init__(self, catalog):
-        self.catalog = catalog
+        # not the catalog itself, which keeps this object: a large one must be freed at once
+        self._coord, self._id, self._epoch = catalog.coord, catalog.id, catalog.epoch
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        return locked(to_vectors(self.catalog.coord))
+        return locked(to_vectors(self._coord))
 
     @cached_property
     def repeated_ids(self) -> bool:
-        ids = self.catalog.id
+        ids = self._id
         if ids.dtype.kind == "i" and (ids[1:] > ids[:-1]).all():
             return False
         return len(np.unique(ids)) < len(ids)
 
     def rows_within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
         """Return the rows of the targets inside a circle."""
-        mask = np.empty(len(self.catalog), dtype=bool)
+        mask = np.empty(len(self._id), dtype=bool)
         center = to_vectors(center, "center", one=True)[0]
         sky.within(self.vectors, center, half_chord_squared(radius_rad), mask)
         return np.flatnonzero(mask)
@@ -58,9 +59,9 @@ class CatalogArrays:
 
     def farthest_rad(self, time: object) -> float:
         """Return how far the fastest target moves on the sky until another epoch, at most."""
-        if not self.catalog.has_proper_motion or self.catalog.epoch is None:
+        if "s" not in self._coord.data.differentials or self._epoch is None:
             return 0.0
-        icrs = self.catalog.coord.icrs
+        icrs = self._coord.icrs
         speed = np.nan_to_num(np.hypot(icrs.pm_ra_cosdec, icrs.pm_dec).to_value(u.rad / u.yr))
-        years = np.abs((to_time(time, "epoch").tdb - self.catalog.epoch.tdb).to_value(u.yr))
+        years = np.abs((to_time(time, "epoch").tdb - self._epoch.tdb).to_value(u.yr))
         return float(np.max(speed * years, initial=0.0))

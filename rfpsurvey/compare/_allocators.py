@@ -81,28 +81,30 @@ def compare_allocators(
     instrument = as_instrument(instrument)
     tiles = {}
     for method in [replace(methods[0], allocator=BLIND), *methods]:
-        if method.name in tiles:
+        if method in tiles:
             continue
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
             plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
             warnings.simplefilter("ignore", RfpsurveyWarning)
-            tiles[method.name] = plan_tile(catalog, instrument, center, allocator=method, **others)
-        log.info("planned by %s: %s", method.name, tiles[method.name])
-    blind = on_kind(tiles[BLIND], "science")
-    names = [method.name for method in methods]
-    rows = [_row(name, tiles[name], blind) for name in names]
+            tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)
+        log.info("planned by %s: %s", method.name, tiles[method])
+    blind = on_kind(tiles[replace(methods[0], allocator=BLIND)], "science")
+    rows = [_row(method.name, tiles[method], blind) for method in methods]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
-    provenance = tiles[names[0]].provenance
-    software = {name: value for own in names for name, value in tiles[own].provenance["software"].items()}
+    provenance = tiles[methods[0]].provenance
+    software = {name: value for one in methods for name, value in tiles[one].provenance["software"].items()}
+    parameters = {k: v for k, v in provenance["parameters"].items() if k != "allocator"}
+    asked = methods[0].record  # of which a tile records what its allocator uses
+    parameters.update((name, asked[name]) for name in ("objective", "time_limit_s", "start"))
     table.meta.update(
         made_by="compare_allocators",
-        unmet={name: tiles[name].summary["unmet"] for name in names},
+        unmet={method.name: tiles[method].summary["unmet"] for method in methods},
         blind_science=blind,
         instrument=provenance["instrument"]["name"],
         software=software,
-        parameters={k: v for k, v in provenance["parameters"].items() if k != "allocator"},
+        parameters=parameters,
     )
     table["seconds"].unit = u.s
     return table

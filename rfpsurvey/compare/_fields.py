@@ -61,6 +61,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
     if not methods:
         raise InputError("allocators must name at least one allocator, got none")
     common = AllocationOptions() if options is None else as_options(options)
+    common.check_for_fields("a comparison")
     methods = [method for k, method in enumerate(methods) if method not in methods[:k]]
     return [replace(common, allocator=method) for method in methods]
 
@@ -124,7 +125,7 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
     found = []
     for options in allocators:
         if options.name in ALLOCATORS:
-            _compile(options.name)
+            _compile(options.name, options.start)
         try:
             tile = plan_tile(
                 field.catalog, field.instrument, field.center, allocator=options, **{"rng": field.seed, **others}
@@ -155,7 +156,7 @@ def on_kind(tile, kind: str) -> int:
 
 
 @cache
-def _compile(allocator: str) -> None:
+def _compile(allocator: str, start: str) -> None:
     """Plan a small crowded field once in each process, so that compilation is not timed."""
     robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
     small = Instrument(
@@ -163,4 +164,4 @@ def _compile(allocator: str) -> None:
     )
     center = SkyCoord(0 * u.deg, 0 * u.deg)
     sky = synthetic_catalog("uniform", center, small.field_radius, n_targets=40, rng=1)
-    plan_tile(sky, small, center, allocator=allocator)
+    plan_tile(sky, small, center, allocator=AllocationOptions(allocator, start=start))

@@ -1,8 +1,11 @@
 """Identifiers of blank sky positions that an allocation found between the targets."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+
+from rfpsurvey.errors import InputError
 
 __all__ = ["BlankIds", "blank_ids"]
 
@@ -26,20 +29,26 @@ class BlankIds(NamedTuple):
         return self.first - np.arange(n)
 
 
-def blank_ids(ids: np.ndarray) -> BlankIds:
-    """Return identifiers for blank sky that differ from the given ones.
+def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
+    """Return identifiers for blank sky that differ from those of a catalog, given in parts.
 
-    Integers are below -1 and all others, or in the widest gap where the others leave no room below; text begins with
-    ``blank-sky-``, or with that after as many underscores as no other identifier begins with.
+    Integers are below -1 and all others, or above all others where there is no room below; text begins with
+    ``blank-sky-``, after one underscore more than in any other identifier of this form.
     """
-    if ids.dtype.kind == "i":
-        lowest = min(-1, int(ids.min(initial=0)))
+    lowest, highest, most, dtype = -1, -1, -1, None
+    for ids in parts:
+        dtype = ids.dtype if dtype is None else np.result_type(dtype, ids.dtype)
+        if ids.dtype.kind == "i":
+            lowest, highest = min(lowest, int(ids.min(initial=0))), max(highest, int(ids.max(initial=0)))
+        else:
+            plain = np.char.lstrip(ids, "_")
+            alike = np.flatnonzero(np.char.startswith(plain, PREFIX))
+            most = max(most, int((np.char.str_len(ids) - np.char.str_len(plain))[alike].max(initial=-1)))
+    if dtype.kind == "i":
         if lowest - ROOM >= np.iinfo(np.int64).min:
-            return BlankIds(lowest - 1, ids.dtype)
-        edges = np.unique(np.append(ids, [np.iinfo(np.int64).max, -1]))
-        widest = int(np.argmax(np.diff(edges.astype(float))))
-        return BlankIds(int(edges[widest + 1]) - 1, ids.dtype)
-    prefix = PREFIX
-    while np.char.startswith(ids, prefix).any():
-        prefix = f"_{prefix}"
-    return BlankIds(prefix, np.result_type(ids.dtype, np.dtype(f"U{len(prefix) + DIGITS}")))
+            return BlankIds(lowest - 1, dtype)
+        if highest + ROOM > np.iinfo(np.int64).max:
+            raise InputError(f"ids must leave room for those of blank sky, got ids from {lowest} to {highest}")
+        return BlankIds(highest + ROOM, dtype)
+    prefix = "_" * (most + 1) + PREFIX
+    return BlankIds(prefix, np.result_type(dtype, np.dtype(f"U{len(prefix) + DIGITS}")))

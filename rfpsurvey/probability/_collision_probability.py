@@ -155,9 +155,9 @@ def collision_probability(
     _check_numbers(dynamic=dynamic, most_entries=most_entries)
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+    _check_science_only(options)
     source = None
     if asked == "allocated":
-        _check_science_only(options)
         source = make_source(plane, instrument, targets, center)
         if method == "auto":
             name = cheapest("allocated", options.allocator, source)

@@ -139,8 +139,8 @@ class TangentPlane:
         InputError
             If what is given are not directions on the sky, or types of fibers that have maps are others.
         """
-        arrays = getattr(coord, "arrays", None)
-        vectors = to_vectors(coord) if arrays is None else arrays.vectors
+        vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # of a catalog
+        vectors = to_vectors(coord) if vectors is None else vectors
         return u.Quantity(self.plain.project(vectors, fiber_type), u.mm, copy=False)
 
     def to_sky(self, xy: u.Quantity, fiber_type: str | np.ndarray | None = None) -> SkyCoord:

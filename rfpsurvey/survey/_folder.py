@@ -110,6 +110,8 @@ class Folder:
         if before.pop("software", None) != now.pop("software", None):
             text = f"{self.path} was begun with other versions of the software; its tiles may differ in rounding"
             warnings.warn(text, RfpsurveyWarning, stacklevel=5)
+        if "method" in before:
+            raise InputError(f"{self.path} was begun by version 0.1, which recorded other options; give another folder")
         different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
         if different:
             name = different[0]

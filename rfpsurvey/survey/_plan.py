@@ -128,6 +128,7 @@ def plan_survey(
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     asked = as_options(allocator)
+    asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(
             f"allocator must be a name where processes do the work, such as that of an entry point, got "

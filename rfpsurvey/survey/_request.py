@@ -57,7 +57,7 @@ class Request:
     @cached_property
     def model(self) -> Model:
         """What every job shares."""
-        blank = None if self.options.sky_separation is None else blank_ids(self.source.ids())
+        blank = None if self.options.sky_separation is None else blank_ids(self.source.ids_by_part())
         return Model(self.instrument, self.options, blank, lost_in_collision=self.lost_in_collision)
 
     def open_state(self) -> Bookkeeping:

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections import OrderedDict
+from collections.abc import Iterator
 from functools import cached_property
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ class InMemory:
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
         self._index = SkyIndex(catalog.arrays.vectors)
-        catalog.__dict__.pop("arrays", None)  # the index has them, sorted: a large catalog is not kept twice
+        catalog.arrays.__dict__.pop("vectors", None)  # the index has them, sorted: a large catalog is not kept twice
         self.meta = catalog.meta
 
     def __len__(self):
@@ -78,6 +79,10 @@ class InMemory:
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self._catalog.id
+
+    def ids_by_part(self) -> list[np.ndarray]:
+        """Return the ids of all targets."""
+        return [self._catalog.id]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Return values by slot in the order of rows."""
@@ -169,6 +174,10 @@ class Partitioned:
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self._parts.column("id")
+
+    def ids_by_part(self) -> Iterator[np.ndarray]:
+        """Return the ids of each partition, one after the other."""
+        return (self._parts.part(k).id for k in range(len(self._parts.files)))
 
     def digest(self) -> str:
         """Return what tells one catalog from another; all files are read, but only the columns that a survey needs."""

@@ -135,7 +135,7 @@ def plan_tile(
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["required"] = is_required[given] if is_required.any() else None
     targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns))
-    blank = None if options.sky_separation is None else blank_ids(everything.id)
+    blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
     plan = plan_field(instrument, plane.plain, targets, options, rng, blank)

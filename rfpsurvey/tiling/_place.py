@@ -176,7 +176,9 @@ def place_tiles(
         priority = None if catalog.priority is None else catalog.priority[index.order]
         serve = FreeFibers(number, priority, neighbors)
     else:
-        options = as_options(allocator).for_instrument(model)
+        options = as_options(allocator)
+        options.check_for_fields("place_tiles", science_only=True)
+        options = options.for_instrument(model)
         serve = FocalPlaneFibers(model, options, catalog, index, number, position_angle, rng)
     problem = TilingProblem(
         radius_rad, index, wanted[index.order], number, serve, allowed, passes, n_tiles, completeness

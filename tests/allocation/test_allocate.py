@@ -4,6 +4,7 @@ from collections import Counter
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -12,6 +13,7 @@ import flat
 import rfpsurvey as rs
 from oracles import balanced_owner, lamost_target
 from rfpsurvey.allocation import ALLOCATORS
+from rfpsurvey.allocation._methods import METHODS
 
 MM = u.mm
 PLANES = {
@@ -225,3 +227,56 @@ def test_claims_of_an_answer_are_checked(answer, message):
     plane = PLANES["equal"]
     with pytest.raises(rs.InputError, match=message):
         rs.allocate(plane, [[0, 0]] * u.mm, allocator=lambda problem: answer(len(plane)))
+
+
+def test_a_fiber_type_for_all_may_be_a_broadcast_array():
+    plane = rs.FocalPlane([[0, 0]] * u.mm, PLANES["equal"].positioner, fiber_type=["A+B"])
+    plan = rs.allocate(plane, [[8, 0], [0, 8]] * u.mm, fiber_type=np.broadcast_to("B", 2))
+    assert plan.fiber_type.tolist() == ["B"]
+    assert plan.target_fiber_type.tolist() == ["B", "B"]
+
+
+def test_the_time_limit_reaches_the_plan_to_begin_with():
+    seen = []
+
+    def look(problem):
+        seen.append(problem.time_limit)
+        return np.full(len(problem.focal_plane), -1)
+
+    options = rs.AllocationOptions("repair", start="optimal", time_limit=0.5 * u.s).for_instrument(None)
+    assert options.seconds == 0.5
+    rs.allocate(PLANES["equal"], [[0, 0]] * u.mm, allocator=rs.AllocationOptions(look, time_limit=2 * u.s))
+    assert seen == [2.0]
+
+
+def test_requirements_may_be_an_array():
+    assert len(rs.AllocationOptions(requirements=np.array(["sky=2", "standard=1"])).requirements) == 2
+
+
+def test_names_of_allocators_are_those_of_the_table():
+    assert tuple(METHODS) == ALLOCATORS
+
+
+def test_what_holds_for_one_field_is_refused_for_several():
+    plane = PLANES["equal"]
+    start = rs.allocate(plane, [[0, 0]] * u.mm)
+    sky = SkyCoord([0, 0.1] * u.deg, [0, 0] * u.deg)
+    with pytest.raises(rs.InputError, match="start must be the name of an allocator for a survey"):
+        rs.plan_survey(sky, "moons", sky, allocator=rs.AllocationOptions("repair", start=start))
+    with pytest.raises(rs.InputError, match="place_tiles counts science targets only"):
+        rs.place_tiles(sky, "moons", allocator=rs.AllocationOptions(requirements="sky=2"))
+    with pytest.raises(rs.InputError, match="requirements"):
+        rs.collision_probability(plane, method="quadrature", allocator=rs.AllocationOptions(requirements="sky=2"))
+
+
+def test_stuck_fibers_keep_their_sky_in_an_answer_that_is_handed_on():
+    robot = PLANES["equal"].positioner
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot, stuck=[[0, 90], [np.nan, np.nan]] * u.deg)
+    options = {"requirements": "sky=2", "sky_separation": 1 * u.mm}
+    xy = [[30, 3], [28, -4]] * u.mm
+    for start in ("lamost", "sdss", "optimal"):
+        own = rs.AllocationOptions(lambda problem: problem.start(), start=start, **options)
+        expected = rs.allocate(plane, xy, allocator=rs.AllocationOptions(start, **options))
+        got = rs.allocate(plane, xy, allocator=own)
+        assert got.target_of_positioner.tolist() == expected.target_of_positioner.tolist()
+        assert got.levels == expected.levels or start == "lamost"
