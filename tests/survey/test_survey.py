@@ -61,6 +61,35 @@ def one_by_one(sky, tiling, instrument, order, **options):
     return left, visits, summaries
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_a_survey_of_one_tile_is_a_tile_in_every_column(text):
+    """Blank sky, fiber types and spectrographs among them; column by column, to the last bit."""
+    rng = np.random.default_rng(7)
+    sky = rs.synthetic_catalog("poisson", CENTER, 1.6 * u.deg, density=200 / u.deg**2, rng=3)
+    n = len(sky)
+    sky = rs.Catalog(
+        sky.coord,
+        id=[f"star {k}" for k in range(n)] if text else 10 * np.arange(n) - 300,
+        priority=rng.integers(1, 4, n),
+        kind=rng.choice(["science", "standard"], n, p=[0.9, 0.1]),
+        fiber_type=rng.choice(["BOSS", "APOGEE", ""], n),
+    )
+    options = rs.AllocationOptions(requirements=["sky@BOSS=20", "standard=10"], sky_separation=10 * u.arcsec)
+    survey = rs.plan_survey(sky, "sdss_apo", CENTER.reshape(1), allocator=options)
+    tile = rs.plan_tile(sky, "sdss_apo", CENTER, allocator=options)
+    visits, table = survey.targets, tile.table[tile.table["status"] == "assigned"]
+    names = {"positioner": "id", "target_id": "target_id", "fiber_type": "fiber_type", "kind": "kind"}
+    for name, own in {**names, "in_collision": "in_collision"}.items():
+        assert np.asarray(visits[name]).tolist() == np.asarray(table[own]).tolist(), name
+    for name in ("ra", "dec"):
+        assert visits[name].to_value(u.deg).tolist() == table[name].to_value(u.deg).tolist(), name
+    blank = visits["target_row"] < 0
+    assert blank.sum() >= 10
+    assert (visits["kind"][blank] == "sky").all()
+    assert not np.isin(visits["target_id"][blank], sky.id).any()
+    assert (sky.id[visits["target_row"][~blank]] == visits["target_id"][~blank]).all()
+
+
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
 def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocator):
     tiling = grid(1.2)
