@@ -1,17 +1,17 @@
 """A scan on disk: the designs that are done, and what was asked."""
 
 import json
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
 
 import numpy as np
 
+from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import WRITABLE, check_output, read_table, to_path, write_table
 from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._rows import ROW, to_rows, to_table
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError
 from rfpsurvey.tile import versions
 
 __all__ = ["Checkpoint"]
@@ -94,16 +94,8 @@ class Checkpoint:
         before, now = table.meta.get("request"), self.meta["request"]
         if not isinstance(before, dict) or not set(ROW.names) <= set(table.colnames):
             raise InputError(f"{self._path} holds no scan of designs; give another path")
-        different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-        if different:
-            name = different[0]
-            raise InputError(
-                f"{self._path} holds another scan: {', '.join(different)} differ ({name} was {before.get(name)}, and "
-                f"is {now.get(name)}); give another path"
-            )
-        if table.meta.get("software") != self.meta["software"]:
-            text = f"{self._path} was begun with other versions of the software; its designs may differ in rounding"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+        check_request(self._path, before, now, "scan", "path")
+        warn_of_software(self._path, table.meta.get("software"), self.meta["software"], "designs", 5)
         rows = to_rows(table)
         own = np.column_stack([rows[name] for name in AXES])
         if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):

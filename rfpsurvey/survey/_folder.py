@@ -14,6 +14,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes
 from rfpsurvey._readers import content_of, parse_json
 from rfpsurvey.errors import InputError, RfpsurveyWarning
@@ -107,18 +108,10 @@ class Folder:
     def _compare(self, before: dict):
         """Refuse to continue another survey than the one that was begun."""
         now = dict(self._request)
-        if before.pop("software", None) != now.pop("software", None):
-            text = f"{self.path} was begun with other versions of the software; its tiles may differ in rounding"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=5)
+        warn_of_software(self.path, before.pop("software", None), now.pop("software", None), "tiles", 6)
         if "method" in before:
             raise InputError(f"{self.path} was begun by version 0.1, which recorded other options; give another folder")
-        different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-        if different:
-            name = different[0]
-            raise InputError(
-                f"{self.path} holds another survey: {', '.join(different)} differ ({name} was "
-                f"{_short(before.get(name))}, and is {_short(now.get(name))}); give another folder"
-            )
+        check_request(self.path, before, now, "survey", "folder")
 
     def part(self, tile: int) -> bytes | None:
         """Return the part of a tile (by row), None if there is none that can be trusted."""
@@ -215,8 +208,3 @@ def _load(path: Path) -> dict:
         return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
     except InputError as error:
         raise InputError(f"{path} is damaged ({error}); start the survey again in another folder") from None
-
-
-def _short(value) -> str:
-    text = str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
