@@ -152,9 +152,9 @@ def _parts(candidates, rows):
         return
     real = rows[options.target[rows] >= 0]
     real = real[np.argsort(options.target[real], kind="stable")]
-    twins = np.array([real[:-1], real[1:]])
-    twins = twins[:, options.target[twins[0]] == options.target[twins[1]]]
-    first, second = options.own[np.concatenate([edges, twins], axis=1)]
+    same = np.array([real[:-1], real[1:]])
+    same = same[:, options.target[same[0]] == options.target[same[1]]]
+    first, second = options.own[np.concatenate([edges, same], axis=1)]
     n = len(options.start) - 1
     ends = first.astype(np.int32), second.astype(np.int32)  # what older versions take
     _, label = connected_components(coo_array((np.ones(len(first)), ends), shape=(n, n)), directed=False)

@@ -73,7 +73,6 @@ def _is_map(value) -> bool:
 TINY = 1e-300  # numbers above zero
 LENGTH = _number("a length above 0", TINY, unit=u.mm)
 CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
-ANGLE = _number("an angle", unit=u.rad)
 ANGLES = Kind("two angles", lambda value: _is_list(value, _is_number, 2), u.rad)
 CELLS = Kind(
     "a list of pairs of whole numbers",

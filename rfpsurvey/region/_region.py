@@ -14,7 +14,6 @@ from rfpsurvey.region._sphere import is_inside
 
 __all__ = ["Region"]
 
-FULL = 2 * np.pi
 FORMS = {
     "cap": "cap RA DEC RADIUS",
     "box": "box RA1 RA2 DEC1 DEC2",

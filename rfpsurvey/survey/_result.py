@@ -21,12 +21,15 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     centers, near = request.tiling.vectors, request.source.sum_near
     wanted, done = (near(centers, request.radius_rad, visits) for visits in (state.wanted, state.done()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
-    fates = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
-    table.meta = {"summary": _summary(request, state, counts, fates, n_usable), "provenance": request.provenance}
+    outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
+    table.meta = {
+        "summary": _summary(request, state, counts, outcome_counts, n_usable),
+        "provenance": request.provenance,
+    }
     return table
 
 
-def _summary(request, state, counts, fates, n_usable) -> dict:
+def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
     wanted, observed = int(state.n_wanted.sum()), int(state.n_observed.sum())
     targets, complete = int(state.n_targets.sum()), int(state.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}
@@ -39,7 +42,7 @@ def _summary(request, state, counts, fates, n_usable) -> dict:
         "n_visits_observed": observed,
         "completeness": observed / max(wanted, 1),
         "completeness_targets": complete / max(targets, 1),
-        "outcomes": {name: int(n) for name, n in zip(OUTCOMES, fates, strict=True) if n},
+        "outcomes": {name: int(n) for name, n in zip(OUTCOMES, outcome_counts, strict=True) if n},
         "n_fibers": n_usable * len(request.tiling),
         "n_assigned": total["n_assigned"],
         "n_science": total["n_science"],

@@ -279,4 +279,4 @@ def test_stuck_fibers_keep_their_sky_in_an_answer_that_is_handed_on():
         expected = rs.allocate(plane, xy, allocator=rs.AllocationOptions(start, **options))
         got = rs.allocate(plane, xy, allocator=own)
         assert got.target_of_positioner.tolist() == expected.target_of_positioner.tolist()
-        assert got.levels == expected.levels or start == "lamost"
+        assert [level[:2] for level in got.levels] == [level[:2] for level in expected.levels]
