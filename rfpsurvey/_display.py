@@ -2,7 +2,11 @@
 
 from html import escape
 
-__all__ = ["to_html"]
+import astropy.units as u
+
+__all__ = ["rounded", "to_html"]
+
+DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
 def to_html(result: object, facts: dict, table: object = None) -> str:
@@ -27,8 +31,17 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
         for name, value in facts.items()
         if isinstance(value, int | float | str) and len(str(value)) < 200
     )
-    shown = "" if table is None else f"<div>{table._repr_html_()}</div>"
+    shown = "" if table is None else f"<div>{rounded(table)._repr_html_()}</div>"
     return f"<p>{escape(repr(result).strip('<>'))}</p><table>{rows}</table>{shown}"
+
+
+def rounded(table: object) -> object:
+    """Return a table that shows as many digits as are of use; its values are as they were."""
+    table = table.copy(copy_data=False)
+    for column in table.itercols():
+        if getattr(column.dtype, "kind", "") == "f":
+            column.info.format = f".{DECIMALS[column.unit]}f" if getattr(column, "unit", None) in DECIMALS else ".4g"
+    return table
 
 
 def _text(value) -> str:

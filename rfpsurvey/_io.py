@@ -30,6 +30,7 @@ __all__ = [
     "read_table",
     "suffix_of",
     "table_bytes",
+    "table_cards",
     "temporary_folder",
     "to_path",
     "write_bytes",
@@ -41,14 +42,25 @@ ZIPPED = (".gz", ".bz2", ".xz")
 TEMPORARY_PREFIX = ".rfpsurvey-"
 
 
-def write_table(table: QTable, path: str | os.PathLike, *, overwrite: bool = False, cards: dict | None = None) -> None:
-    """Write FITS or ECSV; ``cards`` are further FITS header cards."""
+def write_table(
+    table: QTable,
+    path: str | os.PathLike,
+    *,
+    overwrite: bool = False,
+    cards: dict | None = None,
+    name: str | None = None,
+    others: dict | None = None,
+) -> None:
+    """Write FITS or ECSV.
+
+    ``cards`` are further cards of the FITS header (a value, or a value and a comment), ``name`` is the name of the
+    extension, and ``others`` are tables that follow in further extensions, by name; ECSV holds one table only.
+    """
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
         if suffix_of(path) == ".fits":
-            table = _with_meta(table, cards or {})
             try:
-                table.write(temporary, format="fits")
+                _to_hdus(table, cards, name, others or {}).writeto(temporary)
             except UnicodeEncodeError as error:
                 raise InputError(f"{path}: FITS holds ASCII text only ({error}); write .ecsv instead") from error
         else:
@@ -127,22 +139,45 @@ def temporary_folder(path: str | os.PathLike):
         yield temporary
 
 
-def table_bytes(table: QTable, name: str) -> bytes:
+def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str | None = None) -> bytes:
     """Return what `write_table` would write; the same table gives the same bytes."""
-    if name.endswith(".ecsv"):
+    if path.endswith(".ecsv"):
         file = io.StringIO(newline="\n")
         table.write(file, format="ascii.ecsv")
         return file.getvalue().encode()
     file = io.BytesIO()
-    _with_meta(table, {}).write(file, format="fits")
+    _to_hdus(table, cards, name, {}).writeto(file)
     return file.getvalue()
 
 
-def _with_meta(table, cards):
-    """Return a table whose meta fits into a FITS header."""
-    table = table.copy(copy_data=False)
-    table.meta = {**cards, META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
-    return table
+def _to_hdus(table, cards, name, others):
+    """Return a table and others as header and data units; the meta of the first is one card."""
+    from astropy.io import fits
+
+    meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
+    found = fits.HDUList([fits.PrimaryHDU()])
+    for title, one in {name: table, **others}.items():
+        plain = one.copy(copy_data=False)
+        plain.meta = {}
+        about = {column.info.name: column.info.description for column in plain.itercols()}
+        for column in plain.itercols():
+            column.info.description = None  # goes into the header
+        hdu = fits.table_to_hdu(plain)
+        hdu.header.update(table_cards(title, list(about), about))
+        hdu.header.update({**(cards or {}), **meta} if one is table else {})
+        found.append(hdu)
+    return found
+
+
+def table_cards(name: str | None, columns: list[str], about: dict, units: dict | None = None) -> dict:
+    """Return cards with the name of an extension, and the description and unit of columns, where there are any."""
+    cards = {} if name is None else {"EXTNAME": (name, "name of this table")}
+    for k, column in enumerate(columns, 1):
+        if about.get(column):
+            cards[f"TCOMM{k}"] = about[column]
+        if (units or {}).get(column):
+            cards[f"TUNIT{k}"] = units[column]
+    return cards
 
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
@@ -166,12 +201,13 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
         raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
+def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     """Return a FITS file with one table; the same rows and cards give the same bytes.
 
-    For thousands of small tables of one kind: astropy makes the header of the first, and the others change cards.
+    For thousands of small tables of one kind: astropy makes the header of the first, with the cards that are ``fixed``
+    (pairs of a name and a value, or a value and a comment), and the others change ``cards``.
     """
-    primary, header, places, disk = _fits_template(rows.dtype)
+    primary, header, places, disk = _fits_template(rows.dtype, fixed)
     image = bytearray(header)
     for name, card in {"NAXIS2": len(rows), **cards}.items():
         value, comment = card if isinstance(card, tuple) else (card, "")
@@ -190,17 +226,18 @@ def fits_bytes(rows: np.ndarray, cards: dict) -> bytes:
 
 
 @lru_cache(maxsize=32)
-def _fits_template(dtype: np.dtype):
+def _fits_template(dtype: np.dtype, fixed: tuple):
     """Return the bytes of the primary HDU, the header of a table of a kind, and the records on disk."""
     from astropy.io import fits
 
     file = io.BytesIO()
     fits.PrimaryHDU().writeto(file)
     header = fits.BinTableHDU(np.zeros(1, dtype)).header
+    header.update(dict(fixed))
     types = {"b": lambda t: np.dtype("u1"), "U": lambda t: np.dtype(f"S{max(t.itemsize // 4, 1)}")}
     disk = [(name, types.get(dtype[name].kind, lambda t: t.newbyteorder(">"))(dtype[name])) for name in dtype.names]
-    places = {name: 80 * k for k, name in enumerate(header)}
     image = header.tostring(sep="", endcard=False, padding=False).encode("ascii")
+    places = {image[k : k + 8].decode().strip(): k for k in range(0, len(image), 80)}  # long values take several cards
     return file.getvalue(), image, places, np.dtype(disk)
 
 

@@ -169,25 +169,25 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
     return instrument
 
 
-def read_catalog(path: Path, column, unit, frame: str):
+def read_catalog(path: Path, column, unit, frame: str, keep: list[str] | None = None):
     """Return the catalog of a file, or of a folder of partitions."""
     columns, units = parse_pairs(column, "--column"), parse_pairs(unit, "--unit")
     if path.is_dir():
-        return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame)
+        return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, keep=keep)
     common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # of all rows, where no column says it
     if common:
         del columns["epoch"]
-    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame)
+    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, keep=keep)
     return replace(catalog, epoch=common[0]) if common else catalog
 
 
-def targets_and_center(path, center, model, seed, column, unit, frame):
+def targets_and_center(path, center, model, seed, column, unit, frame, keep=None):
     """Return the catalog of a file, or a synthetic one, and the field center."""
     field = None if center is None else parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
-    targets = as_catalog(read_catalog(path, column, unit, frame))
+    targets = as_catalog(read_catalog(path, column, unit, frame, keep))
     if field is None and len(targets) == 0:
         field = parse_center(DEFAULT_CENTER)
     elif field is None:

@@ -42,6 +42,9 @@ ColumnOption = Annotated[
     list[str] | None,
     typer.Option(help="ROLE=NAME, as id=star; priority=-rank flips it; epoch=J2016 holds for all rows."),
 ]
+KeepOption = Annotated[
+    list[str] | None, typer.Option(help="Column of the catalog that the results shall carry, such as a magnitude.")
+]
 UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without one, as ra=deg.")]
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]

@@ -160,6 +160,9 @@ def print_summary(tile: "rs.Tile") -> None:
     for label, value in tile_facts(tile).items():
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
     _print_objectives(tile)
+    if tile.completeness is not None and len(tile.completeness) > 1:
+        print("targets of the field by class; observed are those that are assigned and not in collision:")
+        print_table(tile.completeness)
     seconds = tile.summary["seconds"]
     print(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  " + ", ".join(f"{k} {v:.3f}" for k, v in seconds.items()))
 

@@ -12,22 +12,29 @@ from astropy.table import QTable
 from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 
-__all__ = ["read_fits", "read_fits_bytes"]
+__all__ = ["META_KEY", "read_fits", "read_fits_bytes"]
 
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
+META_KEY = "RFPSURVY"
+"""Card of files of this package that holds the meta of a table."""
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
-def read_fits(path: Path) -> QTable:
-    """Return the first table of a FITS file, its text as bytes."""
+def read_fits(path: Path, number: int | None = None) -> QTable:
+    """Return a table of a FITS file by its number, or the first one with a warning where there are others.
+
+    Text is returned as bytes. Other tables in files of this package are described by the first, and no surprise.
+    """
     with open_content(path) as file:
-        at, others = _find_table(file, path)
-        if others:
-            text = f"{path}: the file has {1 + others} tables, of which the first was read"
+        found = _find_tables(file, path)
+        if number is not None and number >= len(found):
+            raise InputError(f"{path}: the file must have {number + 1} tables, got {len(found)}")
+        table, n_rows = _read(file, found[number or 0])
+        if number is None and len(found) > 1 and META_KEY not in table.meta:
+            text = f"{path}: the file has {len(found)} tables, of which the first was read"
             warnings.warn(text, RfpsurveyWarning, stacklevel=4)
-        table, n_rows = _read(file, at)
     if len(table) != n_rows:
         raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")
     return table
@@ -52,7 +59,7 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
 
     try:
         file = io.BytesIO(content)
-        at, _ = _find_table(file, name)
+        at = _find_tables(file, name)[0]
         file.seek(0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -67,8 +74,8 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
         raise InputError(f"{name} cannot be read as fits: {sentence(error)}") from error
 
 
-def _find_table(file: BinaryIO, path: object) -> tuple[int, int]:
-    """Return the number of the first table, and how many others there are, if all that headers promise is there."""
+def _find_tables(file: BinaryIO, path: object) -> list[int]:
+    """Return the numbers of the units that are tables, at least one, if all that headers promise is there."""
     size, place, tables = file.seek(0, io.SEEK_END), 0, []
     if size == 0:
         raise InputError(f"{path}: the file must be a FITS file, got an empty one")
@@ -95,7 +102,7 @@ def _find_table(file: BinaryIO, path: object) -> tuple[int, int]:
         raise InputError(f"{path}: the file must have at most {MOST_UNITS} header and data units, got more")
     if not tables:
         raise InputError(f"{path}: the file must hold a table, got {number + (cards is not None)} units without one")
-    return tables[0], len(tables) - 1
+    return tables
 
 
 def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | None, int]:

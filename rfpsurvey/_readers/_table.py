@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._readers._documents import check_size, parse_json
-from rfpsurvey._readers._fits import read_fits
+from rfpsurvey._readers._fits import META_KEY, read_fits
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey._readers._parquet import read_parquet
 from rfpsurvey.errors import InputError
@@ -46,7 +46,6 @@ READERS = {
     "parquet": read_parquet,
 }
 ZIPPED = (".gz", ".bz2", ".xz")
-META_KEY = "RFPSURVY"
 
 
 def to_path(path: object) -> Path:
@@ -65,8 +64,8 @@ def suffix_of(path: Path) -> str:
     return suffixes[-1] if suffixes else ""
 
 
-def read_table(path: str | os.PathLike) -> QTable:
-    """Read a table in any of `FORMATS`."""
+def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
+    """Read a table in any of `FORMATS`; ``number`` is its place among the tables of a FITS file."""
     path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
@@ -74,7 +73,8 @@ def read_table(path: str | os.PathLike) -> QTable:
     if not _is_file(path):
         raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
     try:
-        table = QTable(READERS[FORMATS[suffix]](path))
+        options = {} if number is None else {"number": number}
+        table = QTable(READERS[FORMATS[suffix]](path, **options))
         for name in table.colnames:
             _make_text(table, name, path)
         check_size(table.meta, path)

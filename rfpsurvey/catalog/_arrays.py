@@ -8,6 +8,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._kernels import sky
 from rfpsurvey._units import locked, to_vectors
+from rfpsurvey.catalog._extra import result_name
 from rfpsurvey.catalog._index import half_chord_squared
 from rfpsurvey.catalog._time import to_time
 
@@ -28,11 +29,19 @@ class CatalogArrays:
         ICRS unit vectors.
     repeated_ids : bool
         Whether two targets have the same identifier.
+    extra : dict
+        Further columns without units, by their names in results: ``target_ra`` for another ``ra``.
+    extra_units : dict
+        Their units as text, empty for none.
     """
 
     def __init__(self, catalog):
         # not the catalog itself, which keeps this object: a large one must be freed at once
         self._coord, self._id, self._epoch = catalog.coord, catalog.id, catalog.epoch
+        names = [] if catalog.extra is None else catalog.extra.colnames
+        columns = {result_name(name): catalog.extra[name] for name in names}
+        self.extra = {name: np.asarray(getattr(column, "value", column)) for name, column in columns.items()}
+        self.extra_units = {name: str(getattr(column, "unit", None) or "") for name, column in columns.items()}
 
     @cached_property
     def vectors(self) -> np.ndarray:

@@ -13,9 +13,11 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import _io
+from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
+from rfpsurvey.catalog._extra import extra_columns, pick_columns, result_name
 from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
@@ -56,6 +58,9 @@ class Catalog:
         Where the catalog comes from.
     n_dropped : int, optional
         Rows left out so far because their coordinates are not finite.
+    extra : dict or Table, optional
+        Further columns by name, such as magnitudes: numbers, text or truth values, with or without units. No allocator
+        reads them; the tables of tiles and surveys carry them. Missing numbers become NaN, missing text empty.
 
     Raises
     ------
@@ -82,6 +87,7 @@ class Catalog:
     epoch: Time | None = None
     meta: dict = field(default_factory=dict)
     n_dropped: int = 0
+    extra: QTable | None = None
 
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
@@ -101,6 +107,9 @@ class Catalog:
                     raise
                 except (TypeError, ValueError) as error:
                     raise InputError(f"{name} must be numbers: {error}") from None
+        extra = extra_columns(self.extra)
+        if extra is not None and len(extra) != n:
+            raise InputError(f"columns of extra must have one value per target, {n}, got {len(extra)}")
         for name, value in columns.items():
             if value.shape != (n,):
                 raise InputError(f"{name} must have one value per target, shape ({n},), got {value.shape}")
@@ -121,6 +130,7 @@ class Catalog:
         if n_bad:
             coord = coord[keep]
             columns = {name: value[keep] for name, value in columns.items()}
+            extra = None if extra is None else extra[keep]
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
             warnings.warn(
@@ -128,7 +138,7 @@ class Catalog:
                 RfpsurveyWarning,
                 stacklevel=3,
             )
-        for name, value in {**columns, "coord": coord, "epoch": epoch}.items():
+        for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
         object.__setattr__(self, "meta", dict(self.meta))
@@ -141,7 +151,11 @@ class Catalog:
 
     def __repr__(self):
         carried = [name for name in (*_PER_TARGET[1:], "epoch") if getattr(self, name) is not None]
+        carried += [] if self.extra is None else self.extra.colnames
         return f"<Catalog of {len(self)} targets{' with ' if carried else ''}{', '.join(carried)}>"
+
+    def _repr_html_(self) -> str:
+        return to_html(self, {"targets": len(self), **self.meta}, self[:5].to_table())
 
     def _take(self, index, **changes):
         """Return the rows picked by ``index``, with some fields replaced."""
@@ -151,6 +165,7 @@ class Catalog:
             if values[name] is not None:
                 values[name] = values[name][index]
         values["coord"] = self.coord[index]
+        values["extra"] = None if self.extra is None else self.extra[index]
         if self.epoch is not None and not self.epoch.isscalar:
             values["epoch"] = self.epoch[index]
         return Catalog(**{**values, **changes})
@@ -168,7 +183,13 @@ class Catalog:
 
     @classmethod
     def from_table(
-        cls, table: Table, *, columns: dict | None = None, units: dict | None = None, frame: str = "icrs"
+        cls,
+        table: Table,
+        *,
+        columns: dict | None = None,
+        units: dict | None = None,
+        frame: str = "icrs",
+        keep: list | None = None,
     ) -> "Catalog":
         """Make a catalog from a table, its columns found by their usual names and UCDs.
 
@@ -187,6 +208,8 @@ class Catalog:
         frame : str, optional
             Frame of the coordinates: ``icrs``, ``fk5`` and ``fk4`` look for right ascension and declination, others
             for longitude and latitude.
+        keep : list of str, optional
+            Names of further columns that results shall carry, see ``extra``.
 
         Returns
         -------
@@ -198,11 +221,12 @@ class Catalog:
         InputError
             If coordinates are missing, or have no unit or a wrong one.
         """
-        return cls._from_table(table, columns, units, frame, assume_units=False)
+        return cls._from_table(table, columns, units, frame, keep, assume_units=False)
 
     @classmethod
-    def _from_table(cls, table, columns, units, frame, *, assume_units):
-        return cls(**_tables.read_columns(table, columns, units, frame, assume_units=assume_units))
+    def _from_table(cls, table, columns, units, frame, keep, *, assume_units):
+        found = _tables.read_columns(table, columns, units, frame, assume_units=assume_units)
+        return cls(**found, extra=pick_columns(table, keep))
 
     @classmethod
     def read(
@@ -212,6 +236,7 @@ class Catalog:
         columns: dict | None = None,
         units: dict | None = None,
         frame: str = "icrs",
+        keep: list | None = None,
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
@@ -225,6 +250,8 @@ class Catalog:
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
+            As in `from_table`.
+        keep : list of str, optional
             As in `from_table`.
 
         Returns
@@ -240,7 +267,7 @@ class Catalog:
         path = _io.to_path(path)
         table = _io.read_table(path)
         try:
-            catalog = cls._from_table(table, columns, units, frame, assume_units=_io.suffix_of(path) == ".csv")
+            catalog = cls._from_table(table, columns, units, frame, keep, assume_units=_io.suffix_of(path) == ".csv")
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         catalog.meta["file"] = path.name
@@ -264,6 +291,8 @@ class Catalog:
         for name in _PER_TARGET[1:]:
             if getattr(self, name) is not None:
                 table[name] = getattr(self, name)
+        for name in [] if self.extra is None else self.extra.colnames:
+            table[result_name(name)] = self.extra[name]
         return table
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:

@@ -40,6 +40,8 @@ class PartitionedCatalog:
         As in `Catalog.from_table`; positions are in degrees where nothing else is said.
     frame : str, optional
         As in `Catalog.from_table`.
+    keep : list of str, optional
+        As in `Catalog.from_table`.
     kept_rows : int, optional
         Partitions that a survey read last stay in memory up to so many rows, of some 60 bytes each.
 
@@ -69,6 +71,7 @@ class PartitionedCatalog:
     columns: dict = field(default_factory=dict)
     units: dict = field(default_factory=dict)
     frame: str = "icrs"
+    keep: list | None = None
     kept_rows: int = 10_000_000
 
     def __post_init__(self):
@@ -76,6 +79,8 @@ class PartitionedCatalog:
         for name in ("columns", "units"):
             if not isinstance(getattr(self, name), dict | None):
                 raise InputError(f"{name} must be a dict from role to {name[:-1]}, got {getattr(self, name)!r}")
+        keep = [self.keep] if isinstance(self.keep, str) else list(self.keep or [])
+        object.__setattr__(self, "keep", keep)
         if not isinstance(self.frame, str):
             raise InputError(f"frame must be the name of a frame, got {self.frame!r}")
         kept = self.kept_rows

@@ -101,7 +101,10 @@ class Partitions:
         missing = [role for role in needed if names[ROLES.index(role)] is None]
         if missing:
             raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
-        return list(dict.fromkeys(name for name in names if name is not None))
+        lacking = [name for name in self.catalog.keep if name not in schema.names]
+        if lacking:
+            raise InputError(f"keep must name columns of {path} ({', '.join(schema.names)}), got {lacking[0]!r}")
+        return list(dict.fromkeys(name for name in (*names, *self.catalog.keep) if name is not None))
 
     @cached_property
     def circles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -164,8 +167,9 @@ class Partitions:
     def to_catalog(self, table: Table, path: Path) -> Catalog:
         """Return the targets of a table; errors name the file."""
         try:
+            asked = self.catalog
             return Catalog._from_table(
-                table, self.catalog.columns, self.catalog.units, self.catalog.frame, assume_units=True
+                table, asked.columns, asked.units, asked.frame, asked.keep or None, assume_units=True
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

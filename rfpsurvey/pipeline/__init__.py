@@ -5,14 +5,20 @@
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
 from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, assign_field, field_radius_rad, plan_field, project_field
+from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 
 __all__ = [
+    "OUTCOMES",
     "BlankIds",
     "FieldPlan",
     "FieldTargets",
+    "Outcome",
     "assign_field",
     "blank_ids",
+    "category_classes",
     "field_radius_rad",
+    "outcome_codes",
     "plan_field",
+    "priority_classes",
     "project_field",
 ]

@@ -26,6 +26,8 @@ class FieldTargets(NamedTuple):
     columns: TargetColumns
     others: np.ndarray | None = None
     """Unit vectors of what is not assigned, but blank sky keeps its distance from."""
+    extra: dict | None = None
+    """Further columns that the plan carries along, by name."""
 
 
 class FieldPlan(NamedTuple):
@@ -44,6 +46,9 @@ class FieldPlan(NamedTuple):
     """Directions, ICRS; longitudes from 0 to 2 pi."""
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
+    carried: dict
+    """Priority, category and further columns of the targets, where there are any. Blank sky has NaN, empty text, False
+    or -1."""
     seconds: dict
     """Time of each stage."""
 
@@ -136,6 +141,16 @@ def plan_field(
         ids[~given] = blank.take(len(found))
         vectors[~given] = projection.unproject(allocation.xy.value[found], types)
     lon, lat = to_lonlat(vectors)
-    return FieldPlan(
-        allocation, arms, report, positioner, np.where(given, target, -1), ids, lon % (2 * np.pi), lat, kind, seconds
-    )
+    target = np.where(given, target, -1)
+    columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
+    carried = {name: _values_at(values, target) for name, values in columns.items() if values is not None}
+    return FieldPlan(allocation, arms, report, positioner, target, ids, lon % (2 * np.pi), lat, kind, carried, seconds)
+
+
+def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return the values of rows; where the row is -1: NaN, empty text, False or -1."""
+    if (row >= 0).all():
+        return values[row]
+    found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)
+    found[row >= 0] = values[row[row >= 0]]
+    return found

@@ -55,6 +55,8 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
         raise InputTypeError(f"survey must be a Survey, got {type(survey).__name__}")
     ax = new_axes(7, 4.5) if ax is None else ax
     tiles, after = survey.tiles, survey.completeness
+    if "category" in after.colnames:
+        after = after[after["category"] == "all"]
     order = np.lexsort((np.arange(len(tiles)), tiles["round"]))
     share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_wanted"], 1)
     ax.plot(np.arange(len(tiles) + 1), np.append(0, share), **{"color": "k", "label": "all visits", **kwargs})

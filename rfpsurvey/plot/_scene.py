@@ -73,7 +73,7 @@ def _of_tile(tile):
         np.asarray(table["status"]),
         np.asarray(table["in_collision"]),
         np.array(geometry["obstacles_mm"]).reshape(-1, 3),
-        {group: np.asarray(table[group]) for group in GROUPS},
+        {name: np.asarray(table[name] if name in table.colnames else np.zeros(len(table), int)) for name in GROUPS},
     )
 
 

@@ -13,7 +13,7 @@ TILE = {
     "n_targets": "targets in the catalog",
     "n_dropped": "  dropped, no finite coordinates",
     "n_in_field": "  in the field",
-    "n_set_aside": "  set aside (sky, standard)",
+    "n_set_aside": "  not requested (sky, standard)",
     "n_reachable": "  in reach of a positioner",
     "n_rows_ignored": "rows without an assignment",
     "n_positioners": "positioners",
@@ -46,13 +46,26 @@ TILING = {
     "n_isolated": "isolated targets",
     "completeness_isolated": "  completeness",
 }
+KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
+
+
+ZERO_IS_LEFT_OUT = ("  to standard stars", "  to sky", "requirements not met, all tiles")
 
 
 def tile_facts(tile: Tile) -> dict:
     """Return the counts and rates of a tile, without zeros that say nothing."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
-    return {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
+    facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
+    kinds = tile.summary.get("kinds", {})
+    if len(kinds) < 2:
+        return facts
+    found = {}
+    for label, value in facts.items():
+        found[label] = value
+        if label == TILE["n_assigned"]:
+            found.update((f"    {KINDS[kind]}", counts["n_assigned"]) for kind, counts in kinds.items())
+    return found
 
 
 def tile_objectives(tile: Tile) -> list[tuple[str, int, str]]:
@@ -81,13 +94,14 @@ def survey_facts(survey: Survey) -> dict:
         "  targets complete": s["completeness_targets"],
         "fibers assigned": s["n_assigned"],
         "  to science": s["n_science"],
+        "  to standard stars": s.get("n_standard", 0),
+        "  to sky": s.get("n_sky", 0),
         "  fraction of all": s["fiber_use"],
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
         "requirements not met, all tiles": s["n_unmet"],
     }
-    if not s["n_unmet"]:
-        del facts["requirements not met, all tiles"]
+    facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
 
 

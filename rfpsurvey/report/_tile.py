@@ -77,6 +77,11 @@ def page_of_tile(tile: Tile, where: str) -> Page:
     if summary.get("unmet") or parameters.get("requirements"):
         unmet = summary.get("unmet") or ["All requirements are met."]
         sections.append(Section("Requirements", [Text(list(unmet))]))
+    if tile.completeness is not None and len(tile.completeness) > 1:
+        words = "Targets of the field; observed are those that are assigned, and not in collision."
+        sections.append(
+            Section("Completeness", [Text(words), Rows("Targets of the field by class.", tile.completeness)])
+        )
     sections.append(Section("Focal plane", _pictures(tile)))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
     sections.append(Section("Assignments", _assignments(tile, where or "the table of the tile")))

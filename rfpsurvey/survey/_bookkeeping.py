@@ -2,29 +2,46 @@
 
 import numpy as np
 
+from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
 from rfpsurvey.survey._source import Field
 
-__all__ = ["OUTCOMES", "Bookkeeping"]
+__all__ = ["Bookkeeping", "Tally"]
 
-OUTCOMES = (
-    "not wanted",
-    "observed",
-    "partly observed",
-    "collided out",
-    "competed out",
-    "reachable by no positioner",
-    "on no tile",
-)
-NOT_WANTED, OBSERVED, PARTLY, COLLIDED, COMPETED, UNREACHABLE, NO_TILE = range(len(OUTCOMES))
 SEEN, REACHED, LOST = 1, 2, 4
-# Priorities that are counted apart; where there are more, ranges of them.
-MOST_CLASSES, N_RANGES = 20, 10
+
+
+class Tally:
+    """Counts of targets and visits by class and pass.
+
+    Parameters
+    ----------
+    class_of : ndarray of int
+        Class of each target, by slot.
+    names : list of str
+        Names of the classes.
+    wanted : ndarray of int
+        How often each target is wanted, by slot.
+    n_passes : int
+        Number of passes.
+    """
+
+    def __init__(self, class_of: np.ndarray, names: list[str], wanted: np.ndarray, n_passes: int):
+        self.class_of, self.names = class_of, names
+        self.n_wanted = np.bincount(class_of, weights=wanted, minlength=len(names)).astype(np.int64)
+        self.n_targets = np.bincount(class_of[wanted > 0], minlength=len(names))
+        self.n_observed = np.zeros((n_passes, len(names)), dtype=np.int64)
+        self.n_complete = np.zeros_like(self.n_observed)
+
+    def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
+        """Add visits of a pass, by slot, and the targets that are complete, each with its last pass."""
+        self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
+        np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
 
 
 class Bookkeeping:
     """Counts visits by slot; the order in which tiles that share no target are entered does not matter."""
 
-    def __init__(self, visits, priority, kind, *, n_passes: int, use_others: bool, in_turn: bool):
+    def __init__(self, visits, priority, kind, category, *, n_passes: int, use_others: bool, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # sky and standards are there for every tile that asks for them
@@ -34,11 +51,10 @@ class Bookkeeping:
             self.left[~science] = 1
             self._spend = science
         self.flags = np.zeros(len(visits), dtype=np.uint8)
-        self.class_of, self.classes = _classes(priority, self.wanted)
-        self.n_wanted = np.bincount(self.class_of, weights=self.wanted, minlength=len(self.classes)).astype(np.int64)
-        self.n_targets = np.bincount(self.class_of[self.wanted > 0], minlength=len(self.classes))
-        self.n_observed = np.zeros((n_passes, len(self.classes)), dtype=np.int64)
-        self.n_complete = np.zeros_like(self.n_observed)
+        self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
+        classes = category_classes(category, self.wanted)
+        if len(classes[1]) > 1:
+            self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
         # the last pass, by number, with a visit of each target; where passes come in turn, it is that of the last tile
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
@@ -54,13 +70,12 @@ class Bookkeeping:
         if self._spend is not None:
             slot = slot[self._spend[slot]]
         self.left[slot] -= 1
-        n = len(self.classes)
-        self.n_observed[number] += np.bincount(self.class_of[slot], minlength=n)
-        complete = slot[self.left[slot] == 0]
+        complete, last = slot[self.left[slot] == 0], number
         if self._last is not None:
             self._last[slot] = np.maximum(self._last[slot], number)
-            number = self._last[complete]
-        np.add.at(self.n_complete, (number, self.class_of[complete]), 1)
+            last = self._last[complete]
+        for tally in self.tallies.values():
+            tally.add(number, slot, complete, last)
         return len(slot)
 
     def done(self) -> np.ndarray:
@@ -71,28 +86,13 @@ class Bookkeeping:
         return done
 
     def outcomes(self) -> np.ndarray:
-        """Return what became of each target, an index of `OUTCOMES`."""
+        """Return the outcome of each target, an index of ``OUTCOMES``."""
         done, flags = self.done(), self.flags
-        code = np.full(len(done), NO_TILE, dtype=np.uint8)
-        for flag, outcome in ((SEEN, UNREACHABLE), (REACHED, COMPETED), (LOST, COLLIDED)):
-            code[(flags & flag) > 0] = outcome
-        code[done > 0] = PARTLY
-        code[done == self.wanted] = OBSERVED
-        code[self.wanted == 0] = NOT_WANTED
+        code = np.full(len(done), Outcome.IN_NO_FIELD, dtype=np.uint8)
+        code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
+        code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED
+        code[(flags & LOST) > 0] = Outcome.LOST_TO_A_COLLISION
+        code[done > 0] = Outcome.PARTLY_OBSERVED
+        code[done == self.wanted] = Outcome.OBSERVED
+        code[self.wanted == 0] = Outcome.NOT_REQUESTED
         return code
-
-
-def _classes(priority, wanted):
-    """Class of each target, the most important first, and the names of the classes."""
-    if priority is None or not wanted.any():
-        return np.zeros(len(wanted), dtype=np.uint8), [""]
-    values, counts = np.unique(priority[wanted > 0], return_counts=True)
-    group = np.arange(len(values))
-    if len(values) > MOST_CLASSES:  # ranges with about as many targets each; one value is never split
-        before = np.cumsum(counts) - counts
-        group = np.unique(before * N_RANGES // counts.sum(), return_inverse=True)[1].reshape(-1)
-    low = values[np.searchsorted(group, np.arange(group[-1] + 1))]
-    high = values[np.searchsorted(group, np.arange(group[-1] + 1), side="right") - 1]
-    names = [f"{a:.15g}" if a == b else f"{a:.15g} to {b:.15g}" for a, b in zip(low, high, strict=True)]
-    place = np.clip(np.searchsorted(low, priority, side="right") - 1, 0, len(low) - 1)
-    return (len(low) - 1 - place).astype(np.uint8), names[::-1]

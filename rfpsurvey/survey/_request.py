@@ -58,11 +58,11 @@ class Request:
     def model(self) -> Model:
         """What every job shares."""
         blank = None if self.options.sky_separation is None else blank_ids(self.source.ids_by_part())
-        return Model(self.instrument, self.options, blank, lost_in_collision=self.lost_in_collision)
+        return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units, self.epoch)
 
     def open_state(self) -> Bookkeeping:
         """Return a state without a visit."""
-        columns = (self.source.by_slot(name) for name in ("priority", "kind"))
+        columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
         others = bool(self.options.requirements)
         in_turn = self.order == "color"
         return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), use_others=others, in_turn=in_turn)
@@ -110,22 +110,24 @@ class Request:
             "catalog": dict(self.source.meta),
             "tiling": dict(self.tiling.summary),
             "parameters": self.parameters,
+            "units": self.source.units,
         }
         return json.loads(json.dumps(found, default=str))  # what every file can hold
 
     def check_text(self) -> None:
         """Refuse names that FITS files cannot hold."""
-        columns = {"tile": self.tiling.table["tile"], "positioner": self.instrument.focal_plane.id}
+        columns = {"tile ids": self.tiling.table["tile"], "positioner ids": self.instrument.focal_plane.id}
         if self.source.has_text_ids:
-            columns["target"] = self.source.ids()
+            columns["target ids"] = self.source.ids()
+        columns.update(self.source.text_columns())
         for what, names in columns.items():
             names = np.asarray(names)
-            text = names.tolist() if names.dtype.kind == "U" else []
-            bad = [name for name in text if not (name.isascii() and name.isprintable())]
+            text = np.unique(names).tolist() if names.dtype.kind == "U" else []
+            bad = [name for name in text if not (name.isascii() and name.isprintable()) and name]
             if bad:
                 raise InputError(
-                    f"FITS files hold printable ASCII text only, but {len(bad)} {what} ids are other, such as "
-                    f"{bad[0]!r}; give them other ids, or plan without a folder"
+                    f"FITS files hold printable ASCII text only, but {len(bad)} {what} are other, such as "
+                    f"{bad[0]!r}; change them, or plan without a folder"
                 )
 
     def identity(self) -> dict:

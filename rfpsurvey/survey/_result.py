@@ -1,12 +1,42 @@
-"""Tables of a survey: tiles, completeness, and what became of each target."""
+"""Tables of a survey: tiles, completeness, and the outcome of each target."""
 
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.survey._bookkeeping import OUTCOMES, Bookkeeping
-from rfpsurvey.tile import model_sentence
+from rfpsurvey.pipeline import OUTCOMES
+from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey.tile import describe, model_sentence
 
 __all__ = ["completeness_table", "outcome_table", "tile_table"]
+
+TILES = {
+    "tile": "identifier of the tile",
+    "ra": "right ascension of the field center (ICRS)",
+    "dec": "declination of the field center (ICRS)",
+    "position_angle": "of +y, from north toward east",
+    "round": "tiles of a round do not share targets",
+    "n_in_field": "targets in the field that were still wanted",
+    "n_reachable": "of these, in reach of a positioner",
+    "n_assigned": "positioners with a target",
+    "n_science": "of these, with a science target",
+    "n_standard": "of these, with a standard star",
+    "n_sky": "of these, on sky",
+    "n_colliding": "positioners in collision",
+    "n_counted": "positioners with a target or parked",
+    "n_colliding_pairs": "pairs of arms in collision",
+    "n_obstacle_collisions": "collisions with obstacles",
+    "n_unmet": "requirements that are not met",
+    "n_observed": "visits that count",
+    "collision_rate": "n_colliding over n_counted",
+    "fiber_use": "n_assigned over usable positioners",
+    "completeness": "visits observed over visits wanted here",
+}
+OUTCOME = {
+    "target_id": "identifier of the target",
+    "wanted": "visits wanted",
+    "observed": "visits that count",
+    "outcome": "code, see the cards OUTCOME0 and following",
+}
 
 
 def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, outcomes: QTable) -> QTable:
@@ -26,12 +56,13 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
         "summary": _summary(request, state, counts, outcome_counts, n_usable),
         "provenance": request.provenance,
     }
-    return table
+    return describe(table, TILES)
 
 
 def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
-    wanted, observed = int(state.n_wanted.sum()), int(state.n_observed.sum())
-    targets, complete = int(state.n_targets.sum()), int(state.n_complete.sum())
+    tally = state.tallies["priority"]
+    wanted, observed = int(tally.n_wanted.sum()), int(tally.n_observed.sum())
+    targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}
     return {
         "n_tiles": len(request.tiling),
@@ -45,7 +76,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "outcomes": {name: int(n) for name, n in zip(OUTCOMES, outcome_counts, strict=True) if n},
         "n_fibers": n_usable * len(request.tiling),
         "n_assigned": total["n_assigned"],
-        "n_science": total["n_science"],
+        **{name: total[name] for name in ("n_science", "n_standard", "n_sky")},
         "fiber_use": total["n_assigned"] / max(n_usable * len(request.tiling), 1),
         "n_colliding": total["n_colliding"],
         "n_colliding_pairs": total["n_colliding_pairs"],
@@ -57,19 +88,22 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
 
 
 def completeness_table(request, state: Bookkeeping) -> QTable:
-    """Return a row for each pass and class of priority, and for all classes where there are several."""
-    wanted, targets = state.n_wanted, state.n_targets
-    observed, complete = np.cumsum(state.n_observed, axis=0), np.cumsum(state.n_complete, axis=0)
+    """Return a row for each pass, and for its classes of priority and category where there are several."""
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
-    several = len(state.classes) > 1
+    columns = ("priority", "category") if "category" in state.tallies else ("priority",)
+    names = ("n_targets", "n_wanted", "n_observed", "n_complete")
     rows = []
     for k, number in enumerate(request.passes):
-        figures = [(wanted.sum(), targets.sum(), observed[k].sum(), complete[k].sum(), "all")]
-        if several:
-            figures += zip(wanted, targets, observed[k], complete[k], state.classes, strict=True)
-        rows += [(number, n_tiles[k], name, t, w, o, c, o / max(w, 1)) for w, t, o, c, name in figures]
-    names = ("pass", "n_tiles", "priority", "n_targets", "n_wanted", "n_observed", "n_complete", "completeness")
-    return QTable(rows=rows, names=names)
+        for column, tally in state.tallies.items():
+            observed, complete = tally.n_observed[: k + 1].sum(axis=0), tally.n_complete[: k + 1].sum(axis=0)
+            counts = np.column_stack([tally.n_targets, tally.n_wanted, observed, complete])
+            classes = list(zip(tally.names, counts.tolist(), strict=True)) if len(tally.names) > 1 else []
+            if column == "priority":
+                classes.insert(0, ("all", counts.sum(axis=0).tolist()))
+            for name, values in classes:
+                labels = [name if column == other else "all" for other in columns]
+                rows.append((number, n_tiles[k], *labels, *values, values[2] / max(values[1], 1)))
+    return QTable(rows=rows, names=("pass", "n_tiles", *columns, *names, "completeness"))
 
 
 def outcome_table(request, state: Bookkeeping) -> QTable:
@@ -79,4 +113,4 @@ def outcome_table(request, state: Bookkeeping) -> QTable:
     table["wanted"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())
     table["outcome"] = source.by_row(state.outcomes())
     table.meta = {"outcome": {str(k): name for k, name in enumerate(OUTCOMES)}}
-    return table
+    return describe(table, OUTCOME)

@@ -10,6 +10,7 @@ import numpy as np
 from rfpsurvey import _io
 from rfpsurvey._executors import submit
 from rfpsurvey.errors import InputError
+from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, Folder
 from rfpsurvey.survey._progress import Ticker
 from rfpsurvey.survey._request import Request
@@ -52,8 +53,10 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
         if folder is None:
             return Survey(*tables, parts=tuple(parts))
+        codes = {f"OUTCOME{k}": (name, f"outcome {k}") for k, name in enumerate(OUTCOMES)}
         for name, table in zip(TABLES, tables, strict=True):
-            folder.put(name, _io.table_bytes(table, name))
+            title, cards = name.split(".")[0].upper(), codes if name == "outcomes.fits" else None
+            folder.put(name, _io.table_bytes(table, name, cards, title))
         folder.finish()
     return Survey(*tables, folder.path)
 

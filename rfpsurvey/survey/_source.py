@@ -50,7 +50,10 @@ class InMemory:
         row = self._index.order[slot]
         columns = {name: getattr(self._catalog, name) for name in COLUMNS}
         columns = {name: None if values is None else values[row] for name, values in columns.items()}
-        targets = FieldTargets(self._index.vectors[slot], self._catalog.id[row], TargetColumns(**columns), others)
+        extra = {name: values[row] for name, values in self._catalog.arrays.extra.items()}
+        targets = FieldTargets(
+            self._index.vectors[slot], self._catalog.id[row], TargetColumns(**columns), others, extra
+        )
         return Field(slot, row, targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
@@ -93,7 +96,17 @@ class InMemory:
     def digest(self) -> str:
         """Return what tells one catalog from another."""
         columns = (getattr(self._catalog, name) for name in ("id", *COLUMNS))
-        return digest(self._index.vectors, self._index.order, *columns)
+        return digest(self._index.vectors, self._index.order, *columns, *self._catalog.arrays.extra.values())
+
+    @property
+    def units(self) -> dict:
+        """Units of the further columns that visits carry, by name."""
+        return self._catalog.arrays.extra_units
+
+    def text_columns(self) -> dict:
+        """Return the columns of text that visits carry, by what they hold."""
+        columns = {"category": self._catalog.category, **self._catalog.arrays.extra}
+        return {f"values of {k!r}": v for k, v in columns.items() if v is not None and v.dtype.kind == "U"}
 
 
 class Partitioned:
@@ -138,9 +151,11 @@ class Partitioned:
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
         slot, row, targets = zip(*found, strict=True)
-        vectors, ids, columns, others = zip(*targets, strict=True)
+        vectors, ids, columns, others, extra = zip(*targets, strict=True)
         columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
-        return Field(_stack(slot), _stack(row), FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others)))
+        extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
+        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra)
+        return Field(_stack(slot), _stack(row), targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of values (by slot) inside circles; each partition is read once at most."""
@@ -170,6 +185,15 @@ class Partitioned:
     def has_text_ids(self) -> bool:
         """Whether ids are text."""
         return self._part(0).has_text_ids
+
+    @property
+    def units(self) -> dict:
+        """Units of the further columns that visits carry, by name."""
+        return self._part(0).units
+
+    def text_columns(self) -> dict:
+        """Return no columns: it would take all partitions; text that FITS files cannot hold is refused when written."""
+        return {}
 
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""

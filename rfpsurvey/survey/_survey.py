@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
 from rfpsurvey.errors import InputError
-from rfpsurvey.survey._bookkeeping import OUTCOMES
+from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
+from rfpsurvey.tile import with_unit
 
 __all__ = ["Survey"]
 
@@ -36,14 +36,15 @@ class Survey:
     tiles : QTable
         A row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``, ``pass``,
         ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets still wanted), ``n_reachable``,
-        ``n_assigned``, ``n_science`` (of these), ``n_colliding``, ``n_counted`` (positioners with a target or in the
-        way), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements), ``n_observed`` (visits that
-        count), ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field
-        over those wanted; NaN without targets). Its ``meta`` holds ``summary`` and ``provenance``.
+        ``n_assigned``, ``n_science``, ``n_standard``, ``n_sky`` (of these), ``n_colliding``, ``n_counted`` (positioners
+        with a target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet``
+        (requirements), ``n_observed`` (visits that count), ``collision_rate``, ``fiber_use``, ``completeness`` (visits
+        of all tiles to the targets of this field over those wanted; NaN without targets). Its ``meta`` holds
+        ``summary`` and ``provenance``.
     completeness : QTable
-        A row for each pass and class of priority (``all``: all of them), after that pass: ``n_targets``, ``n_wanted``
-        and ``n_observed`` (visits), ``n_complete`` (targets observed as often as wanted), ``completeness``
-        (of visits).
+        A row for each pass and class, after that pass: ``priority`` and, where there are several, ``category``
+        (``all``: all of them), ``n_targets``, ``n_wanted`` and ``n_observed`` (visits), ``n_complete`` (targets
+        observed as often as wanted), ``completeness`` (of visits).
     outcomes : QTable
         A row for each target: ``target_id``, ``wanted`` and ``observed`` (times), ``outcome``, an index of
         ``Survey.OUTCOMES``.
@@ -70,7 +71,7 @@ class Survey:
     parts: tuple | None = None
 
     OUTCOMES = OUTCOMES
-    """What may become of a target."""
+    """The outcomes of targets."""
 
     @property
     def summary(self) -> dict:
@@ -88,7 +89,8 @@ class Survey:
 
         Columns ``tile``, ``target_id``, ``target_row`` (in the catalog, -1 for blank sky), ``positioner``, ``ra``,
         ``dec``, ``in_collision``, ``observed`` (it counts), ``fiber_type`` where there are several, ``kind`` where the
-        catalog has kinds or blank sky was looked for.
+        catalog has kinds or blank sky was looked for, and ``priority``, ``category`` and the further columns of the
+        catalog (``extra``), where it has them; there blank sky has NaN, empty text, False or -1.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -129,8 +131,9 @@ class Survey:
             rows = _io.read_fits_bytes(read_verified(self.folder, name, self._known), self.folder / name)[0]
             _check_columns(self.folder / name, rows.dtype.names, VISITS)
         table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
+        units = {"ra": "deg", "dec": "deg", **self.provenance.get("units", {})}
         for name in rows.dtype.names:
-            table[name] = rows[name] * u.deg if name in ("ra", "dec") else rows[name]
+            table[name] = with_unit(rows[name], units.get(name))
         return table
 
     def _repr_html_(self) -> str:

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._io import fits_bytes
+from rfpsurvey._io import fits_bytes, table_cards
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import BlankIds, plan_field, project_field
 from rfpsurvey.survey._source import Field
+from rfpsurvey.tile import TARGET_COLUMNS
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 
@@ -21,6 +22,8 @@ COUNTS = {
     "NREACH": ("n_reachable", "of these, in reach of a positioner"),
     "NASSIGN": ("n_assigned", "positioners with a target"),
     "NSCIENCE": ("n_science", "of these, with a science target"),
+    "NSTANDAR": ("n_standard", "of these, with a standard star"),
+    "NSKY": ("n_sky", "of these, on sky"),
     "NCOLLIDE": ("n_colliding", "positioners in collision"),
     "NCOUNTED": ("n_counted", "positioners with a target or in the way"),
     "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
@@ -29,27 +32,69 @@ COUNTS = {
 }
 
 
+VISITS = {
+    "target_id": "identifier of the target",
+    "target_row": "row of the target in the catalog, -1 for none",
+    "positioner": "identifier of the positioner",
+    "in_collision": "whether the arm collides",
+    "observed": "whether the visit counts",
+    "fiber_type": "type of the fiber that is used",
+    **TARGET_COLUMNS,
+}
+
+
 class Model:
-    """What all tiles share, and a process unpacks once: instrument, options, identifiers of blank sky."""
+    """What all tiles share, and a process unpacks once.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The instrument.
+    options : AllocationOptions
+        Options of the allocation.
+    blank : BlankIds or None
+        Identifiers of blank sky.
+    lost_in_collision : bool
+        Whether visits with a collision do not count.
+    units : dict
+        Units of further columns of the catalog.
+    epoch : str or None
+        Epoch of the positions.
+    """
 
     def __init__(
-        self, instrument: Instrument, options: AllocationOptions, blank: BlankIds | None, *, lost_in_collision: bool
+        self,
+        instrument: Instrument,
+        options: AllocationOptions,
+        blank: BlankIds | None,
+        lost_in_collision: bool,
+        units: dict,
+        epoch: str | None,
     ):
         self.instrument, self.options, self.blank = instrument, options, blank
-        self.lost_in_collision = lost_in_collision
+        self.lost_in_collision, self.units, self.epoch = lost_in_collision, units, epoch
 
     @cached_property
     def _packed(self) -> bytes:
-        return pickle.dumps((self.instrument, self.options, self.blank, self.lost_in_collision), protocol=5)
+        asked = self.instrument, self.options, self.blank, self.lost_in_collision, self.units, self.epoch
+        return pickle.dumps(asked, protocol=5)
 
     def __reduce__(self):
         return _unpack, (self._packed,)
 
+    def cards(self, columns: tuple[str, ...]) -> tuple:
+        """Return the cards that all parts share."""
+        units = {"ra": "deg", "dec": "deg", **self.units}
+        cards = table_cards("VISITS", columns, VISITS, units)
+        cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
+        if self.epoch is not None:
+            cards["REFEPOCH"] = (self.epoch, "epoch of the positions")
+        return tuple(cards.items())
+
 
 @lru_cache(maxsize=4)
 def _unpack(packed: bytes) -> Model:
-    instrument, options, blank, lost = pickle.loads(packed)
-    return Model(instrument, options, blank, lost_in_collision=lost)
+    return Model(*pickle.loads(packed))
 
 
 class Job(NamedTuple):
@@ -103,13 +148,14 @@ def work(job: Job) -> Done:
         columns["fiber_type"] = plan.allocation.fiber_type[plan.positioner]
     if field.targets.columns.kind is not None or model.blank is not None:
         columns["kind"] = plan.kind
+    columns.update(plan.carried)
     visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
     report = plan.report
     counts = {
         "n_in_field": len(field.row),
         "n_reachable": plan.allocation.n_reachable,
         "n_assigned": len(plan.positioner),
-        "n_science": int((plan.kind == "science").sum()),
+        **{f"n_{kind}": int((plan.kind == kind).sum()) for kind in ("science", "standard", "sky")},
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),
@@ -118,8 +164,7 @@ def work(job: Job) -> Done:
     }
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     cards.update((card, (counts[name], words)) for card, (name, words) in COUNTS.items())
-    cards.update((f"TUNIT{list(columns).index(name) + 1}", "deg") for name in ("ra", "dec"))
-    part, visits = (fits_bytes(visits, cards), None) if job.as_file else (None, visits)
+    part, visits = (fits_bytes(visits, cards, model.cards(tuple(columns))), None) if job.as_file else (None, visits)
     return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)
 
 

@@ -1,8 +1,20 @@
 """One tile end to end: planned from a catalog, or scored as another planner assigned it."""
 
+from rfpsurvey.tile._columns import OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit
 from rfpsurvey.tile._model import model_sentence
 from rfpsurvey.tile._plan import plan_tile
 from rfpsurvey.tile._score import score_tile
 from rfpsurvey.tile._tile import Tile, versions
 
-__all__ = ["Tile", "model_sentence", "plan_tile", "score_tile", "versions"]
+__all__ = [
+    "OUTCOMES_COLUMNS",
+    "TARGET_COLUMNS",
+    "TILE_COLUMNS",
+    "Tile",
+    "describe",
+    "model_sentence",
+    "plan_tile",
+    "score_tile",
+    "versions",
+    "with_unit",
+]

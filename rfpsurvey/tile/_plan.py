@@ -19,6 +19,7 @@ from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
 from rfpsurvey.tile._constraints import absent_required, add_keep_out, find_required
 from rfpsurvey.tile._field import epoch_text, north_of_date, where
+from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
 from rfpsurvey.tile._tile import Tile, build_tile
 
 __all__ = ["plan_tile"]
@@ -134,7 +135,8 @@ def plan_tile(
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["required"] = is_required[given] if is_required.any() else None
-    targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns))
+    extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
+    targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns), extra=extra)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
@@ -152,6 +154,7 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "objectives": [[level.name, level.value, _known(level.bound)] for level in allocation.levels[:MOST_OBJECTIVES]],
         "gap": _known(allocation.gap),
+        "kinds": counts_by_kind(catalog, rows, plan),
         "unmet": sentences(allocation.unmet) + absent_required(targets.id, required),
         "search": allocation.meta,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
@@ -181,6 +184,8 @@ def plan_tile(
         parameters,
         catalog.meta,
         kind=plan.kind,
+        carried=by_positioner(catalog, plan, row_of),
+        targets=targets_of_field(catalog, rows, given, plan),
         software=packages(options),
     )
 

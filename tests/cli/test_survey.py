@@ -43,7 +43,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["visits wanted"] == [str(sky.visits.sum())]
     assert lines["observed"] == [str(expected["n_visits_observed"])]
-    assert lines["targets on no tile"] == [str(expected["outcomes"]["on no tile"])]
+    assert lines["targets in no field"] == [str(expected["outcomes"]["in no field"])]
     assert f"model: {expected['model']}" in out.splitlines()
     assert "3 of 3 tiles" in err
     assert "not met" not in out  # nothing was required

@@ -151,7 +151,7 @@ def _results(folder, table) -> list[Sample]:
     def read_tile(path):
         found = rs.Tile.read(path)
         repr(found)
-        return len(found.table)
+        return len(found) + (0 if found.outcomes is None else len(found.outcomes))
 
     return [
         Sample("tile", folder / "tile.fits", read_tile, count_fits),
@@ -198,16 +198,17 @@ def count_lines(path: Path) -> int:
 
 
 def count_fits(path: Path) -> int:
-    """Return the rows of the first table, if they fill its blocks; -1 otherwise."""
-    found = content(path)
-    begin = found.find(b"XTENSION= 'BINTABLE'")
-    header = found[begin : found.find(b"END" + b" " * 77, begin)]
-    width, rows = (int(re.search(rb"NAXIS%d\s*=\s*(\d+)" % k, header)[1]) for k in (1, 2))
-    data = begin + -(-(len(header) + 80) // 2880) * 2880
-    n_bytes = -(-width * rows // 2880) * 2880
-    return (
-        rows if len(found) in (data + n_bytes, data + width * rows) or not found[data + n_bytes :].strip(b"\0 ") else -1
-    )
+    """Return the rows of all tables, if they fill their blocks; -1 otherwise."""
+    found, place, total = content(path), 0, 0
+    while (begin := found.find(b"XTENSION= 'BINTABLE'", place)) >= 0:
+        header = found[begin : found.find(b"END" + b" " * 77, begin)]
+        width, rows = (int(re.search(rb"NAXIS%d\s*=\s*(\d+)" % k, header)[1]) for k in (1, 2))
+        data = begin + -(-(len(header) + 80) // 2880) * 2880
+        place, total = data + -(-width * rows // 2880) * 2880, total + rows
+        rest = found[place:]
+        if len(found) not in (data + width * rows, place) and rest.strip(b"\0 ") and not rest.startswith(b"XTENSION"):
+            return -1
+    return total
 
 
 def count_tr(path: Path) -> int:

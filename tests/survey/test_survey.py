@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.table import QTable
 
 import flat
@@ -171,14 +172,14 @@ def test_what_became_of_each_target(small):
 
     assert outcome(["first", "second", "beyond", "unwanted", "often", "far"], [1, 1, 1, 0, 2, 1]) == {
         "first": "observed",
-        "second": "competed out",
-        "beyond": "reachable by no positioner",
-        "unwanted": "not wanted",
+        "second": "in reach not assigned",
+        "beyond": "out of reach",
+        "unwanted": "not requested",
         "often": "partly observed",
-        "far": "on no tile",
+        "far": "in no field",
     }
     both = ["left", "right"]
-    assert set(outcome(both, [1, 1]).values()) == {"collided out"}
+    assert set(outcome(both, [1, 1]).values()) == {"lost to a collision"}
     assert set(outcome(both, [1, 1], lost_in_collision=False).values()) == {"observed"}
 
 
@@ -269,7 +270,7 @@ def test_standards_and_sky_are_never_used_up(small):
     assert lacking.tiles["n_unmet"].tolist() == [1, 1]
     assert lacking.summary["n_unmet"] == 2
     codes = survey.outcomes["outcome"][:30]
-    assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not wanted"}
+    assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not requested"}
     assert rs.plan_survey(catalog, small, tiles).summary["n_assigned"] <= 30
 
 
@@ -359,7 +360,7 @@ def test_nothing_to_plan(sky, small):
         rs.plan_survey(sky, small, grid(1.2).table[:0])
     nobody = rs.plan_survey(sky, small, grid(1.2), visits=0)
     assert nobody.summary["n_assigned"] == 0
-    assert set(nobody.summary["outcomes"]) == {"not wanted"}
+    assert set(nobody.summary["outcomes"]) == {"not requested"}
 
 
 def test_what_is_told_is_told_once(sky, small):
@@ -446,3 +447,51 @@ def test_targets_move_to_the_epoch(small):
     catalog = rs.Catalog(fast, epoch=2000.0)
     assert rs.plan_survey(catalog, small, CENTER.reshape(1)).summary["n_assigned"] == 1
     assert rs.plan_survey(catalog, small, CENTER.reshape(1), epoch=2002.0).summary["n_assigned"] == 0
+
+
+def test_columns_of_the_catalog_travel(small, tmp_path):
+    """Priority, category and kept columns of the targets are in the visits, in memory and in files."""
+    rng = np.random.default_rng(3)
+    coord = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=80, rng=2).coord
+    columns = {"priority": rng.integers(1, 4, 80), "category": rng.choice(["qso", "lrg"], 80)}
+    extra = {"g": rng.uniform(14, 20, 80) * u.mag, "n": np.arange(80), "flag": rng.random(80) < 0.5}
+    catalog = rs.Catalog(coord, **columns, extra=extra)
+    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
+    options = {"allocator": rs.AllocationOptions(requirements="sky=3", sky_separation=30 * u.arcsec)}
+    survey = rs.plan_survey(catalog, small, tiles, folder=tmp_path / "s", **options)
+    for visits in (survey.targets, rs.plan_survey(catalog, small, tiles, **options).targets):
+        given = visits["target_row"] >= 0
+        rows = visits["target_row"][given]
+        assert 20 < given.sum() < len(visits)
+        for name, values in {**columns, **extra}.items():
+            np.testing.assert_array_equal(np.asarray(visits[name][given]), np.asarray(values)[rows])
+        assert visits["g"].unit == u.mag
+        assert np.isnan(visits["g"][~given]).all()
+        assert set(visits["n"][~given].tolist()) == {-1}
+    last = survey.completeness
+    for name in ("qso", "lrg"):
+        row = last[(last["category"] == name) & (last["priority"] == "all")][0]
+        of_class = columns["category"] == name
+        observed = survey.outcomes["observed"][of_class].sum()
+        assert (row["n_targets"], row["n_observed"]) == (of_class.sum(), observed)
+    again = rs.plan_survey(catalog, small, tiles, folder=tmp_path / "s", resume=True, **options)
+    assert (again.targets["n"] == survey.targets["n"]).all()
+    other = rs.Catalog(coord, **columns, extra={**extra, "n": np.arange(80) + 1})
+    with pytest.raises(rs.InputError, match="catalog"):
+        rs.plan_survey(other, small, tiles, folder=tmp_path / "s", resume=True, **options)
+
+
+def test_files_of_a_survey_explain_themselves(small, tmp_path):
+    catalog = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=20, rng=2)
+    survey = rs.plan_survey(catalog, small, CENTER.reshape(1), folder=tmp_path / "s")
+    names = {"tiles.fits": "TILES", "outcomes.fits": "OUTCOMES", "tiles/000/000000.fits": "VISITS"}
+    for path, name in names.items():
+        with fits.open(survey.folder / path) as units:
+            unit = units[1]
+            assert unit.name == name
+            described = [unit.header.get(f"TCOMM{k}") for k in range(1, len(unit.columns) + 1)]
+            lacking = [c for c, words in zip(unit.columns.names, described, strict=True) if not words]
+            assert lacking in ([], ["pass"])
+    with fits.open(survey.folder / "outcomes.fits") as units:
+        codes = [units[1].header[f"OUTCOME{k}"] for k in range(len(rs.Survey.OUTCOMES))]
+    assert tuple(codes) == rs.Survey.OUTCOMES

@@ -1,0 +1,93 @@
+"""Columns of a catalog that no allocator reads, but that results carry along."""
+
+from collections.abc import Mapping
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable, Table
+from astropy.utils.masked import Masked
+from astropy.utils.shapes import ShapedLikeNDArray
+
+from rfpsurvey.errors import InputError, InputTypeError
+
+__all__ = ["RESERVED", "extra_columns", "pick_columns", "result_name"]
+
+RESERVED = frozenset(
+    (
+        *("id", "target_id", "target_row", "tile", "positioner", "spectrograph", "fiber_type", "kind", "category"),
+        *("priority", "status", "outcome", "observed", "in_collision", "colliding_with", "clearance", "ra", "dec"),
+        *("x", "y", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y", "arm_x", "arm_y"),
+    )
+)
+"""Columns of results."""
+MOST_EXACT = 2**53
+KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
+
+
+def pick_columns(table: Table, keep: object) -> QTable | None:
+    """Return the columns of a table that are to be kept, None for none."""
+    if keep is None:
+        return None
+    names = [keep] if isinstance(keep, str) else list(keep)
+    for name in names:
+        if name not in table.colnames:
+            raise InputError(f"keep must name columns of the table ({', '.join(table.colnames)}), got {name!r}")
+    return extra_columns(QTable({name: table[name] for name in names})) if names else None
+
+
+def extra_columns(columns: object) -> QTable | None:
+    """Return columns as plain numbers, quantities, truth values or text, a value per target.
+
+    Missing numbers become NaN, missing text is empty.
+    """
+    if columns is None:
+        return None
+    if not isinstance(columns, Mapping | Table):
+        raise InputTypeError(f"extra must be a dict or a table of columns, got {type(columns).__name__}")
+    names = columns.colnames if isinstance(columns, Table) else list(columns)
+    return QTable({str(name): _plain(columns[name], str(name)) for name in names})
+
+
+def result_name(name: str) -> str:
+    """Return the name of a column in results; FITS does not tell small and capital letters apart."""
+    return f"target_{name}" if name.lower() in RESERVED else name
+
+
+def _plain(column, name):
+    if isinstance(column, ShapedLikeNDArray) and not isinstance(column, Masked):  # such as Time and SkyCoord
+        raise InputError(
+            f"column {name!r} must hold numbers, text or truth values to be kept, got a {type(column).__name__}"
+        )
+    unit = getattr(column, "unit", None)
+    values, missing = getattr(column, "value", column), np.ma.getmaskarray(np.ma.asarray(column))
+    if isinstance(column, Masked):
+        values, missing = column.unmasked.value, np.asarray(column.mask)
+    values = np.asarray(values)
+    if values.dtype.kind == "O":
+        values, missing = _of_objects(values, missing, name)
+    if values.ndim != 1 or values.dtype.kind not in KINDS:
+        raise InputError(
+            f"column {name!r} must hold a number, text or a truth value per target to be kept, "
+            f"got the type {values.dtype} and the shape {values.shape}"
+        )
+    kind = KINDS[values.dtype.kind]
+    if kind == "U":
+        return np.where(missing, "", values.astype(str))
+    if missing.any() and kind == "i" and np.abs(values[~missing].astype(float)).max(initial=0) >= MOST_EXACT:
+        raise InputError(f"column {name!r} must not lack values to be kept: its integers are too large for NaN")
+    if missing.any():
+        values = np.where(missing, np.nan, values.astype(float))
+    elif kind == "i":
+        values = values.astype(np.int64)
+    return values if unit is None or unit == u.dimensionless_unscaled else values.astype(float) * u.Unit(unit)
+
+
+def _of_objects(values, missing, name):
+    """Return text or numbers from objects, such as columns of pandas."""
+    missing = missing | np.array([v is None or v is np.ma.masked or v != v for v in values.tolist()], dtype=bool)
+    known = values[~missing].tolist()
+    if all(isinstance(v, str) for v in known):
+        return np.array([v if isinstance(v, str) else "" for v in values.tolist()], dtype=str), missing
+    if all(isinstance(v, int | float | np.number) for v in known):
+        return np.array([0.0 if gone else float(v) for v, gone in zip(values.tolist(), missing, strict=True)]), missing
+    raise InputError(f"column {name!r} must hold numbers or text to be kept, got objects of other types")

@@ -1,0 +1,68 @@
+"""Outcomes of targets, and the classes that completeness is given for."""
+
+from enum import IntEnum
+
+import numpy as np
+
+__all__ = ["OUTCOMES", "Outcome", "category_classes", "outcome_codes", "priority_classes"]
+
+
+class Outcome(IntEnum):
+    """What became of a target."""
+
+    NOT_REQUESTED = 0
+    OBSERVED = 1
+    PARTLY_OBSERVED = 2
+    LOST_TO_A_COLLISION = 3
+    IN_REACH_NOT_ASSIGNED = 4
+    OUT_OF_REACH = 5
+    IN_NO_FIELD = 6
+
+
+OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
+# Priorities and categories that are counted apart; where there are more priorities, ranges of them.
+MOST_CLASSES, N_RANGES = 20, 10
+
+
+def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    """Return the outcome of each target of a field, an index of `OUTCOMES`, from three masks."""
+    code = np.where(in_reach, Outcome.IN_REACH_NOT_ASSIGNED, Outcome.OUT_OF_REACH).astype(np.uint8)
+    code[lost] = Outcome.LOST_TO_A_COLLISION
+    code[observed] = Outcome.OBSERVED
+    return code
+
+
+def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Return the class of each target, the most important first, and the names of the classes.
+
+    Only priorities of targets that count are looked at.
+    """
+    if priority is None or not counts.any():
+        return np.zeros(len(counts), dtype=np.uint8), [""]
+    values, numbers = np.unique(priority[counts > 0], return_counts=True)
+    group = np.arange(len(values))
+    if len(values) > MOST_CLASSES:  # ranges with about as many targets each; one value is never split
+        before = np.cumsum(numbers) - numbers
+        group = np.unique(before * N_RANGES // numbers.sum(), return_inverse=True)[1].reshape(-1)
+    low = values[np.searchsorted(group, np.arange(group[-1] + 1))]
+    high = values[np.searchsorted(group, np.arange(group[-1] + 1), side="right") - 1]
+    names = [f"{a:.15g}" if a == b else f"{a:.15g} to {b:.15g}" for a, b in zip(low, high, strict=True)]
+    place = np.clip(np.searchsorted(low, priority, side="right") - 1, 0, len(low) - 1)
+    return (len(low) - 1 - place).astype(np.uint8), names[::-1]
+
+
+def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Return the class of each target, and the names of the categories; those with fewest targets share a class."""
+    if category is None or not counts.any():
+        return np.zeros(len(counts), dtype=np.uint8), [""]
+    values, place = np.unique(category, return_inverse=True)
+    place = place.reshape(-1)
+    numbers = np.bincount(place[counts > 0], minlength=len(values))
+    order = np.argsort(-numbers, kind="stable")
+    order = order[numbers[order] > 0]
+    rank = np.full(len(values), len(order))
+    rank[order] = np.arange(len(order))
+    names = [str(values[k]) or "no category" for k in order]
+    if len(names) > MOST_CLASSES:
+        names = [*names[: MOST_CLASSES - 1], f"{len(names) - MOST_CLASSES + 1} others"]
+    return np.minimum(rank, len(names) - 1).astype(np.uint8)[place], names

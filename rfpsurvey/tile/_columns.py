@@ -1,0 +1,87 @@
+"""Columns of the tables of a tile: what they hold, and values for positioners without a target."""
+
+import astropy.units as u
+import numpy as np
+from astropy.table import MaskedColumn, QTable
+
+__all__ = [
+    "COMPLETENESS",
+    "OUTCOMES_COLUMNS",
+    "TARGET_COLUMNS",
+    "TILE_COLUMNS",
+    "describe",
+    "only_with_target",
+    "with_unit",
+]
+
+TARGET_COLUMNS = {
+    "ra": "right ascension (ICRS)",
+    "dec": "declination (ICRS)",
+    "kind": "science, standard or sky",
+    "category": "category in the catalog",
+    "priority": "priority in the catalog, larger is more important",
+}
+TILE_COLUMNS = {
+    "id": "identifier of the positioner",
+    "spectrograph": "spectrograph of the fiber",
+    "x": "center of the positioner in the focal plane",
+    "y": "center of the positioner in the focal plane",
+    "status": "assigned, out_of_reach, parked, idle, disabled or stuck",
+    "target_id": "identifier of the target",
+    **TARGET_COLUMNS,
+    "fiber_type": "type of the fiber that is used",
+    "theta": "angle of the central arm",
+    "phi": "angle of the eccentric arm",
+    "elbow_x": "elbow of the arm in the focal plane",
+    "elbow_y": "elbow of the arm in the focal plane",
+    "tip_x": "fiber in the focal plane",
+    "tip_y": "fiber in the focal plane",
+    "in_collision": "whether the arm collides",
+    "colliding_with": "positioners and obstacles it collides with",
+    "clearance": "distance to the nearest arm minus the minimum",
+    "arm_x": "end of the arm segment that can collide",
+    "arm_y": "end of the arm segment that can collide",
+}
+OUTCOMES_COLUMNS = {
+    "target_id": "identifier of the target",
+    **TARGET_COLUMNS,
+    "x": "target in the focal plane",
+    "y": "target in the focal plane",
+    "outcome": "what became of the target",
+    "positioner": "identifier of its positioner",
+}
+COMPLETENESS = {
+    "kind": "kind of these targets, or all",
+    "category": "category of these targets, or all",
+    "priority": "priority of these targets, or all",
+    "n_in_field": "targets in the field",
+    "n_reachable": "of these, in reach of a positioner",
+    "n_assigned": "of these, with a positioner",
+    "n_observed": "of these, without a collision",
+    "completeness": "n_observed over n_in_field",
+}
+
+
+def describe(table: QTable, about: dict) -> QTable:
+    """Set the descriptions of columns, and return the table."""
+    for name in table.colnames:
+        if name in about:
+            table[name].info.description = about[name]
+    return table
+
+
+def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray | MaskedColumn:
+    """Return values where there is a target, and elsewhere NaN, empty text, False, or for integers a mask."""
+    kind = values.dtype.kind
+    if kind == "i":
+        # the fill value is no value of a target, so that files keep all
+        spare = np.iinfo(np.int64).min if np.any(values[has_target] == -1) else -1
+        return MaskedColumn(np.where(has_target, values, np.int64(spare)), mask=~has_target, fill_value=spare)
+    if kind == "U":
+        return np.where(has_target, values, "")
+    return values & has_target if kind == "b" else np.where(has_target, values, np.nan)
+
+
+def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:
+    """Return values with a unit, where there is one."""
+    return values * u.Unit(unit) if unit else values

@@ -1,0 +1,112 @@
+"""Columns that no allocator reads, carried from the catalog to results."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, QTable, Table
+from astropy.time import Time
+
+import rfpsurvey as rs
+from rfpsurvey.catalog import RESERVED
+from rfpsurvey.survey._work import VISITS
+from rfpsurvey.tile import OUTCOMES_COLUMNS, TILE_COLUMNS
+
+COORD = SkyCoord([95.0, 95.1, np.nan, 95.3] * u.deg, [23.0, 23.1, 23.2, 23.3] * u.deg)
+
+
+def table():
+    return Table(
+        {
+            "ra": [95.0, 95.1, 95.2] * u.deg,
+            "dec": [23.0, 23.1, 23.2] * u.deg,
+            "g": MaskedColumn([10.5, 11.5, 12.5], mask=[False, True, False], unit="mag"),
+            "n": MaskedColumn([1, 2, 3], mask=[False, False, True]),
+            "name": MaskedColumn(["a", "b", "c"], mask=[True, False, False]),
+            "seen": [True, False, True],
+            "mixed": np.array(["x", None, np.nan], dtype=object),
+        }
+    )
+
+
+def test_columns_of_every_type():
+    extra = rs.Catalog.from_table(table(), keep=["g", "n", "name", "seen", "mixed"]).extra
+    assert extra["g"].unit == u.mag
+    np.testing.assert_array_equal(extra["g"].value, [10.5, np.nan, 12.5])
+    np.testing.assert_array_equal(extra["n"], [1, 2, np.nan])
+    assert extra["name"].tolist() == ["", "b", "c"]
+    assert extra["seen"].tolist() == [True, False, True]
+    assert extra["mixed"].tolist() == ["x", "", ""]
+
+
+def test_rows_stay_together():
+    with pytest.warns(rs.RfpsurveyWarning, match="1 of 4 targets"):
+        catalog = rs.Catalog(COORD, extra={"n": [0, 1, 2, 3], "g": [0.0, 1, 2, 3] * u.mag})
+    assert catalog.extra["n"].tolist() == [0, 1, 3]
+    assert catalog[[2, 0]].extra["n"].tolist() == [3, 0]
+    assert catalog.within(COORD[3], 1 * u.arcsec).extra["g"] == [3] * u.mag
+    assert replace(catalog, priority=[1, 2, 3]).extra["n"].tolist() == [0, 1, 3]
+    assert repr(catalog) == "<Catalog of 3 targets with n, g>"
+    assert "targets" in catalog._repr_html_()
+
+
+def test_written_and_read_back(tmp_path):
+    catalog = rs.Catalog.from_table(table(), keep=["g", "name"])
+    catalog.write(tmp_path / "stars.fits")
+    again = rs.Catalog.read(tmp_path / "stars.fits", keep=["g", "target_name"] if "name" in RESERVED else ["g", "name"])
+    np.testing.assert_array_equal(again.extra["g"].value, catalog.extra["g"].value)
+    assert again.extra["g"].unit == u.mag
+    assert rs.Catalog.read(tmp_path / "stars.fits").extra is None
+
+
+def test_columns_of_results_are_reserved():
+    """A column of the catalog never replaces one of a result."""
+    assert {*TILE_COLUMNS, *OUTCOMES_COLUMNS, *VISITS, "tile"} <= RESERVED
+    catalog = rs.Catalog(COORD[:2], extra={"RA": [1, 2], "g": [3, 4]})
+    assert list(catalog.arrays.extra) == ["target_RA", "g"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"n": [1, 2]}, "columns of extra must have one value per target, 4, got 2"),
+        ({"n": [[1, 2]] * 4}, r"column 'n' must hold .* got the type int64 and the shape \(4, 2\)"),
+        ({"t": Time([2000, 2001, 2002, 2003], format="jyear")}, "column 't' must hold .* got a Time"),
+        ({"c": [1j] * 4}, "column 'c' must hold"),
+        ({"o": np.array([{}, 1, 2, 3], dtype=object)}, "got objects of other types"),
+        ({"big": MaskedColumn([2**60, 1, 2, 3], mask=[0, 1, 0, 0])}, "'big' must not lack values"),
+        (5, "extra must be a dict or a table of columns, got int"),
+    ],
+)
+def test_columns_that_cannot_be_kept(columns, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.Catalog(COORD, extra=columns)
+
+
+def test_keep_names_columns_of_the_table():
+    with pytest.raises(rs.InputError, match=r"keep must name columns of the table \(ra, dec, .*got 'mag'"):
+        rs.Catalog.from_table(table(), keep="mag")
+
+
+def test_partitions_keep_columns(tmp_path):
+    pytest.importorskip("pyarrow")
+    rng = np.random.default_rng(1)
+    coord = SkyCoord(rng.uniform(90, 100, 500) * u.deg, rng.uniform(20, 26, 500) * u.deg)
+    stars = rs.Catalog(coord, id=np.arange(500), extra={"g": rng.uniform(8, 12, 500)})
+    rs.partition_catalog(stars, tmp_path / "stars", order=4)
+    parts = rs.PartitionedCatalog(tmp_path / "stars", keep=["g"])
+    whole = parts.read()
+    np.testing.assert_array_equal(whole.extra["g"], np.asarray(stars.extra["g"])[whole.id])
+    tiles = SkyCoord([94, 96] * u.deg, [23, 23] * u.deg)
+    of_parts, of_whole = (rs.plan_survey(catalog, "sdss_apo", tiles).targets for catalog in (parts, whole))
+    assert len(of_parts) > 10
+    for name in ("target_id", "g"):
+        np.testing.assert_array_equal(of_parts[name], of_whole[name])
+    with pytest.raises(rs.InputError, match="keep must name columns of"):
+        rs.PartitionedCatalog(tmp_path / "stars", keep=["h"])
+
+
+def test_a_table_with_units_is_taken_as_it_is():
+    assert rs.Catalog(COORD[:2], extra=QTable({"g": [1, 2] * u.mag})).extra["g"].unit == u.mag

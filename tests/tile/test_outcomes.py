@@ -1,0 +1,179 @@
+"""What became of every target of a field, and the columns of the catalog that a tile carries."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.table import Table
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord(95, 23, unit="deg")
+N = 1500
+
+
+@pytest.fixture(scope="module")
+def sky():
+    rng = np.random.default_rng(4)
+    coord = rs.synthetic_catalog("uniform", CENTER, 1.7 * u.deg, n_targets=N, rng=1).coord
+    return rs.Catalog(
+        coord,
+        id=np.arange(N) + 1000,
+        kind=rng.choice(["science", "standard", "sky"], N, p=[0.8, 0.1, 0.1]),
+        category=rng.choice(["qso", "lrg", ""], N),
+        priority=rng.integers(1, 4, N),
+        extra={"g": rng.uniform(14, 20, N) * u.mag, "n": rng.integers(0, 9, N), "flag": rng.random(N) < 0.5},
+    )
+
+
+@pytest.fixture(scope="module")
+def tile(presets, sky):
+    asked = rs.AllocationOptions("lamost", requirements=["sky=40", "standard=15"], sky_separation=20 * u.arcsec)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator=asked)
+
+
+@pytest.fixture(scope="module")
+def science_only(presets, sky):
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+
+
+def field_of(sky, presets):
+    return np.flatnonzero(sky.coord.separation(CENTER) <= presets["sdss_apo"].field_radius)
+
+
+def test_every_target_of_the_field_has_an_outcome(presets, sky, tile):
+    rows = field_of(sky, presets)
+    found, t = tile.outcomes, tile.table
+    assert found["target_id"].tolist() == sky.id[rows].tolist()
+    np.testing.assert_allclose(found["ra"].to_value(u.deg), sky.coord.ra.deg[rows], rtol=0, atol=1e-11)
+    by_target = {str(t["target_id"][k]): k for k in np.flatnonzero(t["status"] == "assigned")}
+    reach = presets["sdss_apo"].focal_plane.arrays.reach(
+        presets["sdss_apo"].projection(CENTER).to_focal_plane(sky[rows]).to_value(u.mm)
+    )
+    for k, row in enumerate(found):
+        place = by_target.get(str(row["target_id"]))
+        if place is None:
+            expected = "in reach not assigned" if reach.covered[k] else "out of reach"
+            assert np.ma.is_masked(row["positioner"]) or row["positioner"] == ""
+        else:
+            expected = "lost to a collision" if t["in_collision"][place] else "observed"
+            assert row["positioner"] == t["id"][place]
+            np.testing.assert_allclose(
+                [row["x"].to_value(u.mm), row["y"].to_value(u.mm)],
+                [t["tip_x"][place].to_value(u.mm), t["tip_y"][place].to_value(u.mm)],
+                atol=1e-6,
+            )
+        assert row["outcome"] == expected
+    assert set(found["outcome"]) <= set(rs.Tile.OUTCOMES)
+
+
+def test_targets_that_are_not_requested(presets, sky, science_only):
+    found = science_only.outcomes
+    others = found["kind"] != "science"
+    assert set(found["outcome"][others]) == {"not requested"}
+    assert "not requested" not in set(found["outcome"][~others])
+    assert np.isnan(found["x"][others]).all()
+    assert np.isfinite(found["x"][~others]).all()
+    assert len(found) == len(field_of(sky, presets))
+
+
+def test_columns_travel_to_the_table(sky, tile):
+    t = tile.table
+    has_target = t["status"] == "assigned"
+    row = np.array([int(i) - 1000 for i in t["target_id"].filled(-1)])
+    given = has_target & (row >= 0) & (row < N)
+    blank = has_target & ~given
+    assert given.sum() > 200
+    assert blank.sum() > 5
+    assert (t["kind"][blank] == "sky").all()
+    for name in ("priority", "category", "kind"):
+        np.testing.assert_array_equal(t[name][given], getattr(sky, name)[row[given]])
+    for name in ("g", "n", "flag"):
+        np.testing.assert_array_equal(np.asarray(t[name][given]), np.asarray(sky.extra[name])[row[given]])
+    assert t["g"].unit == u.mag
+    assert np.isnan(t["g"][~given]).all()
+    assert t["n"].mask[~given].all()
+    assert not t["n"].mask[given].any()
+    assert (t["category"][~given] == "").all()
+
+
+def test_counts_by_kind_and_class(sky, tile):
+    kinds, found = tile.summary["kinds"], tile.outcomes
+    assert sum(counts["n_assigned"] for counts in kinds.values()) == tile.summary["n_assigned"]
+    assert kinds["sky"]["n_assigned"] >= 40
+    assert kinds["standard"]["n_assigned"] >= 15
+    rows = {(r["kind"], r["category"], r["priority"]): r for r in tile.completeness}
+    observed = found["outcome"] == "observed"
+    for name in ("science", "standard", "sky"):
+        of_kind = found["kind"] == name
+        assert rows[name, "all", "all"]["n_in_field"] == of_kind.sum() == kinds[name]["n_in_field"]
+        assert rows[name, "all", "all"]["n_observed"] == (of_kind & observed).sum()
+    for name in (1, 2, 3):
+        of_class = (found["kind"] == "science") & (found["priority"] == name)
+        row = rows["science", "all", str(name)]
+        assert (row["n_in_field"], row["n_observed"]) == (of_class.sum(), (of_class & observed).sum())
+        assert row["completeness"] == row["n_observed"] / row["n_in_field"]
+    for name, label in (("qso", "qso"), ("lrg", "lrg"), ("", "no category")):
+        assert rows["all", label, "all"]["n_in_field"] == (found["category"] == name).sum()
+
+
+def test_many_categories_share_a_row(presets):
+    coord = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=400, rng=1).coord
+    category = np.array([f"class {k % 40}" for k in range(400)])
+    found = rs.plan_tile(rs.Catalog(coord, category=category), presets["sdss_apo"], CENTER).completeness
+    named = found[found["category"] != "all"]
+    assert len(named) == 20
+    assert named["category"][-1] == "21 others"
+    assert named["n_in_field"].sum() == found["n_in_field"][0]
+
+
+def test_where_the_tile_is(presets, sky):
+    tile = rs.plan_tile(rs.Catalog(sky.coord), presets["moons"], CENTER, position_angle=12 * u.deg)
+    assert tile.instrument == "moons"
+    assert tile.center.separation(CENTER) < 1e-9 * u.arcsec
+    assert tile.position_angle == 12 * u.deg
+    assert tile.epoch is None
+    assert len(tile) == len(tile.table)
+    assert (tile["x"] == tile.table["x"]).all()
+    assert "fiber_type" not in tile.table.colnames  # of one kind
+    scored = rs.score_tile(tile.table, presets["moons"])
+    assert scored.outcomes is None
+    assert scored.completeness is None
+
+
+@pytest.mark.parametrize("suffix", [".fits", ".fits.gz", ".ecsv"])
+def test_written_and_read_back(tile, science_only, tmp_path, suffix):
+    for number, one in enumerate((tile, science_only)):
+        path = tmp_path / f"{number}{suffix}"
+        one.write(path)
+        back = rs.Tile.read(path)
+        assert back == one
+        if suffix == ".ecsv":
+            assert back.outcomes is None
+        else:
+            assert back.outcomes.colnames == one.outcomes.colnames
+            assert (back.completeness == one.completeness).all()
+
+
+def test_files_explain_themselves(tile, tmp_path):
+    tile.write(tmp_path / "tile.fits")
+    with fits.open(tmp_path / "tile.fits") as units:
+        assert [unit.name for unit in units] == ["PRIMARY", "TILE", "OUTCOMES"]
+        for unit in units[1:]:
+            names = unit.columns.names
+            for k, name in enumerate(names, 1):
+                assert unit.header.get(f"TCOMM{k}") or name in ("g", "n", "flag"), name
+        header = units["TILE"].header
+        assert header["RADESYS"] == "ICRS"
+        assert (header["RA"], header["DEC"], header["POSANG"]) == pytest.approx((95, 23, 0))
+        assert header["TUNIT3"] == "mm"
+    plain = Table.read(tmp_path / "tile.fits", hdu="OUTCOMES")
+    assert len(plain) == len(tile.outcomes)
+
+
+def test_a_tile_without_outcomes_differs_from_none(tile):
+    other = rs.Tile(tile.table.copy(), tile.outcomes.copy())
+    assert other == tile
+    other.outcomes["outcome"][0] = "elsewhere"
+    assert other != tile
