@@ -16,6 +16,7 @@ import typer
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey._cli._compiling import announce_compilation
 from rfpsurvey._cli._print import (
     PICTURES,
     files,
@@ -90,6 +91,7 @@ def main() -> None:
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
     warnings.simplefilter("always", rs.RfpsurveyWarning)
+    announce_compilation()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # let outputs that are half written be removed
     code = 0
     try:

@@ -169,11 +169,9 @@ def print_summary(tile: "rs.Tile") -> None:
 
 def _print_objectives(tile: "rs.Tile") -> None:
     """Print the classes of targets, whether the plan is proven, and what it lacks."""
-    summary, objectives = tile.summary, tile_objectives(tile)
-    for name, value, proof in objectives[:MOST_OBJECTIVES]:
+    summary = tile.summary
+    for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
-    if len(objectives) > MOST_OBJECTIVES:
-        print(f"  and {len(objectives) - MOST_OBJECTIVES} more classes")
     if summary.get("gap") is not None:
         model = summary["search"].get("model", "")
         print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}")

@@ -68,16 +68,25 @@ def tile_facts(tile: Tile) -> dict:
     return found
 
 
-def tile_objectives(tile: Tile) -> list[tuple[str, int, str]]:
-    """Return each class of targets, the fibers on it, and where more is not excluded, how many there can be."""
+def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
+    """Return each class of targets, the fibers on it, and where more is not excluded, how many there can be.
+
+    There are at most ``most`` lines; if there are more classes, the last line sums up all others.
+    """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
         return []
     found = []
-    for name, value, bound in objectives:
+    for name, value, bound in objectives[: most if len(objectives) <= most else most - 1]:
         label, limit = ("missing of the requirements", "at least") if name == "requirements" else (name, "at most")
         proof = "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
         found.append((label, round(abs(value)), proof))
+    rest = objectives[len(found) :]
+    if rest:
+        # the last line of a summary may stand for many classes itself
+        last, _, words = rest[-1][0].partition(" ")
+        n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
+        found.append((f"{n_classes} more classes", round(sum(abs(value) for _, value, _ in rest)), ""))
     return found
 
 

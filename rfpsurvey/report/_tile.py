@@ -120,10 +120,8 @@ def _asked(tile) -> dict:
 
 def _aims(tile) -> list:
     """Return the classes of targets, and how far the plan is proven."""
-    objectives, gap = tile_objectives(tile), tile.summary.get("gap")
-    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in objectives[:MOST_OBJECTIVES]}
-    if len(objectives) > MOST_OBJECTIVES:
-        values["more classes, not shown"] = len(objectives) - MOST_OBJECTIVES
+    objectives, gap = tile_objectives(tile, MOST_OBJECTIVES), tile.summary.get("gap")
+    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in objectives}
     if gap is not None:
         values["gap to the best plan"] = gap
     return [Facts("Classes of targets, in order of priority", values)] if values else []

@@ -24,7 +24,7 @@ from rfpsurvey.tile._tile import Tile, build_tile
 
 __all__ = ["plan_tile"]
 
-# Objectives that a summary lists.
+# Objectives that a summary lists one by one; the last line sums up the others.
 MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
@@ -152,7 +152,7 @@ def plan_tile(
         "n_in_field": len(rows),
         "n_set_aside": len(rows) - len(given),
         "n_reachable": allocation.n_reachable,
-        "objectives": [[level.name, level.value, _known(level.bound)] for level in allocation.levels[:MOST_OBJECTIVES]],
+        "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
         "kinds": counts_by_kind(catalog, rows, plan),
         "unmet": sentences(allocation.unmet) + absent_required(targets.id, required),
@@ -188,6 +188,15 @@ def plan_tile(
         targets=targets_of_field(catalog, rows, given, plan),
         software=packages(options),
     )
+
+
+def _objectives(levels: list) -> list:
+    """Return name, value and bound of each objective; one line for all that are too many to list."""
+    rows = [[level.name, level.value, _known(level.bound)] for level in levels]
+    if len(rows) <= MOST_OBJECTIVES:
+        return rows
+    rest = rows[MOST_OBJECTIVES - 1 :]
+    return [*rows[: MOST_OBJECTIVES - 1], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]]
 
 
 def _known(value):

@@ -8,6 +8,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 import rfpsurvey as rs
+from rfpsurvey.report import tile_objectives
 
 CENTER = SkyCoord(95, 23, unit="deg")
 N = 1500
@@ -177,3 +178,18 @@ def test_a_tile_without_outcomes_differs_from_none(tile):
     assert other == tile
     other.outcomes["outcome"][0] = "elsewhere"
     assert other != tile
+
+
+def test_many_classes_are_summed_up(presets):
+    """The summary stopped at 100 classes, and the command counted those left of 100 only."""
+    coord = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=600, rng=1).coord
+    tile = rs.plan_tile(rs.Catalog(coord, priority=np.arange(600)), presets["sdss_apo"], CENTER)
+    objectives = tile.summary["objectives"]
+    n_classes = tile.summary["n_reachable"]
+    assert len(objectives) == 100
+    assert objectives[-1][0] == f"{n_classes - 99} more classes"
+    assert sum(value for _, value, _ in objectives) == tile.summary["n_assigned"]
+    lines = tile_objectives(tile, 12)
+    assert len(lines) == 12
+    assert lines[-1][0] == f"{n_classes - 11} more classes"
+    assert sum(value for _, value, _ in lines) == tile.summary["n_assigned"]
