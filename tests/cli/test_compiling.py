@@ -6,27 +6,25 @@ from numba.core import event
 
 from rfpsurvey._cli import _compiling
 
+register = event.register
+
 
 @pytest.fixture
-def listener(monkeypatch):
-    """Register nothing for good: what is registered is removed after the test."""
+def registered(monkeypatch):
+    """Listeners that the command registers; none stays after the test."""
     found = []
-    register = event.register
-
-    def remember(kind, listener):
-        found.append((kind, listener))
-        register(kind, listener)
-
-    monkeypatch.setattr(event, "register", remember)
+    monkeypatch.setattr(_compiling.event, "register", lambda kind, one: (found.append(one), register(kind, one)))
     yield found
-    for kind, one in found:
-        event.unregister(kind, one)
+    for one in found:
+        event.unregister("numba:compile", one)
 
 
 @pytest.mark.parametrize("watched", [True, False])
-def test_it_is_printed_once_if_a_person_watches(monkeypatch, capsys, listener, watched):
+def test_it_is_printed_once_if_a_person_watches(monkeypatch, capsys, registered, watched):
     monkeypatch.setattr(_compiling.sys.stderr, "isatty", lambda: watched, raising=False)
     _compiling.announce_compilation()
+    assert len(registered) == int(watched)
+    monkeypatch.setattr(_compiling.event, "register", register)  # numba registers listeners of its own
     if numba.config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     for _ in range(2):
