@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
-from rfpsurvey.instrument._entries import SECTIONS, check_description
+from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
@@ -16,10 +16,10 @@ __all__ = ["build", "load"]
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Read a description; ``inherits`` names another one whose figures it starts from."""
+    """Return a description with its defaults filled in; ``inherits`` names another one whose values it starts from."""
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
-    content = read_toml(path)
+    content = with_defaults(read_toml(path))
     parent = content.pop("inherits", None)
     if parent is None:
         return content
