@@ -42,7 +42,8 @@ def _print_list() -> None:
 def _print_one(model: Instrument) -> None:
     """Print what is known of an instrument, what follows from it, and the source of every value."""
     notes = model.notes.strip()
-    print(f"{model.name}: {model.title}\n{len(model.focal_plane)} positioners, layout {model.layout}")
+    print(f"{model.name}: {model.title}" if model.title else model.name)
+    print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
     print(f"{notes}\n" if notes else "")
     for label, text in fact_texts(model.facts()).items():
         print(f"{label:<22}{text}")

@@ -1,5 +1,6 @@
 """Descriptions of instruments: TOML files in which every figure has a status and a source."""
 
+from importlib.resources import files
 from pathlib import Path
 
 import astropy.units as u
@@ -12,11 +13,16 @@ from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defa
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
-__all__ = ["build", "load"]
+__all__ = ["PRESETS", "build", "load"]
+
+PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Return a description with its defaults filled in; ``inherits`` names another one whose values it starts from."""
+    """Return a description with its defaults filled in; ``inherits`` names another one whose values it starts from.
+
+    The other one is a file beside it, or a preset.
+    """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
     content = with_defaults(read_toml(path))
@@ -25,7 +31,9 @@ def load(path: Path, heirs: tuple = ()) -> dict:
         return content
     if not isinstance(parent, str):
         raise InputError(f"{path}: inherits must be the name of another description, got {parent!r}")
-    base = load(path.with_name(f"{parent}.toml"), (*heirs, path))
+    beside = path.with_name(f"{parent}.toml")
+    shipped = PRESETS / beside.name
+    base = load(shipped if shipped.exists() and not beside.exists() else beside, (*heirs, path))
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
         base[key] = {**base[key], **value} if both else value

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument._entries import STATUSES
 
-__all__ = ["fact_texts", "field_angles", "find_facts"]
+__all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
 
 N_POINTS = 2**18
 """Points that coverage and multiplicity are found from: their standard error is below 0.001."""
@@ -53,12 +53,7 @@ def find_facts(instrument) -> dict:
         "field_of_view": area,
         "footprint": footprint,
         "plate_scale": instrument.plate_scale.to(u.um / u.arcsec),
-        "pitch": _pitch(arrays.xy) * u.mm,
-        "central_arm": float(np.median(arrays.central_arm)) * u.mm,
-        "eccentric_arm": float(np.median(arrays.eccentric_arm)) * u.mm,
-        "inner_patrol_radius": float(np.median(arrays.inner_radius)) * u.mm,
-        "patrol_radius": float(np.median(arrays.outer_radius)) * u.mm,
-        "min_separation": plane.positioner.min_separation,
+        **arm_facts(instrument),
         "collision_type": plane.collision_type,
         "coverage": float(1 - parts[0]),
         "multiplicity": float(np.arange(len(parts)) @ parts) if np.isfinite(parts[0]) else np.nan,
@@ -69,6 +64,22 @@ def find_facts(instrument) -> dict:
             status: tuple(name for name, entry in instrument.values.items() if entry["status"] == status)
             for status in STATUSES
         },
+    }
+
+
+def arm_facts(instrument) -> dict[str, u.Quantity]:
+    """Return the lengths that describe the lattice and the arms, medians where positioners differ."""
+    arrays = instrument.focal_plane.arrays
+    columns = {
+        "central_arm": arrays.central_arm,
+        "eccentric_arm": arrays.eccentric_arm,
+        "inner_patrol_radius": arrays.inner_radius,
+        "patrol_radius": arrays.outer_radius,
+    }
+    return {
+        "pitch": _pitch(arrays.xy) * u.mm,
+        **{name: float(np.median(values)) * u.mm for name, values in columns.items()},
+        "min_separation": instrument.focal_plane.positioner.min_separation,
     }
 
 
@@ -113,8 +124,8 @@ def _fibers(plane) -> dict[str, int]:
 
 
 def _pitch(xy: np.ndarray) -> float:
-    """Return the median distance of a center to the nearest other one in mm; NaN for one positioner."""
-    return float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1])) if len(xy) > 1 else np.nan
+    """Return the median distance of a center to the nearest other one in mm, to 1e-9; NaN for one positioner."""
+    return round(float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1])), 9) if len(xy) > 1 else np.nan
 
 
 def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:

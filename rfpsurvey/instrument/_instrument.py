@@ -4,7 +4,6 @@ import hashlib
 import os
 import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import astropy.units as u
@@ -333,8 +332,7 @@ def every_instrument() -> dict[str, Instrument]:
 
 
 def _shipped() -> dict[str, Path]:
-    folder = Path(str(files("rfpsurvey"))) / "presets"
-    return {path.stem: path for path in folder.glob("*.toml")}
+    return {path.stem: path for path in _description.PRESETS.glob("*.toml")}
 
 
 def _text(value) -> str:
