@@ -32,8 +32,10 @@ def load(path: Path, heirs: tuple = ()) -> dict:
     if not isinstance(parent, str):
         raise InputError(f"{path}: inherits must be the name of another description, got {parent!r}")
     beside = path.with_name(f"{parent}.toml")
-    shipped = PRESETS / beside.name
-    base = load(shipped if shipped.exists() and not beside.exists() else beside, (*heirs, path))
+    if not beside.exists():
+        known = {file.stem for folder in (path.parent, PRESETS) for file in folder.glob("*.toml")} - {path.stem}
+        beside = PRESETS / f"{check_choice(parent, known, f'description in {path} to inherit from')}.toml"
+    base = load(beside, (*heirs, path))
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
         base[key] = {**base[key], **value} if both else value
@@ -77,6 +79,8 @@ def build(content: dict, folder: Path) -> dict:
         )
         for t, m in get("optics.radial_map", {}).items()
     }
+    if not maps and get("optics.plate_scale") is None:
+        raise InputError("[optics] must have a plate_scale, or a radial_map with max_angle")
     distortion = maps.get("any") if "any" in maps else maps or None
     return {
         "name": content["name"],
@@ -95,8 +99,8 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     """Build the table or lattice of positioners that the section ``layout`` describes."""
     if get("layout.table") is not None:
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
-    if get("layout.pitch") is None:
-        raise InputError("[layout] must have a table, or a pitch with rings or count")
+    if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
+        raise InputError("[layout] must have a table, or a pitch with rings or count (one of them)")
     fiducials = get("layout.fiducial_cells", [])
     shape = {
         "pitch": get("layout.pitch"),

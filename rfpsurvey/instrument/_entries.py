@@ -141,7 +141,7 @@ TOP = {
     "inherits": TEXT,
     "status": _choice(*STATUSES),
     "source": TEXT,
-    "sources": Kind("a table of names and texts (source, without s, is one text for all)", lambda value: isinstance(value, dict) and all(map(_is_text, value.values()))),
+    "sources": Kind("a table of texts (source, without s, is one for all)", lambda value: isinstance(value, dict) and all(map(_is_text, value.values()))),
     **dict.fromkeys(SECTIONS, TABLE),
 }
 
@@ -203,6 +203,10 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 def _refuse_name(section: str, name: str) -> None:
     """Raise an error for a name that no entry of a section has, with the nearest name or the section that has it."""
     home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
+    if name in TOP:
+        raise InputError(
+            f"[{section}] must not have the entry {name!r}, which belongs at the top of the file, before all sections"
+        )
     if home:
         raise InputError(f"[{section}] must not have the entry {name!r}, which belongs in [{home[0]}]")
     known = {key.partition(".")[2] for key in ENTRIES if key.startswith(f"{section}.")}
@@ -229,7 +233,8 @@ def _unit(full: str, kind: Kind, entry: dict) -> object:
     except (ValueError, TypeError):
         fits = False
     if not fits:
-        raise InputError(f"the unit of {full} must be convertible to {kind.unit}, got {_short(given)}")
+        got = f'none; write unit = "{kind.unit}"' if given is None else _short(given)
+        raise InputError(f"the unit of {full} must be convertible to {kind.unit}, got {got}")
     return given
 
 
