@@ -108,7 +108,7 @@ SurveyPlotOption = Annotated[
 ]
 DesignInstrumentOption = Annotated[
     str | None,
-    typer.Option(help="Scan around this preset or TOML file, whose lengths replace the values below where None is given."),
+    typer.Option(help="Scan around this preset or TOML file, whose lengths hold where None is given."),
 ]
 SpreadOption = Annotated[
     float | None,

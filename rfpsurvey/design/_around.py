@@ -116,7 +116,7 @@ def design_improvements(table: QTable) -> QTable:
     >>> for row in found:
     ...     print(f"{row['objective']} {row['value']:.3f}, at best {row['best']:.3f}: pitch {row['pitch']:.4g}")
     coverage 1.000, at best 1.000: pitch 25.6 mm
-    loss 0.109, at best 0.044: pitch 28.16 mm
+    loss 0.109, at best 0.041: pitch 28.16 mm
     """
     if not isinstance(table, QTable) or "instrument" not in table.colnames or "objectives" not in table.meta:
         raise InputError("table must be what explore_around returns")

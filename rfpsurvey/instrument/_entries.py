@@ -141,7 +141,11 @@ TOP = {
     "inherits": TEXT,
     "status": _choice(*STATUSES),
     "source": TEXT,
-    "sources": Kind("a table of texts (source, without s, is one for all)", lambda value: isinstance(value, dict) and all(map(_is_text, value.values()))),
+    "sources": Kind(
+        "a table of texts (source, without s, is one for all)",
+        lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
+    ),
+    ),
     **dict.fromkeys(SECTIONS, TABLE),
 }
 
@@ -189,8 +193,9 @@ def _check_entry(section: str, name: str, entry: object) -> None:
     for part in ("value", "status", "source"):
         if part not in entry:
             remedy = f'; {part} = "..." at the top of the file holds for all entries without one'
+            remedy = remedy if part in DEFAULTS else ""
             raise InputError(
-                f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy if part in DEFAULTS else ''}"
+                f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}"
             )
     check_choice(entry["status"], STATUSES, f"status of {full}")
     if not _is_text(entry["source"]):

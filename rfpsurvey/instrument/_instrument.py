@@ -246,7 +246,7 @@ class Instrument:
         >>> import rfpsurvey as rs
         >>> facts = rs.Instrument.preset("pfs").facts()
         >>> facts["field_shape"], facts["field_of_view"].round(2), facts["pitch"]
-        ('hexagon', <Quantity 1.25 deg2>, <Quantity 8. mm>)
+        ('hexagon', <Quantity 1.28 deg2>, <Quantity 8. mm>)
         """
         return find_facts(self)
 

@@ -56,7 +56,11 @@ def test_the_base_is_good(tmp_path):
     [
         ("layout.pitch", figure("true", "mm"), "layout.pitch must be a length above 0, got True mm"),
         ("layout.pitch", figure("inf", "mm"), "layout.pitch must be a length above 0, got inf mm"),
-        ("layout.pitch", figure("12.0"), "the unit of layout.pitch must be convertible to mm, got none; write unit = \"mm\""),
+        (
+            "layout.pitch",
+            figure("12.0"),
+            'the unit of layout.pitch must be convertible to mm, got none; write unit = "mm"',
+        ),
         ("layout.pitch", figure("12.0", "deg"), "the unit of layout.pitch must be convertible to mm, got 'deg'"),
         ("layout.pitch", "3", "layout.pitch must be a table with value, status and source, got 3"),
         ("layout.pitch", "{ value = 3 }", "layout.pitch must have a status, got only value"),

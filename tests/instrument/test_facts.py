@@ -82,7 +82,12 @@ def test_the_field_of_view_is_that_of_random_directions(presets, name, rng):
 
 def test_published_fields_of_view(presets):
     """DESI: 8 deg2 within 1.6 deg; PFS: 1.25 deg2; MOONS: 500 arcmin2; LAMOST: 5 deg across."""
-    for name, area, tolerance in (("desi", 8, 0.07), ("pfs", 1.25, 0.03), ("moons", 0.1389, 0.03), ("lamost", 19.6, 0.03)):
+    for name, area, tolerance in (
+        ("desi", 8, 0.07),
+        ("pfs", 1.25, 0.03),
+        ("moons", 0.1389, 0.03),
+        ("lamost", 19.6, 0.03),
+    ):
         assert presets[name].facts()["field_of_view"].to_value(u.deg**2) == pytest.approx(area, rel=tolerance)
 
 
@@ -98,9 +103,12 @@ def test_shapes_of_fields(presets, name, shape):
 def test_shapes_of_polygons_of_any_orientation_and_place(corners, shape, turn):
     angle = np.deg2rad(turn) + 2 * np.pi * np.arange(corners) / corners
     xy = 300 * np.column_stack([np.cos(angle), np.sin(angle)]) + [50, -20]
-    assert rs.Instrument(
-        "own", rs.FocalPlane(xy * MM, lattice().focal_plane.positioner), plate_scale=100 * u.mm / u.deg
-    ).facts()["field_shape"] == shape
+    assert (
+        rs.Instrument(
+            "own", rs.FocalPlane(xy * MM, lattice().focal_plane.positioner), plate_scale=100 * u.mm / u.deg
+        ).facts()["field_shape"]
+        == shape
+    )
     long = rs.FocalPlane(xy * [1, 0.4] * MM, lattice().focal_plane.positioner)
     assert rs.Instrument("own", long, plate_scale=100 * u.mm / u.deg).facts()["field_shape"] == "irregular"
 
@@ -137,9 +145,7 @@ def test_instruments_and_positioners_are_shown_in_a_line():
         "<Positioner: arms 8.25 + 8.25 mm, clearance 2.25 mm, minimum separation 4.5 mm>"
     )
     other = rs.Positioner(0.8 * u.cm, 17 * MM, 2 * MM, handedness="both", arm_model="fiber_tip")
-    assert repr(other) == (
-        "<Positioner: arms 8 + 17 mm, clearance 2 mm, minimum separation 4 mm, both, fiber_tip>"
-    )
+    assert repr(other) == ("<Positioner: arms 8 + 17 mm, clearance 2 mm, minimum separation 4 mm, both, fiber_tip>")
     html = own._repr_html_()
     assert html.startswith("<p>Instrument &#x27;own&#x27;: 61 positioners")
     assert "<th>multiplicity</th>" in html
