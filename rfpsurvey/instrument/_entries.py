@@ -145,7 +145,6 @@ TOP = {
         "a table of texts (source, without s, is one for all)",
         lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
     ),
-    ),
     **dict.fromkeys(SECTIONS, TABLE),
 }
 
@@ -194,9 +193,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
         if part not in entry:
             remedy = f'; {part} = "..." at the top of the file holds for all entries without one'
             remedy = remedy if part in DEFAULTS else ""
-            raise InputError(
-                f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}"
-            )
+            raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}")
     check_choice(entry["status"], STATUSES, f"status of {full}")
     if not _is_text(entry["source"]):
         raise InputError(f"the source of {full} must be text, got {_short(entry['source'])}")
