@@ -94,7 +94,7 @@ def test_the_base_is_good(tmp_path):
         ("positioner.pitch", figure("12.0", "mm"), "must not have the entry 'pitch', which belongs in [layout]"),
         ("positioner.source", '"s"', "the entry 'source', which belongs at the top of the file, before all sections"),
         ("observing.sky_per_spectograph", figure("2"), "Did you mean 'sky_per_spectrograph'?"),
-        (".souce", '"s"', "Did you mean 'source'?"),
+        (".sourse", '"s"', "Did you mean 'source'?"),
         (".status", '"rumored"', "status must be one of published, derived, assumed, got 'rumored'"),
         ("observing.skies", figure("2"), "unknown entry of [observing] 'skies'"),
         (".schema", "true", "schema must be 1, the only one that this version reads, got True"),

@@ -62,10 +62,9 @@ def test_the_field_of_view_is_that_of_random_directions(presets, name, rng):
     model = presets[name]
     if isinstance(model.distortion, dict):  # the fiber type that sees farther
         widest = max(model.distortion.values(), key=lambda m: m.to_angle(300 * MM))
-        one = rs.Instrument("one", rs.FocalPlane(model.focal_plane.xy, model.focal_plane.positioner), distortion=widest)
         model = rs.Instrument(
             "one",
-            rs.FocalPlane(one.focal_plane.xy, rs.Positioner(7.4 * MM, 14.96972281 * MM, 2 * MM)),
+            rs.FocalPlane(model.focal_plane.xy, rs.Positioner(7.4 * MM, 14.96972281 * MM, 2 * MM)),
             distortion=widest,
         )
     center = SkyCoord(0 * u.deg, 0 * u.deg)
