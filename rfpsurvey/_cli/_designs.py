@@ -16,7 +16,7 @@ MOST_ROWS = 30
 FIGURE = (
     "The designs. Each point is a design, and its color and marker are the ratio of the arms or the parameter with "
     "most values. Large points with an edge, joined by a line, are the front: no other design is better in both "
-    "objectives."
+    "objectives. A star with its name is the instrument of the scan, if there is one."
 )
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Values and limits where neither an option nor an instrument gives others, and the nodes of a grid between limits."""
