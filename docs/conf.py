@@ -80,7 +80,8 @@ def write_help(app):
         "benchmark probability",
     )
     calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}
-    for name, arguments in {**calls, "instruments": ["instruments"]}.items():
+    calls |= {"instruments": ["instruments"], "instruments_columns": ["instruments", "lamost", "desi", "sdss_apo"]}
+    for name, arguments in calls.items():
         call = [sys.executable, "-m", "rfpsurvey", *arguments]
         text = subprocess.run(call, capture_output=True, text=True, check=True).stdout
         (folder / f"{name}.txt").write_text(text)

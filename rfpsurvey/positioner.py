@@ -116,6 +116,14 @@ class Positioner:
         if self.home is not None and not self.numbers.joints_allowed(*self.numbers.home[:, None])[0]:
             raise InputError(f"home must lie within the joint limits, got {self.home}")
 
+    def __repr__(self):
+        own = self.numbers
+        parts = [f"arms {own.central_arm:.6g} + {own.eccentric_arm:.6g} mm", f"clearance {own.clearance:.6g} mm"]
+        parts += [f"minimum separation {own.separation:.6g} mm"]
+        parts += [self.handedness] if self.handedness != "right" else []
+        parts += [self.arm_model] if self.arm_model != "elbow_to_tip" else []
+        return f"<Positioner: {', '.join(parts)}>"
+
     @cached_property
     def numbers(self) -> "PositionerNumbers":
         """The geometry as plain numbers in mm and radians (``PositionerNumbers``)."""

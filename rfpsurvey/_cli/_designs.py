@@ -4,9 +4,11 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.table import vstack
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
+from rfpsurvey.design import AXES
 
 __all__ = ["axes", "finish", "loss"]
 
@@ -14,10 +16,10 @@ MOST_ROWS = 30
 FIGURE = (
     "The designs. Each point is a design, and its color and marker are the ratio of the arms or the parameter with "
     "most values. Large points with an edge, joined by a line, are the front: no other design is better in both "
-    "objectives."
+    "objectives. A star with its name is the instrument of the scan, if there is one."
 )
-USUAL, NODES = {"ratio": "1:2", "pitch": "24:34"}, 6
-"""Limits where nothing else is asked, and the nodes of a grid between them."""
+USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
+"""Values and limits where neither an option nor an instrument gives others, and the nodes of a grid between limits."""
 COLUMNS = (
     "central_arm",
     "ratio",
@@ -32,15 +34,19 @@ COLUMNS = (
 )
 
 
-def axes(n_designs: int | None, **texts: str | None) -> dict:
-    """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths in mm."""
+def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
+    """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths in mm.
+
+    Those that are not given have usual values, but for a scan ``around`` an instrument, whose values they have.
+    """
+    texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
 
 
 def _axis(name, text, n_designs):
     option = "--" + name.replace("_", "-")
     if text is None:
-        text = USUAL[name] if n_designs is not None else f"{USUAL[name]}:{NODES}"
+        text = f"{USUAL[name]}:{NODES}" if ":" in USUAL[name] and n_designs is None else USUAL[name]
     words = text.split(":") if ":" in text else text.split(",")
     try:
         numbers = [float(word) for word in words[:2]] if ":" in text else [float(word) for word in words]
@@ -84,9 +90,11 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
         wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
         print(f"{len(table)} designs, loss of fibers: {table['estimand'][0]}; on the front ({wanted}): {len(front)}")
         front.sort(next(iter(table.meta["objectives"])), reverse=True)
-        _app.print_table(front[list(dict.fromkeys([*COLUMNS, *table.meta["objectives"]]))][:MOST_ROWS])
+        _print_rows(front[:MOST_ROWS], table)
         if len(front) > MOST_ROWS:
             print(f"and {len(front) - MOST_ROWS} more")
+        if "instrument" in table.colnames:
+            _print_improvements(table)
         try:
             found = rs.design.design_sensitivities(table)
         except rs.InputError as error:  # one design, or a few
@@ -95,6 +103,47 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(
                 "share of the variance that each parameter explains, and percent of change for one percent more of it:"
             )
-            _app.print_table(found)
+            print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:
             print(f"wrote {output}")
+
+
+def _print_rows(front, table) -> None:
+    """Print designs of the front, and that of the instrument below them if it is not one of them."""
+    columns = [*COLUMNS, *table.meta["objectives"]]
+    if "instrument" in table.colnames:
+        columns = ["instrument", *columns]
+        own = table[(table["instrument"] != "") & ~table["pareto"]]
+        front = vstack([front, own], metadata_conflicts="silent") if len(own) else front
+    print("\n".join(front[list(dict.fromkeys(columns))].pformat(max_lines=-1, max_width=-1)))
+
+
+def _print_improvements(table) -> None:
+    """Print how far the instrument of a scan is from the best designs, and by which parameters."""
+    own, objectives = table[table["instrument"] != ""][0], table.meta["objectives"]
+    print(f"{own['instrument']}: {', '.join(f'{_words(name)} {own[name]:.5g}' for name in AXES)}")
+    try:
+        found = rs.design.design_improvements(table)
+    except rs.InputError as error:
+        print(f"  no comparison: {error}")
+        return
+    print("  " + ", ".join(f"{_words(row['objective'])} {row['value']:.5g}" for row in found))
+    for row, other in zip(found, reversed(list(objectives)), strict=True):
+        aim = "largest" if objectives[row["objective"]] == "max" else "smallest"
+        limit = "at least" if objectives[other] == "max" else "at most"
+        text = f"  {aim} {_words(row['objective'])} with {limit} this {_words(other)}: "
+        changes = ", ".join(filter(None, (_change(name, own[name], row[name], table[name]) for name in AXES)))
+        print(text + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "its own"))
+
+
+def _change(name, before, after, scanned) -> str:
+    """Return a parameter of a better design with its change in percent, empty where it does not change."""
+    if abs(after - before) <= 1e-9 * abs(before):
+        return ""
+    edge = ", edge of the scan" if after in (scanned.min(), scanned.max()) else ""
+    percent = f"{100 * float(after / before - 1):+.0f} %" if before > 0 * before else "from 0"
+    return f"{_words(name)} {after:.5g} ({percent}{edge})"
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -109,14 +109,22 @@ SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask sch
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
 ]
+DesignInstrumentOption = Annotated[
+    str | None,
+    typer.Option(help="Scan around this preset or TOML file, whose lengths hold where None is given."),
+]
+SpreadOption = Annotated[
+    float | None,
+    typer.Option(help="Vary central arm, ratio and pitch of --instrument by this fraction to either side. None: 0.15."),
+]
 CentralArmOption = Annotated[
-    str, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH.")
+    str | None, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. None: 8.25.")
 ]
 RatioOption = Annotated[str | None, typer.Option(help="Eccentric over central arm, likewise. None: from 1 to 2.")]
 PitchOption = Annotated[
     str | None, typer.Option(help="Distance of neighboring centers, mm, likewise. None: from 24 to 34.")
 ]
-ClearanceOption = Annotated[str, typer.Option(help="Radius that an arm keeps free, mm, likewise.")]
+ClearanceOption = Annotated[str | None, typer.Option(help="Radius that an arm keeps free, mm, likewise. None: 2.25.")]
 NDesignsOption = Annotated[
     int | None, typer.Option(help="So many designs between LOW:HIGH instead of a grid, by Sobol points.")
 ]
@@ -177,6 +185,8 @@ Examples:
 DESIGN_EXAMPLES = """\b
 Examples:
   rfpsurvey design --ratio 1:2:5 --pitch 22:30:9
+  rfpsurvey design --instrument mine.toml --plot mine.png
+  rfpsurvey design --instrument lamost --spread 0.3 --pitch 24:32:9
   rfpsurvey design --central-arm 7.25:14.5 --ratio 1:2 --pitch 24.6:35 --n-designs 4096 --plot front.png
   rfpsurvey design --ratio 1:2:5 --estimand allocated --output designs.ecsv --workers 2
   rfpsurvey design --ratio 1,1.5 --pitch 25:35:5 --estimand collision_free --targets-per-positioner 1 --processes

@@ -8,10 +8,12 @@ from rfpsurvey._cli import _app, _designs, _options, _surveys
 
 @_app.app.command(epilog=_options.DESIGN_EXAMPLES)
 def design(
-    central_arm: _options.CentralArmOption = "8.25",
+    instrument: _options.DesignInstrumentOption = None,
+    spread: _options.SpreadOption = None,
+    central_arm: _options.CentralArmOption = None,
     ratio: _options.RatioOption = None,
     pitch: _options.PitchOption = None,
-    clearance: _options.ClearanceOption = "2.25",
+    clearance: _options.ClearanceOption = None,
     n_designs: _options.NDesignsOption = None,
     estimand: _options.EstimandOption = None,
     method: _options.DesignMethodOption = "auto",
@@ -29,14 +31,22 @@ def design(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Scan designs: what positioners reach, what they lose to collisions, and which designs no other one beats."""
+    """Scan designs, also around an instrument: what positioners reach and lose to collisions, and the best designs."""
     again = overwrite or resume
     _app.check_outputs(None, plot, report, overwrite=again)
-    scan = _designs.axes(n_designs, central_arm=central_arm, ratio=ratio, pitch=pitch, clearance=clearance)
+    around = instrument is not None
+    if spread is not None and not around:
+        raise rs.InputError("--spread is the spread around an --instrument: give one")
+    parameters = {"central_arm": central_arm, "ratio": ratio, "pitch": pitch, "clearance": clearance}
+    scan = _designs.axes(n_designs, around=around, **parameters)
     scan["loss"] = _designs.loss(estimand, method, targets_per_positioner, target_density, n_skies, time_limit)
     scan["objectives"] = _app.parse_pairs(objective, "--objective") or None
     scan |= {"n_designs": n_designs, "rng": seed, "progress": sys.stderr.isatty()}
     scan |= {"path": output, "resume": resume, "overwrite": overwrite}
     with _surveys.workers(workers, None, processes=processes) as executor:
-        table = rs.design.explore_designs(executor=executor, **scan)
+        if around:
+            scan |= {} if spread is None else {"spread": spread}
+            table = rs.design.explore_around(instrument, executor=executor, **scan)
+        else:
+            table = rs.design.explore_designs(executor=executor, **scan)
     _designs.finish(table, output, plot, report, overwrite=again)

@@ -5,33 +5,60 @@ from typing import Annotated
 import typer
 
 from rfpsurvey._cli import _app
-from rfpsurvey.instrument import as_instrument, every_instrument
+from rfpsurvey.instrument import Instrument, as_instrument, every_instrument, fact_texts
 
 EXAMPLES = """\b
 Examples:
   rfpsurvey instruments
   rfpsurvey instruments lamost
+  rfpsurvey instruments lamost sdss_apo mine.toml
 """
 
 
 @_app.app.command(epilog=EXAMPLES)
 def instruments(
-    name: Annotated[str | None, typer.Argument(help="Preset, or the path of a TOML file. None: list all.")] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Presets, or paths of TOML files: several side by side. None: list all presets."),
+    ] = None,
 ) -> None:
-    """List the instruments, or show one with the source of every figure."""
-    if name is None:
-        print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
-        for known, model in every_instrument().items():
-            kind, field = (
-                model.focal_plane.collision_type,
-                f"{2 * model.field_radius.to_value('deg'):.3f} deg",
-            )
-            print(f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>10}{model.layout:>10}  {model.title}")
-        return
-    model = as_instrument(name)
-    print(f"{model.name}: {model.title}\n{len(model.focal_plane)} positioners, layout {model.layout}")
-    print(f"{model.notes.strip()}\n")
+    """List the instruments, describe one with the source of every value, or put several side by side."""
+    models = [as_instrument(name) for name in names or ()]
+    if not models:
+        _print_list()
+    elif len(models) == 1:
+        _print_one(models[0])
+    else:
+        _print_columns(models)
+
+
+def _print_list() -> None:
+    print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
+    for known, model in every_instrument().items():
+        kind, field = model.focal_plane.collision_type, f"{2 * model.field_radius.to_value('deg'):.3f} deg"
+        print(f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>10}{model.layout:>10}  {model.title}")
+
+
+def _print_one(model: Instrument) -> None:
+    """Print what is known of an instrument, what follows from it, and the source of every value."""
+    notes = model.notes.strip()
+    print(f"{model.name}: {model.title}" if model.title else model.name)
+    print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
+    print(f"{notes}\n" if notes else "")
+    for label, text in fact_texts(model.facts()).items():
+        print(f"{label:<22}{text}")
+    print()
     for row in model.to_table():
-        print(
-            f"{row['name']} = {row['value']} {row['unit']}".rstrip(), f"    {row['status']}: {row['source']}", sep="\n"
-        )
+        print(f"{row['name']} = {row['value']} {row['unit']}".rstrip())
+        print(f"    {row['status']}: {row['source']}")
+
+
+def _print_columns(models: list[Instrument]) -> None:
+    """Print the facts of several instruments, a column each."""
+    columns = [fact_texts(model.facts()) for model in models]
+    widths = [max(len(model.name), *map(len, texts.values())) for model, texts in zip(models, columns, strict=True)]
+    rows = {"": [model.name for model in models]}
+    rows |= {label: [texts[label] for texts in columns] for label in columns[0]}
+    for label, texts in rows.items():
+        cells = (f"{text:<{width}}" for text, width in zip(texts, widths, strict=True))
+        print(f"{label:<22}{'  '.join(cells)}".rstrip())

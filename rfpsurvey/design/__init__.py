@@ -1,8 +1,19 @@
 """Design studies of arms, pitch and clearance: a table of methods behind `explore_designs`."""
 
+from rfpsurvey.design._around import design_improvements, explore_around
+from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._explore import explore_designs
 from rfpsurvey.design._losses import ESTIMANDS, METHODS
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._sensitivities import design_sensitivities
 
-__all__ = ["ESTIMANDS", "METHODS", "LossOptions", "design_sensitivities", "explore_designs"]
+__all__ = [
+    "AXES",
+    "ESTIMANDS",
+    "METHODS",
+    "LossOptions",
+    "design_improvements",
+    "design_sensitivities",
+    "explore_around",
+    "explore_designs",
+]

@@ -14,11 +14,12 @@ from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
+from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
 from rfpsurvey.errors import InputTypeError, RfpsurveyWarning
 from rfpsurvey.probability import Progress
 
-__all__ = ["explore_designs"]
+__all__ = ["explore_designs", "scan"]
 
 CHUNK = 8
 """Designs of one task. Results do not depend on it."""
@@ -117,6 +118,7 @@ def explore_designs(
 
     See Also
     --------
+    rfpsurvey.design.explore_around : The same around an instrument.
     rfpsurvey.design.design_sensitivities : What the figures depend on.
     rfpsurvey.plot.plot_designs : Draws the front.
     rfpsurvey.collision_probability : One instrument as it is.
@@ -133,18 +135,55 @@ def explore_designs(
     >>> table["pareto"].tolist()
     [True, False, False]
     """
+    axes = to_axes(central_arm, ratio, pitch, clearance)
+    return scan(
+        axes,
+        n_designs=n_designs,
+        step=step,
+        loss=loss,
+        objectives=objectives,
+        rng=rng,
+        executor=executor,
+        progress=progress,
+        path=path,
+        resume=resume,
+        overwrite=overwrite,
+    )
+
+
+def scan(
+    axes: dict[str, np.ndarray],
+    start: Start | None = None,
+    *,
+    n_designs: int | None = None,
+    step: u.Quantity = 0 * u.deg,
+    loss: LossOptions | str = "independent",
+    objectives: dict[str, str] | None = None,
+    rng: int | np.random.Generator | None = 0,
+    executor: Executor | None = None,
+    progress: bool = False,
+    path: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> QTable:
+    """Return the table of the designs that axes in mm span, and of the one that the scan starts from."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
-    seed, axes = to_seed(rng), to_axes(central_arm, ratio, pitch, clearance)
+    seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
     task = Task(*loss.question, float(to_radian(step, "step")), *loss.targets, loss.n_skies, loss.seconds, seed)
     designs = to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)
     request["n_designs"] = None if n_designs is None else int(n_designs)
+    if start is not None:
+        designs, row, record = start.among(designs)
+        request["start"] = record
     checkpoint = Checkpoint(path, request, designs, resume=resume, overwrite=overwrite)
     _run(task, designs, checkpoint, executor, progress=progress)
     table = to_table(checkpoint.rows, {**checkpoint.meta, "objectives": objectives})
+    if start is not None:
+        table["instrument"] = np.where(np.arange(len(table)) == row, start.name, "")
     table["pareto"] = on_front(table, objectives)
     checkpoint.finish(table)
     _warn(table)
@@ -170,8 +209,8 @@ def _warn(table):
         text = (
             f"{len(strange)} of {len(table)} designs have no figures ({strange['reason'][0]}): see the column 'reason'"
         )
-        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+        warnings.warn(text, RfpsurveyWarning, stacklevel=4)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
         text = f"the time limit cut searches for {cut} of {len(table)} designs short: their loss is at most so large"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+        warnings.warn(text, RfpsurveyWarning, stacklevel=4)

@@ -6,7 +6,7 @@ from astropy.table import QTable
 
 from rfpsurvey.design._axes import AXES
 
-__all__ = ["FIGURES", "ROW", "blank", "to_rows", "to_table"]
+__all__ = ["FIGURES", "ROW", "blank", "set_formats", "to_rows", "to_table"]
 
 UNITS = {
     **dict.fromkeys(("central_arm", "eccentric_arm", "pitch", "clearance", "min_separation"), u.mm),
@@ -28,6 +28,16 @@ FIGURES = (
     "positioners_per_area",
     "usable_per_area",
 )
+FORMATS = {
+    **dict.fromkeys((*AXES, "eccentric_arm", "min_separation"), ".5g"),
+    **dict.fromkeys(("reach_0", "reach_1", "reach_2", "reach_3", "coverage", "assigned", "loss", "usable"), ".4f"),
+    **dict.fromkeys(("value", "best", "other"), ".5g"),
+    "share": ".3f",
+    "slope": ".2f",
+    **dict.fromkeys(("loss_error", "empty", "change"), ".2g"),
+    **dict.fromkeys(("multiplicity", "targets", "positioners_per_area", "usable_per_area"), ".4g"),
+}
+"""Digits that tables of designs are printed with; their values have all digits."""
 ROW = np.dtype(
     [
         *((name, float) for name in ("central_arm", "eccentric_arm", "ratio", "pitch", "clearance", "min_separation")),
@@ -55,7 +65,16 @@ def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
 def to_table(rows: np.ndarray, meta: dict) -> QTable:
     """Return rows as a table with units."""
     columns = {name: rows[name] << UNITS[name] if name in UNITS else rows[name] for name in ROW.names}
-    return QTable(columns, meta=meta)
+    table = QTable(columns, meta=meta)
+    set_formats(table)
+    return table
+
+
+def set_formats(table: QTable) -> None:
+    """Let a table print its numbers with as many digits as mean something."""
+    for name in table.colnames:
+        if name in FORMATS:
+            table[name].info.format = FORMATS[name]
 
 
 def to_rows(table: QTable) -> np.ndarray:

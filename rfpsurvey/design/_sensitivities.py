@@ -6,6 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.design._axes import AXES
+from rfpsurvey.design._rows import set_formats
 from rfpsurvey.errors import InputError, check_choice
 
 __all__ = ["design_sensitivities"]
@@ -27,7 +28,8 @@ def design_sensitivities(
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.design.explore_designs` returns; designs without figures are left out.
+        What `~rfpsurvey.design.explore_designs` returns; designs without figures are left out, and so is
+        that of an instrument that a scan around it added.
     figures : sequence of str, optional
         Columns to explain.
 
@@ -70,6 +72,9 @@ def design_sensitivities(
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
     for name in figures:
         check_choice(name, numbers, "figure of designs")
+    start = table.meta.get("request", {}).get("start", {})
+    if start.get("added"):  # the design of an instrument would break the regularity of a grid
+        table = table[np.asarray(np.ma.filled(table["instrument"], "")) == ""]
     known = np.isfinite(_plain(table, "loss"))
     values = {name: _plain(table, name)[known] for name in AXES}
     axes = {name: v for name, v in values.items() if len(v) and np.ptp(v) > 0}
@@ -85,7 +90,9 @@ def design_sensitivities(
         shares = _shares(y, blocks)
         slopes = _slopes(y, axes)
         rows += [(figure, name, shares[name], slopes.get(name, np.nan)) for name in [*axes, "rest"]]
-    return QTable(rows=rows, names=("figure", "parameter", "share", "slope"))
+    found = QTable(rows=rows, names=("figure", "parameter", "share", "slope"))
+    set_formats(found)
+    return found
 
 
 def _plain(table, name):

@@ -1,5 +1,6 @@
 """An instrument: focal plane, optics and where every figure comes from. Presets are data files."""
 
+from rfpsurvey.instrument._facts import arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (
     Instrument,
     as_focal_plane,
@@ -8,4 +9,12 @@ from rfpsurvey.instrument._instrument import (
     every_instrument,
 )
 
-__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
+__all__ = [
+    "Instrument",
+    "arm_facts",
+    "as_focal_plane",
+    "as_instrument",
+    "available_instruments",
+    "every_instrument",
+    "fact_texts",
+]

@@ -1,5 +1,6 @@
 """Descriptions of instruments: TOML files in which every figure has a status and a source."""
 
+from importlib.resources import files
 from pathlib import Path
 
 import astropy.units as u
@@ -8,24 +9,33 @@ import numpy as np
 from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
-from rfpsurvey.instrument._entries import SECTIONS, check_description
+from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
-__all__ = ["build", "load"]
+__all__ = ["PRESETS", "build", "load"]
+
+PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Read a description; ``inherits`` names another one whose figures it starts from."""
+    """Return a description with its defaults filled in; ``inherits`` names another one whose values it starts from.
+
+    The other one is a file beside it, or a preset.
+    """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
-    content = read_toml(path)
+    content = with_defaults(read_toml(path))
     parent = content.pop("inherits", None)
     if parent is None:
         return content
     if not isinstance(parent, str):
         raise InputError(f"{path}: inherits must be the name of another description, got {parent!r}")
-    base = load(path.with_name(f"{parent}.toml"), (*heirs, path))
+    beside = path.with_name(f"{parent}.toml")
+    if not beside.exists():
+        known = {file.stem for folder in (path.parent, PRESETS) for file in folder.glob("*.toml")} - {path.stem}
+        beside = PRESETS / f"{check_choice(parent, known, f'description in {path} to inherit from')}.toml"
+    base = load(beside, (*heirs, path))
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
         base[key] = {**base[key], **value} if both else value
@@ -69,6 +79,8 @@ def build(content: dict, folder: Path) -> dict:
         )
         for t, m in get("optics.radial_map", {}).items()
     }
+    if not maps and get("optics.plate_scale") is None:
+        raise InputError("[optics] must have a plate_scale, or a radial_map with max_angle")
     distortion = maps.get("any") if "any" in maps else maps or None
     return {
         "name": content["name"],
@@ -87,8 +99,8 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     """Build the table or lattice of positioners that the section ``layout`` describes."""
     if get("layout.table") is not None:
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
-    if get("layout.pitch") is None:
-        raise InputError("[layout] must have a table, or a pitch with rings or count")
+    if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
+        raise InputError("[layout] must have a table, or a pitch with rings or count (one of them)")
     fiducials = get("layout.fiducial_cells", [])
     shape = {
         "pitch": get("layout.pitch"),

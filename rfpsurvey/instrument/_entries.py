@@ -10,7 +10,7 @@ import astropy.units as u
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
 
-__all__ = ["NEED", "SECTIONS", "check_description"]
+__all__ = ["NEED", "SECTIONS", "STATUSES", "check_description", "with_defaults"]
 
 STATUSES = ("published", "derived", "assumed")
 PARTS = ("value", "unit", "status", "source")
@@ -126,6 +126,9 @@ ENTRIES = {
     "observing.targets_per_fiber": _number("a number above 0", TINY),
 }
 OBSERVING = _whole(0, 1_000_000)
+NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
+DEFAULTS = ("status", "source")
+"""Parts of an entry that the top of a description may give for all of its entries."""
 SECTIONS = ("positioner", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
@@ -136,9 +139,30 @@ TOP = {
     "layout_is": WORDS,
     "notes": WORDS,
     "inherits": TEXT,
-    "sources": Kind("a table of texts", lambda value: isinstance(value, dict) and all(map(_is_text, value.values()))),
+    "status": _choice(*STATUSES),
+    "source": TEXT,
+    "sources": Kind(
+        "a table of texts (source, without s, is one for all)",
+        lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
+    ),
     **dict.fromkeys(SECTIONS, TABLE),
 }
+
+
+def with_defaults(content: dict) -> dict:
+    """Return a description whose entries without a status or a source have those of the top of the description."""
+    defaults = {part: content[part] for part in DEFAULTS if part in content}
+    for part, value in defaults.items():
+        if not TOP[part].fits(value):
+            raise InputError(f"{part} must be {TOP[part].what}, got {_short(value)}")
+    filled = {name: value for name, value in content.items() if name not in DEFAULTS}
+    for section in SECTIONS:
+        if isinstance(filled.get(section), dict):
+            filled[section] = {
+                name: {**defaults, **entry} if isinstance(entry, dict) else entry
+                for name, entry in filled[section].items()
+            }
+    return filled
 
 
 def check_description(content: dict) -> None:
@@ -158,21 +182,45 @@ def _check_entry(section: str, name: str, entry: object) -> None:
     full = f"{section}.{name}"
     kind = OBSERVING if NEED.fullmatch(full) else ENTRIES.get(full)
     if kind is None:
-        known = {key.partition(".")[2] for key in ENTRIES if key.startswith(section)}
-        check_choice(name, known, f"entry of [{section}]")
+        _refuse_name(section, name)
     if not isinstance(entry, dict):
-        raise InputError(f"{full} must be a table with value, status and source, got {_short(entry)}")
+        raise InputError(
+            f"{full} must be a table with value, status and source, got {_short(entry)}; write {_example(kind, entry)}"
+        )
     for part in entry:
         check_choice(part, PARTS, f"part of {full}")
     for part in ("value", "status", "source"):
         if part not in entry:
-            raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}")
+            remedy = f'; {part} = "..." at the top of the file holds for all entries without one'
+            remedy = remedy if part in DEFAULTS else ""
+            raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}")
     check_choice(entry["status"], STATUSES, f"status of {full}")
     if not _is_text(entry["source"]):
         raise InputError(f"the source of {full} must be text, got {_short(entry['source'])}")
     value, unit = entry["value"], _unit(full, kind, entry)
     if not kind.fits(value):
         raise InputError(f"{full} must be {kind.what}, got {_short(value)}{'' if unit is None else f' {unit}'}")
+
+
+def _refuse_name(section: str, name: str) -> None:
+    """Raise an error for a name that no entry of a section has, with the nearest name or the section that has it."""
+    home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
+    if name in TOP:
+        raise InputError(
+            f"[{section}] must not have the entry {name!r}, which belongs at the top of the file, before all sections"
+        )
+    if home:
+        raise InputError(f"[{section}] must not have the entry {name!r}, which belongs in [{home[0]}]")
+    known = {key.partition(".")[2] for key in ENTRIES if key.startswith(f"{section}.")}
+    check_choice(name, known | set(NEEDS if section == "observing" else ()), f"entry of [{section}]")
+
+
+def _example(kind: Kind, value: object) -> str:
+    """Return an entry as it is written in a file; status and source at the top of the file are enough."""
+    plain = isinstance(value, int | float if kind.unit else int | float | str) and not isinstance(value, bool)
+    shown = _short(value) if plain else "..."
+    unit = "" if kind.unit is None else f', unit = "{kind.unit}"'
+    return f'{{ value = {shown}{unit}, status = "assumed", source = "..." }}'
 
 
 def _unit(full: str, kind: Kind, entry: dict) -> object:
@@ -187,7 +235,8 @@ def _unit(full: str, kind: Kind, entry: dict) -> object:
     except (ValueError, TypeError):
         fits = False
     if not fits:
-        raise InputError(f"the unit of {full} must be convertible to {kind.unit}, got {_short(given)}")
+        got = f'none; write unit = "{kind.unit}"' if given is None else _short(given)
+        raise InputError(f"the unit of {full} must be convertible to {kind.unit}, got {got}")
     return given
 
 

@@ -42,12 +42,12 @@ def plot_designs(
     """Draw two columns of all designs against each other, and the designs that no other one beats.
 
     Large points with a black edge are the front: no other design is better in both objectives. A few values of the
-    color have a marker each.
+    color have a marker each. A star with its name is the instrument of `~rfpsurvey.design.explore_around`.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.design.explore_designs` returns.
+        What `~rfpsurvey.design.explore_designs` or `~rfpsurvey.design.explore_around` returns.
     x, y : str, optional
         Columns; the objectives by default. The front is that of the objectives, whatever is drawn, and is joined by
         a line where these are drawn.
@@ -83,7 +83,8 @@ def plot_designs(
     from matplotlib.cm import ScalarMappable
     from matplotlib.lines import Line2D
 
-    for one in (table, *(mark or {}).values()):
+    mark = {**_instruments(table), **(mark or {})}
+    for one in (table, *mark.values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each in mark, must be what explore_designs returns")
         if _question(one) != _question(table):
@@ -96,13 +97,14 @@ def plot_designs(
         check_choice(name, numbers, "column of designs")
     ax = new_axes() if ax is None else ax
     front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
-    few = len(np.unique(values)) <= len(MARKERS)
+    others = _names(table) == ""  # a star shows the design of an instrument
+    few = len(np.unique(values[others])) <= len(MARKERS)
     style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": light_scale(), "linewidths": 0.3}
     style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
     look = {**style, "s": 2 * style["s"], "linewidths": 1.2, "edgecolors": "black", "alpha": 1.0, "zorder": 3}
     handles = []
-    for k, level in enumerate(np.unique(values) if few else [None]):
-        rows = values == level if few else np.ones(len(table), dtype=bool)
+    for k, level in enumerate(np.unique(values[others]) if few else [None]):
+        rows = others & (values == level) if few else others
         marker = {"marker": MARKERS[k]}
         points = ax.scatter(across[rows], up[rows], c=values[rows], **{**marker, **style})
         ax.scatter(across[rows & front], up[rows & front], c=values[rows & front], **{**marker, **look})
@@ -124,26 +126,38 @@ def plot_designs(
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
         better = f"front: no other design is better in both ({front.sum()} of {len(table)})"
         handles.append(Line2D([], [], color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
-    for name, one in (mark or {}).items():
-        ax.scatter(
-            values_of(one, x), values_of(one, y), marker="*", s=140, color=COLLISION, edgecolors="white", zorder=4
-        )
-        place = values_of(one, x)[0], values_of(one, y)[0]
-        right = place[0] > np.mean(ax.get_xlim())  # a name goes to the middle of the axes
-        where = {
-            "xytext": (-8 if right else 8, 5),
-            "ha": "right" if right else "left",
-            "fontsize": "small",
-            "zorder": 5,
-        }
-        text = ax.annotate(name, place, textcoords="offset points", **where)
-        text.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1})
+    for name, one in mark.items():
+        _mark(ax, name, values_of(one, x), values_of(one, y))
     ax.set_xlabel(_label(table, x))
     ax.set_ylabel(_label(table, y))
     if not few:
         ax.figure.colorbar(ScalarMappable(points.norm, points.cmap), ax=ax, label=_label(table, color))
     legend_below(ax, handles, columns=3 if few else 1)
     return ax
+
+
+def _mark(ax, name, across, up):
+    """Draw designs as stars with their name beside the first one, toward the center."""
+    ax.scatter(across, up, marker="*", s=260, color=COLLISION, edgecolors="white", linewidths=1.2, zorder=4)
+    right = across[0] > np.mean(ax.get_xlim())
+    style = {"fontweight": "bold", "zorder": 5, "xytext": (-11 if right else 11, 6), "ha": "right" if right else "left"}
+    text = ax.annotate(name, (across[0], up[0]), textcoords="offset points", **style)
+    text.set_bbox({"facecolor": "white", "alpha": 0.85, "linewidth": 0, "pad": 1.5})
+
+
+def _names(table):
+    """Return the name of the instrument whose design each row is, empty for all others."""
+    if "instrument" not in table.colnames:
+        return np.full(len(table), "")
+    return np.asarray(np.ma.filled(table["instrument"], "")).astype(str)
+
+
+def _instruments(table):
+    """Return the rows of a table that are designs of instruments, by their names."""
+    if not isinstance(table, QTable):
+        return {}
+    names = _names(table)
+    return {name: table[names == name] for name in dict.fromkeys(names.tolist()) if name}
 
 
 def _question(table):

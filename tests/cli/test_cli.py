@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 
@@ -67,6 +68,19 @@ def test_instruments(run):
     assert code == 0
     assert "positioner.central_arm = 8.25 mm\n    published: Chen et al." in out
     assert "assumed: " in out
+    assert re.search(r"^field shape +circle$", out, re.MULTILINE)
+    assert re.search(r"^published values +9$", out, re.MULTILINE)
+
+
+def test_instruments_side_by_side(run):
+    code, out, _ = run("instruments", "lamost", "sdss_apo")
+    lines = {line[:22].strip(): line[22:].split() for line in out.splitlines()}
+    assert code == 0
+    assert lines[""] == ["lamost", "sdss_apo"]
+    assert lines["positioners"] == ["4000", "500"]
+    assert lines["field shape"] == ["circle", "hexagon"]
+    assert lines["fibers"][-4:] == ["BOSS", "500,", "APOGEE", "298"]
+    assert "published: " not in out
 
 
 def test_benchmark(run, tmp_path):

@@ -34,7 +34,7 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     for name in ("central_arm", "pitch", "loss", "pareto"):
         assert (found[name] == table[name]).all()
     share = rs.design.design_sensitivities(table, figures=["loss"])["share"][0]
-    assert re.search(rf"loss +central_arm +{share:.4g}", out)
+    assert re.search(rf"loss +central_arm +{share:.3f}", out)
     assert b"</svg>" in plot.read_bytes()
     code, _, err = run("design", *axes, "--output", output)
     assert "exists; continue it (--resume" in sentence(code, err)
@@ -72,11 +72,52 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
         (["--output", "{folder}/no/d.fits"], "does not exist"),
         (["--plot", "{folder}/d.jpg"], "must end in .png or .pdf or .svg"),
         (["--resume"], "resume needs the path"),
+        (["--spread", 0.2], "--spread is the spread around an --instrument"),
+        (["--instrument", "lamost", "--spread", 2], "spread must be a number above 0 and below 1, got 2"),
+        (["--instrument", "lamst"], "unknown instrument 'lamst'"),
     ],
 )
 def test_bad_input_is_one_sentence(run, tmp_path, arguments, message):
     code, _, err = run("design", *[str(a).format(folder=tmp_path) for a in arguments])
     assert message in sentence(code, err)
+
+
+MINE = """
+name = "mine"
+source = "Design report v3"
+status = "assumed"
+[positioner]
+central_arm = { value = 8.25, unit = "mm" }
+eccentric_arm = { value = 8.25, unit = "mm" }
+clearance = { value = 2.0, unit = "mm" }
+[layout]
+rings = { value = 3 }
+pitch = { value = 25.6, unit = "mm" }
+[optics]
+plate_scale = { value = 97.0, unit = "um / arcsec" }
+"""
+
+
+def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(run, tmp_path):
+    (tmp_path / "mine.toml").write_text(MINE)
+    output, plot = tmp_path / "d.ecsv", tmp_path / "d.svg"
+    call = ["design", "--instrument", tmp_path / "mine.toml", "--output", output, "--plot", plot, "--spread", 0.1]
+    code, out, err = run(*call, "--central-arm", 8.25)
+    assert (code, err) == (0, "")
+    assert out.startswith("25 designs, loss of fibers: independent")
+    found = QTable.read(output)
+    assert np.ma.filled(found["instrument"], "").tolist().count("mine") == 1
+    assert set(found["clearance"].value) == {2.0}
+    np.testing.assert_allclose(np.unique(found["pitch"].value), 25.6 * np.array([0.9, 0.95, 1, 1.05, 1.1]))
+    better = rs.design.design_improvements(found)
+    assert "mine: central arm 8.25 mm, ratio 1, pitch 25.6 mm, clearance 2 mm" in out
+    assert f"  smallest loss with at least this coverage: {better['best'][1]:.5g} (" in out
+    assert "largest coverage with at most this loss: its own" in out
+    assert re.search(r"by pitch 28\.16 mm \(\+10 %, edge of the scan\)", out)
+    assert "mine" in plot.read_text()
+    assert run(*call, "--central-arm", 8.25, "--resume")[0] == 0
+    code, _, err = run(*call, "--central-arm", 8.3, "--resume")
+    assert "holds another scan: central_arm, start differ" in sentence(code, err)
 
 
 def offsets(collections):
@@ -145,3 +186,15 @@ def test_what_cannot_be_drawn_is_refused(table):
     ):
         with pytest.raises(rs.InputError, match=words):
             call()
+
+
+def test_the_instrument_of_a_scan_is_a_star_with_its_name_and_no_other_point():
+    around = rs.design.explore_around("lamost", spread=0.1, n_nodes=2)
+    ax = rs.plot.plot_designs(around)
+    assert [t.get_text() for t in ax.texts] == ["lamost"]
+    own = around[-1]
+    np.testing.assert_allclose(ax.collections[-1].get_offsets(), [[own["coverage"], own["loss"]]])
+    drawn = offsets(ax.collections[:-1:2])
+    assert len(drawn) == len(around) - 1
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert [word for word in words if word.startswith("arm ratio")] == ["arm ratio 0.9", "arm ratio 1.1"]

@@ -56,7 +56,11 @@ def test_the_base_is_good(tmp_path):
     [
         ("layout.pitch", figure("true", "mm"), "layout.pitch must be a length above 0, got True mm"),
         ("layout.pitch", figure("inf", "mm"), "layout.pitch must be a length above 0, got inf mm"),
-        ("layout.pitch", figure("12.0"), "the unit of layout.pitch must be convertible to mm, got no such entry"),
+        (
+            "layout.pitch",
+            figure("12.0"),
+            'the unit of layout.pitch must be convertible to mm, got none; write unit = "mm"',
+        ),
         ("layout.pitch", figure("12.0", "deg"), "the unit of layout.pitch must be convertible to mm, got 'deg'"),
         ("layout.pitch", "3", "layout.pitch must be a table with value, status and source, got 3"),
         ("layout.pitch", "{ value = 3 }", "layout.pitch must have a status, got only value"),
@@ -86,13 +90,19 @@ def test_the_base_is_good(tmp_path):
         ("optics.max_angle", figure("true", "deg"), "optics.max_angle must be an angle above 0, got True deg"),
         ("observing.targets_per_fiber", figure("-1"), "observing.targets_per_fiber must be a number above 0, got -1"),
         ("observing.sky", figure("2.5"), "observing.sky must be a whole number from 0 to 1000000, got 2.5"),
+        ("layout.rings", "12", 'write { value = 12, status = "assumed", source = "..." }'),
+        ("positioner.pitch", figure("12.0", "mm"), "must not have the entry 'pitch', which belongs in [layout]"),
+        ("positioner.source", '"s"', "the entry 'source', which belongs at the top of the file, before all sections"),
+        ("observing.sky_per_spectograph", figure("2"), "Did you mean 'sky_per_spectrograph'?"),
+        (".sourse", '"s"', "Did you mean 'source'?"),
+        (".status", '"rumored"', "status must be one of published, derived, assumed, got 'rumored'"),
         ("observing.skies", figure("2"), "unknown entry of [observing] 'skies'"),
         (".schema", "true", "schema must be 1, the only one that this version reads, got True"),
         (".name", "3", "name must be text, got 3"),
         (".title", "3", "title must be text, got 3"),
         (".notes", "[]", "notes must be text, got []"),
         (".inherits", "3", "inherits must be the name of another description, got 3"),
-        (".sources", "3", "sources must be a table of texts, got 3"),
+        (".sources", "3", "sources must be a table of texts (source, without s, is one for all), got 3"),
     ],
 )
 def test_an_entry_that_is_not_what_it_must_be(tmp_path, entry, text, message):
@@ -124,3 +134,64 @@ def test_the_table_of_entries_is_complete():
     assert own == set(Positioner.__dataclass_fields__)
     assert NEED.fullmatch("observing.boss_sky")
     assert all(re.fullmatch(r"[a-z]+\.[a-z_]+", name) for name in ENTRIES)
+
+
+SHORT = """
+name = "mine"
+source = "report"
+status = "assumed"
+[sources]
+report = "Design report v3"
+[positioner]
+central_arm = { value = 3.0, unit = "mm" }
+eccentric_arm = { value = 5.0, unit = "mm", status = "derived" }
+clearance = { value = 1.0, unit = "mm", source = "the vendor" }
+[layout]
+rings = { value = 2 }
+pitch = { value = 12.0, unit = "mm" }
+[optics]
+plate_scale = { value = 60.0, unit = "um / arcsec" }
+"""
+
+
+def test_one_source_and_one_status_hold_for_all_values_without_their_own(tmp_path):
+    (tmp_path / "mine.toml").write_text(SHORT)
+    values = rs.Instrument.read(tmp_path / "mine.toml").values
+    assert {v["source"] for name, v in values.items() if name != "positioner.clearance"} == {"Design report v3"}
+    assert values["positioner.clearance"]["source"] == "the vendor"
+    assert {name for name, v in values.items() if v["status"] != "assumed"} == {"positioner.eccentric_arm"}
+    assert values["positioner.eccentric_arm"]["status"] == "derived"
+
+
+def test_without_a_source_the_message_says_that_one_at_the_top_is_enough(tmp_path):
+    message = refused(tmp_path, SHORT.replace('source = "report"\n', ""))
+    assert message.startswith("positioner.central_arm must have a source, got only ")
+    assert message.endswith('; source = "..." at the top of the file holds for all entries without one')
+
+
+def test_the_source_of_a_file_does_not_hold_for_a_file_that_inherits_from_it(tmp_path):
+    (tmp_path / "mine.toml").write_text(SHORT)
+    text = 'name = "wider"\ninherits = "mine"\n[layout]\nrings = { value = 3 }\n'
+    (tmp_path / "wider.toml").write_text(text)
+    with pytest.raises(rs.InputError, match="layout.rings must have a status, got only value"):
+        rs.Instrument.read(tmp_path / "wider.toml")
+    (tmp_path / "wider.toml").write_text(f'source = "me"\nstatus = "derived"\n{text}')
+    wider = rs.Instrument.read(tmp_path / "wider.toml")
+    assert (len(wider.focal_plane), wider.values["layout.rings"]["source"]) == (37, "me")
+    assert wider.values["layout.pitch"]["source"] == "Design report v3"
+    assert wider.values["layout.pitch"]["status"] == "assumed"
+
+
+def test_a_preset_can_be_inherited_from(tmp_path):
+    text = 'name = "wide"\ninherits = "lamost"\nsource = "me"\nstatus = "assumed"\n'
+    (tmp_path / "wide.toml").write_text(text + '[layout]\npitch = { value = 28, unit = "mm" }\n')
+    wide = rs.Instrument.read(tmp_path / "wide.toml")
+    assert (len(wide.focal_plane), wide.facts()["pitch"].value) == (4000, 28)
+    (tmp_path / "wide.toml").write_text(text.replace('"lamost"', '"lamst"'))
+    with pytest.raises(rs.InputError, match="to inherit from 'lamst'; choose one of: .* Did you mean 'lamost'"):
+        rs.Instrument.read(tmp_path / "wide.toml")
+
+
+def test_optics_and_layout_say_what_is_missing(tmp_path):
+    assert refused(tmp_path, SHORT.split("[optics]")[0]).startswith("[optics] must have a plate_scale, or a radial_map")
+    assert refused(tmp_path, SHORT.replace("rings = { value = 2 }", "")).startswith("[layout] must have a table, or a")

@@ -1,0 +1,159 @@
+"""Scan designs around that of an instrument, and say how far from the best of them it is."""
+
+from inspect import signature
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.design._axes import AXES, to_axes
+from rfpsurvey.design._explore import explore_designs, scan
+from rfpsurvey.design._rows import set_formats
+from rfpsurvey.design._start import start_of
+from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.instrument import Instrument, as_instrument
+
+__all__ = ["design_improvements", "explore_around"]
+
+VARIED = ("central_arm", "ratio", "pitch")
+
+
+def explore_around(
+    instrument: Instrument | str,
+    *,
+    spread: float = 0.15,
+    n_nodes: int = 5,
+    n_designs: int | None = None,
+    **others: object,
+) -> QTable:
+    """Scan designs around that of an instrument, which is in the table by its name.
+
+    The design of the instrument is the lattice and the arms of its positioners, without edges, obstacles, joint
+    limits and broken units, see `explore_designs`.
+
+    Parameters
+    ----------
+    instrument : Instrument or str
+        An instrument, the name of a preset, or the path of a TOML file.
+    spread : float, optional
+        The central arm, the ratio of the arms and the pitch vary by this fraction of the instrument's own values, to
+        either side. The clearance and the step of the motors are those of the instrument.
+    n_nodes : int, optional
+        Values of each parameter that varies; all combinations are scanned.
+    n_designs : int, optional
+        So many Sobol points between the limits instead of a grid.
+    **others
+        Parameters of `explore_designs`. Those of the design (``central_arm``, ``ratio``, ``pitch``, ``clearance``,
+        ``step``) replace the values around the instrument.
+
+    Returns
+    -------
+    QTable
+        As for `explore_designs`, with the column ``instrument``: the name of the instrument in the row of its own
+        design, which is added as the last row if it is not among those that are scanned, and ``""`` elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the instrument is unknown or has one positioner only, or as for `explore_designs`.
+
+    Warns
+    -----
+    RfpsurveyWarning
+        If the instrument's arms do not collide from elbow to tip, as those of designs do.
+
+    See Also
+    --------
+    rfpsurvey.design.design_improvements : How far the instrument is from the best designs.
+    rfpsurvey.plot.plot_designs : Draws the designs, the front and the instrument.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.design.explore_around("lamost", spread=0.1, n_nodes=3)
+    >>> len(table), table[table["instrument"] == "lamost"]["central_arm", "ratio", "pitch"].as_array().tolist()
+    (27, [(8.25, 1.0, 25.6)])
+    """
+    for name in others:
+        check_choice(name, signature(explore_designs).parameters, "parameter of explore_designs")
+    start = start_of(as_instrument(instrument))
+    own = dict(zip(AXES, start.design.tolist(), strict=True))
+    factors = _factors(spread, n_nodes, n_designs)
+    values = {name: own[name] * (factors if name in VARIED else 1.0) for name in AXES}
+    values = {name: value if name == "ratio" else value * u.mm for name, value in values.items()}
+    values |= {name: others.pop(name) for name in AXES if name in others}
+    return scan(to_axes(**values), start, n_designs=n_designs, **{"step": start.step * u.rad, **others})
+
+
+def design_improvements(table: QTable) -> QTable:
+    """Return how far an instrument is from the best designs of a scan, objective by objective.
+
+    For each objective: the best design among those that are at least as good as the instrument in the other one.
+
+    Parameters
+    ----------
+    table : QTable
+        What `explore_around` returns.
+
+    Returns
+    -------
+    QTable
+        A row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best design, or the
+        instrument's own where no design is better); ``change`` (``best`` minus ``value``); ``other`` (the other
+        objective of the best design); and its ``central_arm``, ``ratio``, ``pitch`` and ``clearance``. Values of
+        objectives are plain numbers, in the units of the columns of ``table``.
+
+    Raises
+    ------
+    InputError
+        If the table is not one of `explore_around`, or the instrument has no values of the objectives.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.design.explore_around("lamost", spread=0.1, n_nodes=3)
+    >>> found = rs.design.design_improvements(table)
+    >>> for row in found:
+    ...     print(f"{row['objective']} {row['value']:.3f}, at best {row['best']:.3f}: pitch {row['pitch']:.4g}")
+    coverage 1.000, at best 1.000: pitch 25.6 mm
+    loss 0.109, at best 0.041: pitch 28.16 mm
+    """
+    if not isinstance(table, QTable) or "instrument" not in table.colnames or "objectives" not in table.meta:
+        raise InputError("table must be what explore_around returns")
+    rows = np.flatnonzero(np.asarray(np.ma.filled(table["instrument"], "")) != "")
+    if len(rows) != 1:
+        raise InputError(f"table must have one row of an instrument, got {len(rows)}")
+    objectives = table.meta["objectives"]
+    plain = {name: np.asarray(getattr(table[name], "value", table[name]), dtype=float) for name in objectives}
+    gain = {name: -plain[name] if aim == "min" else plain[name] for name, aim in objectives.items()}
+    row, found = rows[0], []
+    if not all(np.isfinite(values[row]) for values in gain.values()):
+        raise InputError(f"{table['instrument'][row]} has no {' and '.join(objectives)}: {table['reason'][row]}")
+    for name, other in zip(objectives, reversed(objectives), strict=True):
+        known = np.isfinite(gain[name]) & (gain[other] >= gain[other][row])
+        best = max(np.flatnonzero(known), key=lambda k: (gain[name][k], gain[other][k], k == row))
+        best = best if gain[name][best] > gain[name][row] else row
+        found.append(
+            {
+                "objective": name,
+                "value": plain[name][row],
+                "best": plain[name][best],
+                "change": plain[name][best] - plain[name][row],
+                "other": plain[other][best],
+                **{axis: table[axis][best] for axis in AXES},
+            }
+        )
+    improvements = QTable(rows=found)
+    set_formats(improvements)
+    return improvements
+
+
+def _factors(spread, n_nodes, n_designs):
+    """Return what the values of an instrument are multiplied with: nodes of a grid, or limits."""
+    number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
+    if not (number and 0 < spread < 1):
+        raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")
+    whole = isinstance(n_nodes, int | np.integer) and not isinstance(n_nodes, bool)
+    if not (whole and 2 <= n_nodes <= 1000):
+        raise InputError(f"n_nodes must be a whole number from 2 to 1000, got {n_nodes!r}")
+    return 1 + spread * np.linspace(-1, 1, n_nodes if n_designs is None else 2)

@@ -1,0 +1,51 @@
+"""The design of an instrument, from which a scan starts."""
+
+import warnings
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.design._axes import AXES
+from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.instrument import Instrument, arm_facts
+
+__all__ = ["Start", "start_of"]
+
+SAME = 1e-9
+"""Relative difference below which a design of the scan is that of the instrument."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The design of an instrument."""
+
+    name: str
+    design: np.ndarray
+    """central_arm, ratio, pitch and clearance, lengths in mm."""
+    step: float
+    """Of the motors, in radians."""
+
+    def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
+        """Return the designs with this one among them, added as the last row if need be, its row, and a record."""
+        same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
+        added = not same.any()
+        record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}
+        return (np.vstack([designs, self.design]), len(designs), record) if added else (designs, same.argmax(), record)
+
+
+def start_of(model: Instrument) -> Start:
+    """Return the design of an instrument: its arms, the pitch of its lattice, and its clearance and step."""
+    if len(model.focal_plane) < 2:
+        raise InputError(f"{model.name} must have at least two positioners, since a design has a pitch, got one")
+    facts = {name: float(value.to_value(u.mm)) for name, value in arm_facts(model).items()}
+    unit = model.focal_plane.positioner
+    if unit.arm_model != "elbow_to_tip":
+        text = f"the arms of {model.name} collide as {unit.arm_model}; those of designs collide from elbow to tip"
+        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+    central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
+    moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
+    if not moved < 1:
+        raise InputError(f"the displacement of {model.name} within a step must be less than the length of both arms")
+    design = np.array([central_arm, eccentric_arm / central_arm, facts["pitch"], clearance])
+    return Start(model.name, design, float(np.arcsin(max(moved, 0.0)) / 2))

@@ -1,0 +1,179 @@
+"""Facts that follow from the description of an instrument: its field, its patrol areas, and how they overlap."""
+
+from collections import Counter
+
+import astropy.units as u
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument._entries import STATUSES
+
+__all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
+
+N_POINTS = 2**18
+"""Points that coverage and multiplicity are found from: their standard error is below 0.001."""
+N_DIRECTIONS = 1440
+N_PIECES = 8
+"""Pieces of each edge of the field, since edges that are straight on the focal plane are not straight on the sky."""
+SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
+SIMILAR = 0.03
+"""A field has a shape if its radius differs by less than this fraction from that of the shape, on average."""
+FORMATS = {
+    "field_radius": "{:.4g}",
+    "focal_plane_radius": "{:.1f}",
+    "field_of_view": "{:.4g}",
+    "footprint": "{:.4g}",
+    "positioner_density": "{:.4g}",
+    "coverage": "{:.4f}",
+    "multiplicity": "{:.3f}",
+}
+
+
+def find_facts(instrument) -> dict:
+    """Return the facts of an instrument by name, see `Instrument.facts`."""
+    plane = instrument.focal_plane
+    arrays = plane.arrays
+    outline = _outline(arrays.xy, arrays.outer_radius)
+    area = (_solid_angle(instrument, outline) * u.sr).to(u.deg**2)
+    try:
+        parts, footprint = plane.coverage(n_points=N_POINTS), plane.footprint
+    except InputError:  # fewer than three centers, or all on a line
+        parts, footprint = np.array([np.nan]), np.nan * u.mm**2
+    groups = np.unique(plane.spectrograph)
+    return {
+        "positioners": len(plane),
+        "usable_positioners": int(arrays.usable.sum()),
+        "fibers": _fibers(plane),
+        "spectrographs": len(groups),
+        "obstacles": len(arrays.obstacles),
+        "field_shape": _shape(arrays.xy, outline),
+        "field_radius": instrument.field_radius,
+        "focal_plane_radius": float(np.hypot(*outline.T).max()) * u.mm,
+        "field_of_view": area,
+        "footprint": footprint,
+        "plate_scale": instrument.plate_scale.to(u.um / u.arcsec),
+        **arm_facts(instrument),
+        "collision_type": plane.collision_type,
+        "coverage": float(1 - parts[0]),
+        "multiplicity": float(np.arange(len(parts)) @ parts) if np.isfinite(parts[0]) else np.nan,
+        "max_multiplicity": int(np.flatnonzero(parts).max(initial=0)) if np.isfinite(parts[0]) else np.nan,
+        "positioner_density": len(plane) / area,
+        "layout": instrument.layout,
+        **{
+            status: tuple(name for name, entry in instrument.values.items() if entry["status"] == status)
+            for status in STATUSES
+        },
+    }
+
+
+def arm_facts(instrument) -> dict[str, u.Quantity]:
+    """Return the lengths that describe the lattice and the arms, medians where positioners differ."""
+    arrays = instrument.focal_plane.arrays
+    columns = {
+        "central_arm": arrays.central_arm,
+        "eccentric_arm": arrays.eccentric_arm,
+        "inner_patrol_radius": arrays.inner_radius,
+        "patrol_radius": arrays.outer_radius,
+    }
+    return {
+        "pitch": _pitch(arrays.xy) * u.mm,
+        **{name: float(np.median(values)) * u.mm for name, values in columns.items()},
+        "min_separation": instrument.focal_plane.positioner.min_separation,
+    }
+
+
+def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
+    """Return the angles to the axis, in radians, of distances from it in mm; the largest where fiber types differ.
+
+    Beyond a radial map the angle is the largest one of the map.
+    """
+    if instrument.distortion is None:
+        return np.arctan(radius / instrument.plate_scale.to_value(u.mm / u.rad))
+    maps = instrument.distortion
+    maps = list(maps.values()) if isinstance(maps, dict) else [maps]
+    found = [(m.to_angle(radius * u.mm).to_value(u.rad), m.max_angle.to_value(u.rad)) for m in maps]
+    return np.max([np.where(np.isnan(angle), most, angle) for angle, most in found], axis=0)
+
+
+def fact_texts(facts: dict) -> dict[str, str]:
+    """Return facts as short texts by their labels, for people."""
+    texts = {}
+    for name, value in facts.items():
+        label, number, unit = name.replace("_", " "), getattr(value, "value", value), getattr(value, "unit", None)
+        if name in STATUSES:
+            label, text = f"{name} values", str(len(value))
+        elif isinstance(value, dict):
+            text = ", ".join(f"{kind or 'one type'} {count}" for kind, count in value.items())
+        elif isinstance(number, int | str):
+            text = str(number)
+        elif np.isnan(number):
+            text = "undefined"
+        else:
+            text = FORMATS.get(name, "{:.5g}").format(number) + (f" {unit}" if unit else "")
+        texts[label] = text
+    return texts
+
+
+def _fibers(plane) -> dict[str, int]:
+    """Return the number of positioners that carry each fiber type."""
+    counts = Counter()
+    for row, number in zip(*np.unique(plane.fiber_type, return_counts=True), strict=True):
+        counts.update(dict.fromkeys(str(row).split("+"), int(number)))
+    return {str(name): counts[name] for name in plane.fiber_types}
+
+
+def _pitch(xy: np.ndarray) -> float:
+    """Return the median distance of a center to the nearest other one in mm, to 1e-9; NaN for one positioner."""
+    return round(float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1])), 9) if len(xy) > 1 else np.nan
+
+
+def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return corners, counter-clockwise, of the convex hull of discs about centers in mm."""
+    angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
+    outward = np.column_stack([np.cos(angle), np.sin(angle)])
+    far = np.argmax(xy @ outward.T + radius[:, None], axis=0)
+    return xy[far] + radius[far, None] * outward
+
+
+def _solid_angle(instrument, outline: np.ndarray) -> float:
+    """Return the solid angle in sr that an outline in mm encloses on the sky."""
+    along = (np.arange(N_PIECES) / N_PIECES)[:, None]
+    points = (outline[:, None] + along * (np.roll(outline, -1, axis=0) - outline)[:, None]).reshape(-1, 2)
+    radius = np.maximum(np.hypot(*points.T), 1e-6)
+    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # of the disc within a point
+    after = np.roll(points, -1, axis=0)
+    triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2
+    return float(triangles @ (dilation + np.roll(dilation, -1)) / 2)
+
+
+def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
+    """Return the name of the shape that the convex hull of the centers is like, or ``irregular``.
+
+    Without a hull of the centers the outline of the patrol areas takes its place.
+    """
+    try:
+        hull = ConvexHull(xy)
+    except (QhullError, ValueError):
+        hull = ConvexHull(outline)
+    corners = hull.points[hull.vertices]
+    after = np.roll(corners, -1, axis=0)
+    weight = corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]
+    center = ((corners + after) * weight[:, None]).sum(axis=0) / (3 * weight.sum())
+    angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
+    slope = hull.equations[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
+    depth = -(hull.equations[:, 2] + hull.equations[:, :2] @ center)[:, None]
+    radius = np.min(np.where(slope > 1e-12, depth / np.where(slope > 1e-12, slope, 1.0), np.inf), axis=0)
+    found = {name: _difference(radius / radius.mean(), angle, n) for name, n in SHAPES.items()}
+    best = min(found, key=found.get)
+    return best if found[best] < SIMILAR else "irregular"
+
+
+def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
+    """Return the mean difference of a radius from that of a regular shape of any orientation, both with the mean 1."""
+    if n_corners == 0:
+        return float(np.abs(radius - 1).mean())
+    period = N_DIRECTIONS // n_corners
+    ideal = 1 / np.cos(np.mod(angle, 2 * np.pi / n_corners) - np.pi / n_corners)
+    ideal /= ideal.mean()
+    return min(float(np.abs(radius - np.roll(ideal, k)).mean()) for k in range(0, period, 6))
