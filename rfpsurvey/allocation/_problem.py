@@ -34,7 +34,7 @@ class TargetColumns(NamedTuple):
     kind: np.ndarray | None = None
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
-    required: np.ndarray | None = None
+    is_required: np.ndarray | None = None
 
 
 class AllocationAnswer(NamedTuple):
@@ -98,8 +98,8 @@ class AllocationProblem:
         Names that requirements refer to; ``""`` for none.
     fiber_type : ndarray of str, shape (n_targets,), optional
         Fiber type that each target needs; ``""`` for any.
-    required : ndarray of bool, shape (n_targets,), optional
-        Targets that come before everything else.
+    is_required : ndarray of bool, shape (n_targets,), optional
+        Whether a target comes before everything else.
     options : AllocationOptions, optional
         Requirements, objective, time limit and the other options of the plan.
     rng : numpy.random.Generator, optional
@@ -134,7 +134,7 @@ class AllocationProblem:
     kind: np.ndarray | None = None
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
-    required: np.ndarray | None = None
+    is_required: np.ndarray | None = None
     options: AllocationOptions = field(default_factory=AllocationOptions)
     rng: np.random.Generator | None = None
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
@@ -142,7 +142,7 @@ class AllocationProblem:
 
     def __post_init__(self):
         n = len(self.xy)
-        usual = {"kind": "science", "category": "", "fiber_type": "", "required": False}
+        usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
         for name in ("xy", "rank", *usual):
             value = getattr(self, name)
             # a column that is not given is one value, repeated without memory
@@ -182,7 +182,7 @@ class AllocationProblem:
     @cached_property
     def any_required(self) -> bool:
         """Whether any target is required."""
-        return bool(self.required.any())
+        return bool(self.is_required.any())
 
     @property
     def several_fiber_types(self) -> bool:
@@ -303,7 +303,7 @@ class AllocationProblem:
         counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
         levels = {}
         if self.any_required:
-            levels["required targets"] = float(self.required[used].sum())
+            levels["required targets"] = float(self.is_required[used].sum())
         if self.groups:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
             levels["requirements"] = 0.0 - sum(max(n, 0) for n in missing)
@@ -344,9 +344,9 @@ class AllocationProblem:
             elif one.maximum is not None and n > one.maximum:
                 found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
         used = target_of[target_of >= 0]
-        if self.any_required and (n := int(self.required[used].sum())) < self.required.sum():
-            possible = int((self.required & (np.diff(self.pairs.indptr) > 0)).sum())
-            found.append(Shortfall(None, None, int(self.required.sum()), n, possible))
+        if self.any_required and (n := int(self.is_required[used].sum())) < self.is_required.sum():
+            possible = int((self.is_required & (np.diff(self.pairs.indptr) > 0)).sum())
+            found.append(Shortfall(None, None, int(self.is_required.sum()), n, possible))
         return found
 
     def _hint(self, group: Group, possible: int) -> str:

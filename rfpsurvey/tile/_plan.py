@@ -133,7 +133,7 @@ def plan_tile(
         warnings.warn(text, RfpsurveyWarning, stacklevel=2)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
-    columns["required"] = is_required[given] if is_required.any() else None
+    columns["is_required"] = is_required[given] if is_required.any() else None
     targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns))
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
