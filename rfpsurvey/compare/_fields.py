@@ -11,6 +11,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
@@ -19,7 +20,6 @@ from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Progress
 from rfpsurvey.tile import plan_tile
 
 __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
@@ -110,13 +110,13 @@ def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
     """Plan every field by the allocator whose arms pass through each other, and by every other one, in this order."""
-    bar, plans = Progress(progress), []
+    plans = []
     blind = replace(allocators[0], allocator=BLIND)
     work = partial(plan_field, allocators=(blind, *allocators), others=others)
-    for plan in map_in_order(executor, work, fields):
-        plans.append(plan)
-        bar(len(plans) / len(fields))
-    bar.close()
+    with Progress(progress, len(fields), "fields") as bar:
+        for plan in map_in_order(executor, work, fields):
+            plans.append(plan)
+            bar(len(plans))
     return plans
 
 

@@ -89,7 +89,7 @@ def compare_instruments(
     n_realizations: int | None = None,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
-    progress: bool = False,
+    progress: bool | Callable = False,
     **others: object,
 ) -> QTable:
     """Let several instruments look at the same sky, or at skies as crowded for each of them, and say what each gets.
@@ -117,8 +117,8 @@ def compare_instruments(
         Seed or source of random numbers.
     executor : concurrent.futures.Executor, optional
         Plans fields at the same time; the figures do not depend on it, but for the seconds.
-    progress : bool, optional
-        Show a bar on the standard error.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (fields done, all fields).
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 

@@ -42,7 +42,7 @@ def collision_probability(
     dynamic: float = 0.0,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
-    progress: bool = False,
+    progress: bool | Callable = False,
 ) -> Estimate:
     """Estimate the probability that a positioner at its target collides with another one.
 
@@ -97,8 +97,8 @@ def collision_probability(
         Seed or source of random numbers. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
         Runs parts of the simulation; kernels release the GIL, so that threads suffice. None for the calling thread.
-    progress : bool, optional
-        Whether to show a progress bar on the standard error stream.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (fraction done, 1).
 
     Returns
     -------

@@ -42,7 +42,7 @@ def plan_survey(
     folder: object = None,
     resume: bool = False,
     executor: Executor | None = None,
-    progress: object = False,
+    progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Survey:
     """Plan tile after tile; a target leaves the list once it was observed as often as it is wanted.
@@ -83,7 +83,8 @@ def plan_survey(
     executor : concurrent.futures.Executor, optional
         Runs tiles in parallel: threads, processes, or a cluster through ``dask.distributed``.
     progress : bool or callable, optional
-        Show a line with rate and remaining time, or call a function with (tiles done, all tiles).
+        Show a line on the standard error with rate and remaining time, which count only the tiles that are planned
+        in this run, or call a function with (tiles done, all tiles).
     rng : int, Generator or None, optional
         Seed or source of random numbers; each tile has a stream of its own. A seed that is drawn is written down in
         ``provenance`` and ``survey.json``: a survey is continued with that.

@@ -91,7 +91,7 @@ def score_tile(
         raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     if center is not None and equinox is not None:
         raise InputError(
-            'equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5('
+            "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("
             f'equinox="{equinox}"))'
         )
     plane = instrument.focal_plane

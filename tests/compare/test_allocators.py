@@ -106,7 +106,11 @@ def test_circles_that_no_arm_covers_have_radii_of_their_own(crowded):
 @pytest.mark.parametrize(
     ("keep_out", "kind", "message"),
     [
-        (SkyCoord([150], [2], unit="deg"), TypeError, "keep_out must be circles made by Region.cap, one or a list, got S"),
+        (
+            SkyCoord([150], [2], unit="deg"),
+            TypeError,
+            "keep_out must be circles made by Region.cap, one or a list, got SkyCoord",
+        ),
         (["star"], TypeError, "keep_out must be circles made by Region.cap, one or a list, got str in the list"),
         (rs.Region.parse("box 1 2 3 4"), ValueError, "one or a list, got <Region box of "),
     ],
