@@ -1,5 +1,6 @@
 """The fields of a comparison, and what each method makes of them."""
 
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -110,14 +111,24 @@ def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
     """Plan every field by the allocator whose arms pass through each other, and by every other one, in this order."""
-    plans = []
-    blind = replace(allocators[0], allocator=BLIND)
-    work = partial(plan_field, allocators=(blind, *allocators), others=others)
+    plans, work = [], partial(plan_field, others=others)
+    options = _for_instruments((replace(allocators[0], allocator=BLIND), *allocators), fields)
     with Progress(progress, len(fields), "fields") as bar:
-        for plan in map_in_order(executor, work, fields):
+        for plan in map_in_order(executor, work, fields, [options[field.instrument.name] for field in fields]):
             plans.append(plan)
             bar(len(plans))
     return plans
+
+
+def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[AllocationOptions]]:
+    """Return the options for each instrument, and warn once of what holds for several of them."""
+    models = {field.instrument.name: field.instrument for field in fields}
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", RfpsurveyWarning)
+        found = {name: [one.for_instrument(model) for one in allocators] for name, model in models.items()}
+    for text in dict.fromkeys(str(one.message) for one in told):
+        warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+    return found
 
 
 def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:
