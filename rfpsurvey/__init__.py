@@ -5,6 +5,7 @@ arms, collisions, tile score.
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from rfpsurvey.allocation import Allocation, AllocationOptions, Requirement, allocate
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
@@ -16,6 +17,14 @@ from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
+
+if TYPE_CHECKING:  # what type checkers and editors see of the names that are imported on use
+    from rfpsurvey import benchmark, compare, design, plot, probability, report, reproduction, survey, tiling
+    from rfpsurvey.compare import compare_allocators, compare_instruments
+    from rfpsurvey.probability import Estimate, collision_probability
+    from rfpsurvey.report import write_report
+    from rfpsurvey.survey import Survey, plan_survey
+    from rfpsurvey.tiling import Tiling, place_tiles
 
 try:
     from rfpsurvey._version import version as __version__
