@@ -152,7 +152,10 @@ class AllocationProblem:
     @cached_property
     def reachable(self) -> csr_array:
         """Which positioner may observe which target, bool, shape (n_positioners, n_targets)."""
-        return self.pairs.matrix
+        matrix = self.pairs.matrix
+        for array in (matrix.data, matrix.indices, matrix.indptr):
+            array.flags.writeable = False
+        return matrix
 
     @cached_property
     def priority(self) -> np.ndarray:

@@ -136,6 +136,10 @@ class Catalog:
     def __len__(self):
         return len(self.coord)
 
+    def __getstate__(self):
+        # a copy for another process makes the plain arrays again
+        return {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
+
     def __getitem__(self, index):
         return self._take(index)
 

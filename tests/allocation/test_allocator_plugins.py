@@ -52,6 +52,12 @@ def test_an_allocator_is_told_everything():
     for name in ("xy", "rank", "priority", "kind", "category", "fiber_type", "is_required"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(problem, name)[0] = 1
+    pairs, matrix = problem.pairs, problem.reachable
+    arrays = [pairs.indptr, pairs.owner, pairs.r2, pairs.target, *pairs.by_positioner]
+    for array in (*arrays, matrix.data, matrix.indices, matrix.indptr):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    assert matrix.tocsc().nnz == matrix[[0, 1]].nnz + matrix[[2]].nnz == len(pairs.owner)
 
 
 def test_what_is_not_said_has_a_value():
