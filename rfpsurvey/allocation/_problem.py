@@ -19,12 +19,30 @@ __all__ = ["AllocationAnswer", "AllocationProblem", "Level", "TargetColumns"]
 
 
 class Level(NamedTuple):
-    """One objective of a plan; earlier ones come first, whatever they cost later ones."""
+    """One objective of a plan; earlier ones come first, whatever they cost later ones.
+
+    Parameters
+    ----------
+    name : str
+        What is counted, such as ``science`` or ``priority 2``.
+    value : float
+        Its value in the plan; more is better.
+    bound : float
+        What no plan exceeds, given the values of the levels before; NaN where nothing is proven.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> rs.allocate(plane, [[12, 0], [14, 0]] * u.mm, allocator="optimal").levels
+    (Level(name='science', value=1.0, bound=1.0),)
+    """
 
     name: str
     value: float
     bound: float
-    """What no plan exceeds, given the values of the levels before; NaN where nothing is proven."""
 
 
 class TargetColumns(NamedTuple):

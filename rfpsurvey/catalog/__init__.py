@@ -1,5 +1,6 @@
 """Targets: real catalogs from files and tables, and synthetic ones."""
 
+from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
 from rfpsurvey.catalog._index import SkyIndex, half_chord_squared
@@ -10,6 +11,7 @@ from rfpsurvey.catalog._time import to_time
 __all__ = [
     "UNITS",
     "Catalog",
+    "CatalogArrays",
     "Finder",
     "PartitionedCatalog",
     "SkyIndex",

@@ -28,6 +28,16 @@ class CatalogArrays:
         ICRS unit vectors.
     repeated_ids : bool
         Whether two targets have the same identifier.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> catalog = rs.Catalog(SkyCoord([0, 90] * u.deg, [0, 0] * u.deg))
+    >>> catalog.arrays.vectors
+    array([[1., 0., 0.],
+           [0., 1., 0.]])
     """
 
     def __init__(self, catalog):
