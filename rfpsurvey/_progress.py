@@ -2,6 +2,8 @@
 
 from time import monotonic
 
+from rfpsurvey.errors import check_switch
+
 __all__ = ["Progress"]
 
 EVERY = 0.1  # seconds between two looks of the line
@@ -27,7 +29,7 @@ class Progress:
 
     def __init__(self, progress: object, total: float = 1, unit: str = "", *, done: float = 0):
         self._tell = progress if callable(progress) else None
-        self._shown = bool(progress) and self._tell is None
+        self._shown = self._tell is None and check_switch(progress, "progress")
         self._total, self._unit, self._done = total, unit, done
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 

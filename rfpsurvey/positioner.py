@@ -267,7 +267,7 @@ class PositionerNumbers:
         self.separation = float(moved + 2 * self.clearance)
 
     @cached_property
-    def home(self) -> np.ndarray:
+    def home(self) -> np.ndarray:  # noqa: D102
         if self.positioner.home is not None:
             return locked(to_radian(self.positioner.home, "home"))
         home = np.array([0.0, np.pi])
@@ -285,7 +285,7 @@ class PositionerNumbers:
         return _allowed(theta, *limits[:2]) & _allowed(phi, *limits[2:])
 
     @cached_property
-    def joints_free(self) -> bool:
+    def joints_free(self) -> bool:  # noqa: D102
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:

@@ -16,7 +16,7 @@ from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, L
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.collision import check_plane
-from rfpsurvey.errors import InputError, InputTypeError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 __all__ = ["allocate", "assign"]
@@ -108,7 +108,7 @@ def allocate(
         _priorities(priority, n),
         _labels(kind, n, "kind"),
         _labels(category, n, "category"),
-        np.array(fiber_type, dtype=str, copy=True) if named else None,
+        to_plain(fiber_type, "fiber_type").astype(str) if named else None,
         _marked(required, n),
     )
     if columns.kind is not None:
@@ -173,7 +173,9 @@ def _priorities(priority, n):
     if priority is None:
         return None
     try:
-        values = to_plain(priority).astype(float)
+        values = to_plain(priority, "priority").astype(float)
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"priority must be numbers: {error}") from None
     if values.shape != (n,):
@@ -202,7 +204,7 @@ def _squeeze(classes, rank, science):
 def _labels(values, n, name):
     if values is None:
         return None
-    labels = to_plain(values).astype(str)
+    labels = to_plain(values, name).astype(str)
     if labels.shape != (n,):
         raise InputError(f"{name} must have one value per target, shape ({n},), got {labels.shape}")
     return labels
@@ -232,9 +234,13 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
     try:
         pairs = np.asarray(forbidden)
     except ValueError:
-        raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got {forbidden!r}") from None
+        raise InputError(
+            f"forbidden must be rows (positioner, target) of whole numbers, got {short(forbidden)}"
+        ) from None
     if pairs.size == 0:
         return reach
+    if pairs.dtype.kind == "O":
+        raise InputTypeError(f"forbidden must be rows (positioner, target) of whole numbers, got {short(forbidden)}")
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
         raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got the shape {pairs.shape}")
     if pairs.min() < 0 or pairs[:, 0].max() >= reach.n_positioners or pairs[:, 1].max() >= n:

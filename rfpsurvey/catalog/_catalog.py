@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from dataclasses import fields as dataclass_fields
 from functools import cached_property
@@ -18,7 +19,7 @@ from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, short
 
 __all__ = ["Catalog"]
 
@@ -130,6 +131,10 @@ class Catalog:
             )
         for name, value in {**columns, "coord": coord, "epoch": epoch}.items():
             object.__setattr__(self, name, value)
+        for name, kind in (("n_dropped", int | np.integer), ("meta", Mapping)):
+            if not isinstance(getattr(self, name), kind):
+                what = "a whole number" if name == "n_dropped" else "a dict"
+                raise InputTypeError(f"{name} must be {what}, got {short(getattr(self, name))}")
         object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
         object.__setattr__(self, "meta", dict(self.meta))
 

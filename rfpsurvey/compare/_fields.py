@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from numbers import Number
 from zlib import crc32
 
 import astropy.units as u
@@ -16,7 +17,7 @@ from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, refusal, short
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -56,7 +57,9 @@ class Plan:
 
 def allocators_of(allocators, options: AllocationOptions | None, others: dict) -> list[AllocationOptions]:
     """Return the allocators to compare, each with the same options."""
-    methods = [allocators] if isinstance(allocators, str) or callable(allocators) else list(allocators)
+    methods = [allocators] if isinstance(allocators, str) or callable(allocators) else allocators
+    if not isinstance(methods, list | tuple):
+        raise InputTypeError(f"allocators must be a list of allocators, got {short(allocators)}")
     if "allocator" in others:
         raise InputError("the allocators to compare are given by allocators, not by allocator")
     if not methods:
@@ -70,9 +73,9 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
     """Return random skies for each instrument: so many targets a positioner, or of one density."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-        raise InputError(f"n_realizations must be a whole number of at least 1, got {number!r}")
+        raise refusal("n_realizations must be a whole number of at least 1", number, Number)
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
-        raise InputError(f"targets_per_positioner must be a positive number, got {each!r}")
+        raise refusal("targets_per_positioner must be a positive number", each, Number)
     center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
     seed, fields = int(to_generator(rng).integers(2**63)), []
     for model in models:
@@ -101,7 +104,7 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     centers = catalog.mean_direction if center is None else center
     if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
-        raise InputError(f"center must be a SkyCoord, one or in a row, got {center!r}")
+        raise refusal("center must be a SkyCoord, one or in a row", center, SkyCoord)
     centers = centers.reshape(-1)
     seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
     return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]

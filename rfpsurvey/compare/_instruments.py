@@ -1,7 +1,7 @@
 """Several instruments on the same sky, or with as many targets for each of their positioners."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 
 import astropy.units as u
@@ -13,7 +13,7 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
@@ -232,6 +232,8 @@ def _models(instruments) -> list[Instrument]:
     """Return the instruments, each with a name of its own."""
     if isinstance(instruments, str | Instrument):
         instruments = [instruments]
+    if not isinstance(instruments, Iterable | None):
+        raise InputTypeError(f"instruments must be a list of instruments, got {short(instruments)}")
     models = [as_instrument(one) for one in (every_instrument().values() if instruments is None else instruments)]
     if not models:
         raise InputError("instruments must hold at least one instrument, got none")

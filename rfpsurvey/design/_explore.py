@@ -17,7 +17,7 @@ from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
 from rfpsurvey.design._work import Task
-from rfpsurvey.errors import InputTypeError, RfpsurveyWarning
+from rfpsurvey.errors import InputTypeError, RfpsurveyWarning, short
 
 __all__ = ["explore_designs"]
 
@@ -135,7 +135,7 @@ def explore_designs(
     [True, False, False]
     """
     if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
     seed, axes = to_seed(rng), to_axes(central_arm, ratio, pitch, clearance)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)

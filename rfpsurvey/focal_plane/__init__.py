@@ -6,4 +6,13 @@ from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names, joints_allow
 
-__all__ = ["FocalPlane", "FocalPlaneArrays", "Reach", "accepted_types", "elbow_names", "hexagonal_cells", "joints_allow", "on_footprint"]
+__all__ = [
+    "FocalPlane",
+    "FocalPlaneArrays",
+    "Reach",
+    "accepted_types",
+    "elbow_names",
+    "hexagonal_cells",
+    "joints_allow",
+    "on_footprint",
+]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from rfpsurvey._kernels import arms, reach
-from rfpsurvey._units import locked
+from rfpsurvey._units import locked, to_plain
 from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "joints_allow", "make_grid", "sides"]
@@ -117,7 +117,7 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
     """Return the bit mask of the fiber types that may observe each of ``n`` targets."""
     if fiber_type is None or plane.fiber_types == ("",):
         return np.broadcast_to(np.int64(-1), n)
-    types = np.asarray(fiber_type, dtype=str)
+    types = to_plain(fiber_type, "fiber_type").astype(str)
     if types.shape != (n,):
         raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
     names, inverse = np.unique(types, return_inverse=True)

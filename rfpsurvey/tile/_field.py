@@ -31,7 +31,7 @@ def one_direction(center: SkyCoord) -> SkyCoord:
 
 def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
     """Return a field center in a frame whose north is that of the equinox, or as it is where there is none."""
-    return center if equinox is None else center.transform_to(FK5(equinox=to_time(str(equinox), "equinox")))
+    return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox")))
 
 
 def field_center(table) -> SkyCoord:

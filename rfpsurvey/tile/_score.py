@@ -12,7 +12,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_flags, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_switch
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, one_direction, where
@@ -111,7 +111,11 @@ def score_tile(
     fibers = plane.arrays.first_type[who]
     fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
     ids = _target_ids(find, name)
-    parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": bool(parked_obstacles)}
+    parameters = {
+        "allocator": "scored",
+        "positions": positions,
+        "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
+    }
     if positions == "sky":
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
