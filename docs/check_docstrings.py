@@ -33,7 +33,8 @@ def public_names():
         if name.startswith("_") or (inspect.isclass(thing) and issubclass(thing, Exception)):
             continue
         yield f"rfpsurvey.{name}", thing
-        if inspect.isclass(thing):
+        # plain views describe their columns under Attributes
+        if inspect.isclass(thing) and "    Attributes\n" not in (thing.__doc__ or ""):
             for member, value in vars(thing).items():
                 documented = callable(value) or isinstance(
                     value, property | cached_property | classmethod | staticmethod

@@ -5,17 +5,27 @@ arms, collisions, tile score.
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from rfpsurvey.allocation import Allocation, AllocationOptions, Requirement, allocate
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
+
+# what type checkers and editors see of the names that are imported on use
+if TYPE_CHECKING:
+    from rfpsurvey import benchmark, compare, design, plot, probability, report, reproduction, survey, tiling  # noqa: F401
+    from rfpsurvey.compare import compare_allocators, compare_instruments
+    from rfpsurvey.probability import Estimate, collision_probability
+    from rfpsurvey.report import write_report
+    from rfpsurvey.survey import Survey, plan_survey
+    from rfpsurvey.tiling import Tiling, place_tiles
 
 try:
     from rfpsurvey._version import version as __version__
@@ -31,6 +41,8 @@ __all__ = [
     "Estimate",
     "FocalPlane",
     "InputError",
+    "InputTypeError",
+    "InputUnitsError",
     "Instrument",
     "PartitionedCatalog",
     "Positioner",

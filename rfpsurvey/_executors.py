@@ -6,11 +6,15 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import cache
 
+from rfpsurvey.errors import InputTypeError, short
+
 __all__ = ["end_with_parent", "map_in_order", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
     """Return what a function returns, in the order of its arguments; without an executor the work is done here."""
+    if not isinstance(executor, Executor | None):
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
         return map(function, *arguments)
     return executor.map(_for_workers(executor, function), *arguments)

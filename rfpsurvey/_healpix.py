@@ -1,10 +1,11 @@
 """HEALPix pixels as unit vectors, nested; the package behind it is imported when it is needed."""
 
 from collections.abc import Callable
+from numbers import Number
 
 import numpy as np
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import refusal
 
 __all__ = ["centers", "check_nside", "nside_for", "pixel_radius", "pixels_near", "pixels_of", "to_nested"]
 
@@ -15,7 +16,7 @@ def check_nside(nside: object) -> int:
     """Return the resolution, a power of two."""
     good = isinstance(nside, int | np.integer) and not isinstance(nside, bool) and 1 <= nside <= MOST_NSIDE
     if not good or int(nside) & (int(nside) - 1):
-        raise InputError(f"nside must be a power of two from 1 to {MOST_NSIDE}, got {nside!r}")
+        raise refusal(f"nside must be a power of two from 1 to {MOST_NSIDE}", nside, Number)
     return int(nside)
 
 

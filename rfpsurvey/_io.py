@@ -19,7 +19,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of, to_path
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_switch
 
 __all__ = [
     "TEMPORARY_PREFIX",
@@ -81,7 +81,7 @@ def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite
         raise InputError(f"{path} is a folder; an output must be a file")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} cannot be written to")
-    if path.exists() and not overwrite:
+    if not check_switch(overwrite, "overwrite") and path.exists():
         raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)")
     return path
 

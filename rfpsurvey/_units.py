@@ -1,5 +1,7 @@
 """Convert input with units and masks to plain float64 arrays in mm, radians or numbers."""
 
+from numbers import Number
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import (
@@ -12,7 +14,7 @@ from astropy.coordinates import (
 )
 from astropy.utils.masked import Masked
 
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusal, short
 
 MOST_VISITS = 255
 
@@ -47,7 +49,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     """Return ``value`` as a fresh float64 array in ``unit``, masked values as NaN; ``name`` is for the error."""
     if not isinstance(value, u.Quantity):
         raise InputTypeError(
-            f"{name} must be a Quantity with a unit convertible to {unit}, got {_short(value)} without a unit"
+            f"{name} must be a Quantity with a unit convertible to {unit}, got {short(value)} without a unit"
         )
     if isinstance(value, Masked):
         value = value.filled(np.nan)
@@ -93,7 +95,7 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
 def to_direction(coord: object, name: str = "coord") -> SkyCoord:
     """Return coordinates without distance and radial velocity, in the same frame, with their proper motions."""
     if not isinstance(coord, SkyCoord):
-        raise InputTypeError(f"{name} must be a SkyCoord, got {_short(coord)}")
+        raise InputTypeError(f"{name} must be a SkyCoord, got {short(coord)}")
     data = coord.data
     motion = data.differentials.get("s")
     place = data.without_differentials().represent_as(UnitSphericalRepresentation)
@@ -143,7 +145,7 @@ def to_plain(column: object, name: str = "the values", what: str = "numbers or t
     elif values.dtype.kind == "O":
         values = np.array([_plain_object(v, name, what) for v in values.ravel()]).reshape(values.shape)
     elif values.dtype.kind not in "biufU":
-        raise InputError(f"{name} must hold {what}, got {values.dtype.name}")
+        raise InputTypeError(f"{name} must hold {what}, got {values.dtype.name}")
     if mask.any():
         values = (
             np.where(mask, "", values) if values.dtype.kind == "U" else np.where(mask, np.nan, values.astype(float))
@@ -158,7 +160,7 @@ def _plain_object(value: object, name: str, what: str) -> object:
     if isinstance(value, bytes):
         return value.decode("utf-8", "backslashreplace")
     if not isinstance(value, str | int | float | np.number | np.bool_):
-        raise InputError(f"{name} must hold {what}, got {type(value).__name__} {_short(value)}")
+        raise InputTypeError(f"{name} must hold {what}, got {short(value)}")
     return value
 
 
@@ -193,9 +195,11 @@ def to_labels(value: object, name: str) -> np.ndarray:
 def to_visits(visits: object, n: int) -> np.ndarray:
     """Return how often each of n targets is wanted, one small integer a target."""
     try:
-        values = to_plain(visits).astype(float)
+        values = to_plain(visits, "visits").astype(float)
+    except InputError:
+        raise
     except (TypeError, ValueError):
-        raise InputError(f"visits must be whole numbers, got {visits!r}") from None
+        raise InputError(f"visits must be whole numbers, got {short(visits)}") from None
     if values.shape not in ((), (n,)):
         raise InputError(f"visits must be one number or have the shape ({n},), got {values.shape}")
     strange = values[~((values >= 0) & (values <= MOST_VISITS) & (values == np.floor(values)))]
@@ -211,7 +215,7 @@ def to_generator(rng: object) -> np.random.Generator:
             raise TypeError
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
-        raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {rng!r}") from None
+        raise refusal("rng must be a seed of at least 0, a numpy Generator or None", rng, Number) from None
 
 
 def to_seed(rng: object) -> int:
@@ -228,8 +232,3 @@ def to_spawner(rng: object) -> np.random.Generator:
     except TypeError:
         raise InputError(f"rng must be able to spawn Generators, but {generator!r} has no seed sequence") from None
     return generator
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) < 60 else f"{type(value).__name__} {text[:40]}..."

@@ -2,10 +2,20 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from numbers import Number
 
 from astropy.units import UnitsError
 
-__all__ = ["InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning", "check_choice"]
+__all__ = [
+    "InputError",
+    "InputTypeError",
+    "InputUnitsError",
+    "RfpsurveyWarning",
+    "check_choice",
+    "check_switch",
+    "refusal",
+    "short",
+]
 
 
 class InputError(ValueError):
@@ -33,6 +43,27 @@ def check_choice(name: object, choices: Iterable[str], what: str) -> str:
     choices = sorted(choices)
     if isinstance(name, str) and name in choices:
         return name
+    if not isinstance(name, str):
+        raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {', '.join(choices)}.")
     close = get_close_matches(str(name).lower(), choices, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""
     raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}.{hint}")
+
+
+def check_switch(value: object, name: str) -> bool:
+    """Return a truth value, or 0 or 1, as a bool."""
+    if isinstance(value, Number) or type(value).__name__ == "bool":
+        return bool(value)
+    raise InputTypeError(f"{name} must be True or False, got {short(value)}")
+
+
+def refusal(text: str, value: object, *types: type) -> InputError:
+    """Return the error that something cannot be used, which is one of a wrong type unless it is of one of the types."""
+    kind = InputError if isinstance(value, types) else InputTypeError
+    return kind(f"{text}, got {short(value)}")
+
+
+def short(value: object) -> str:
+    """Return a value as text of one short line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) < 60 else f"{type(value).__name__} {text[:40]}..."

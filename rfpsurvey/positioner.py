@@ -10,7 +10,7 @@ from rfpsurvey._kernels import arms
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian, to_scalar
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["HANDEDNESS", "Positioner"]
+__all__ = ["HANDEDNESS", "Positioner", "PositionerNumbers"]
 
 HANDEDNESS = ("right", "left", "both")
 ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
@@ -251,6 +251,14 @@ class PositionerNumbers:
         theta and phi of a positioner at home.
     joints_free : bool
         Whether the joint limits leave the whole patrol area in reach with the usual elbow.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> numbers = rs.Positioner(0.825 * u.cm, 8.25 * u.mm, 2.25 * u.mm).numbers
+    >>> numbers.central_arm, numbers.separation, numbers.home
+    (8.25, 4.5, array([0.        , 3.14159265]))
     """
 
     def __init__(self, positioner: Positioner):
@@ -264,10 +272,10 @@ class PositionerNumbers:
             moved = (self.central_arm + self.eccentric_arm) * np.sin(2 * float(to_radian(positioner.step, "step")))
         else:
             moved = float(to_mm(positioner.displacement, "displacement"))
-        self.separation = moved + 2 * self.clearance
+        self.separation = float(moved + 2 * self.clearance)
 
     @cached_property
-    def home(self) -> np.ndarray:
+    def home(self) -> np.ndarray:  # noqa: D102
         if self.positioner.home is not None:
             return locked(to_radian(self.positioner.home, "home"))
         home = np.array([0.0, np.pi])
@@ -285,7 +293,7 @@ class PositionerNumbers:
         return _allowed(theta, *limits[:2]) & _allowed(phi, *limits[2:])
 
     @cached_property
-    def joints_free(self) -> bool:
+    def joints_free(self) -> bool:  # noqa: D102
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:

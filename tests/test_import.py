@@ -96,6 +96,20 @@ def test_packages_that_a_plan_does_not_need_are_imported_on_use(stages):
     assert "rfpsurvey.plot" in loaded("from rfpsurvey import plot")[0]
 
 
+def test_type_checkers_see_the_names_that_are_imported_on_use():
+    import rfpsurvey as rs
+
+    (block,) = [
+        node
+        for node in ast.parse(Path(rs.__file__).read_text()).body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
+    assert all(isinstance(node, ast.ImportFrom) for node in block.body)
+    seen = {node.module.removeprefix("rfpsurvey").lstrip("."): {a.name for a in node.names} for node in block.body}
+    assert seen.pop("") == set(rs._IMPORTED_ON_USE)
+    assert seen == {package: set(names) for package, names in rs._IMPORTED_ON_USE.items() if names}
+
+
 def test_unknown_names_are_refused():
     import rfpsurvey as rs
 

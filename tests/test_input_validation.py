@@ -95,7 +95,7 @@ CALLS = {
     ),
     "an Allocation or Arms bring their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
     "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
-    "required must hold truth values, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
+    "required must hold numbers or text, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
     "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
         PLANE, XY, forbidden=[[0], [1, 2]]
     ),

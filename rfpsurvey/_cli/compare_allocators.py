@@ -9,6 +9,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey.instrument import as_instrument
+from rfpsurvey.tile import north_of_date
 
 
 @_app.app.command(epilog=_options.COMPARE_ALLOCATORS_EXAMPLES)
@@ -43,11 +44,10 @@ def compare_allocators(
     table = rs.compare_allocators(
         targets,
         model,
-        field,
+        north_of_date(field, equinox),
         allocators=allocator,
         options=options,
         position_angle=pa * u.deg,
-        equinox=equinox,
         epoch=epoch,
         required=required or None,
         rng=seed,

@@ -5,6 +5,7 @@ import astropy.units as u
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey.instrument import as_instrument
+from rfpsurvey.tile import north_of_date
 
 
 @_app.app.command(epilog=_options.PLAN_EXAMPLES)
@@ -42,9 +43,8 @@ def plan(
     tile = rs.plan_tile(
         targets,
         model,
-        field,
+        north_of_date(field, equinox),
         position_angle=pa * u.deg,
-        equinox=equinox,
         epoch=epoch,
         allocator=options,
         required=required or None,

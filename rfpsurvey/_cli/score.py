@@ -8,6 +8,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
+from rfpsurvey.tile import north_of_date
 
 
 @_app.app.command(epilog=_options.SCORE_EXAMPLES)
@@ -33,8 +34,11 @@ def score(
     """Find the collisions in an assignment that another planner made."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
-    options = {"positions": positions, "equinox": equinox, "epoch": epoch, "parked_obstacles": parked}
-    options["center"] = None if center is None else _app.parse_center(center)
+    options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
+    if center is None:
+        options["equinox"] = equinox
+    else:
+        options["center"] = north_of_date(_app.parse_center(center), equinox)
     options["position_angle"] = None if pa is None else pa * u.deg
     options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
     tile = rs.score_tile(table, _app.instrument_of(table, instrument), **options)

@@ -10,7 +10,7 @@ from rfpsurvey._readers._documents import check_size, parse_json
 from rfpsurvey._readers._fits import META_KEY, read_fits
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey._readers._parquet import read_parquet
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, refusal
 
 __all__ = ["FORMATS", "META_KEY", "read_table", "suffix_of", "to_path"]
 
@@ -53,7 +53,7 @@ def to_path(path: object) -> Path:
     try:
         return Path(path)
     except TypeError:
-        raise InputError(f"a path must be text or a path, got {path!r}") from None
+        raise refusal("a path must be text or a path", path, str) from None
 
 
 def suffix_of(path: Path) -> str:

@@ -8,7 +8,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_flags, to_generator, to_plain, to_points_mm
+from rfpsurvey._units import to_generator, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_method
@@ -16,7 +16,7 @@ from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, L
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.collision import check_plane
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 __all__ = ["allocate", "assign"]
@@ -60,8 +60,8 @@ def allocate(
         ``science`` (all, by default), ``standard`` or ``sky``.
     category : array_like of str, shape (n_targets,), optional
         Names that requirements refer to, such as ``sky_boss``.
-    required : array_like of bool, shape (n_targets,), optional
-        Targets that come before everything else (``sdss``, ``optimal``).
+    required : array_like of int, shape (k,), optional
+        Rows of targets that come before everything else (``sdss``, ``optimal``).
     forbidden : array_like of int, shape (k, 2), optional
         Pairs (positioner, target), by row, that must not be.
     avoid : Quantity, shape (k, 2), optional
@@ -108,8 +108,8 @@ def allocate(
         _priorities(priority, n),
         _labels(kind, n, "kind"),
         _labels(category, n, "category"),
-        np.array(fiber_type, dtype=str, copy=True) if named else None,
-        _flags(required, n),
+        to_plain(fiber_type, "fiber_type").astype(str) if named else None,
+        _marked(required, n),
     )
     if columns.kind is not None:
         for word in np.unique(columns.kind):
@@ -150,7 +150,7 @@ def assign(
         columns.kind,
         columns.category,
         columns.fiber_type,
-        columns.required,
+        columns.is_required,
         options,
         rng,
     )
@@ -173,7 +173,9 @@ def _priorities(priority, n):
     if priority is None:
         return None
     try:
-        values = to_plain(priority).astype(float)
+        values = to_plain(priority, "priority").astype(float)
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"priority must be numbers: {error}") from None
     if values.shape != (n,):
@@ -202,22 +204,27 @@ def _squeeze(classes, rank, science):
 def _labels(values, n, name):
     if values is None:
         return None
-    labels = to_plain(values).astype(str)
+    labels = to_plain(values, name).astype(str)
     if labels.shape != (n,):
         raise InputError(f"{name} must have one value per target, shape ({n},), got {labels.shape}")
     return labels
 
 
-def _flags(required, n):
-    if required is None:
+def _marked(required, n):
+    """Return truth values for all targets from the rows of those that are required."""
+    if required is None or np.size(required) == 0:
         return None
-    try:
-        flags = to_flags(required, "required")
-    except TypeError:
-        raise InputError(f"required must hold truth values, got {required!r}") from None
-    if flags.shape != (n,):
-        raise InputError(f"required must have one value per target, shape ({n},), got {flags.shape}")
-    return flags if flags.any() else None
+    rows = np.atleast_1d(to_plain(required, "required"))
+    if rows.dtype.kind not in "iu" or rows.ndim != 1:
+        raise InputTypeError(
+            f"required must be rows of targets, whole numbers, got {rows.dtype.name} of the shape {rows.shape}; "
+            "np.flatnonzero gives the rows of truth values"
+        )
+    if rows.min() < 0 or rows.max() >= n:
+        raise InputError(f"required must be rows of targets, 0 to {n - 1}, got {rows.min()} to {rows.max()}")
+    marked = np.zeros(n, dtype=bool)
+    marked[rows] = True
+    return marked
 
 
 def _allowed(reach: Reach, forbidden, n) -> Reach:
@@ -227,9 +234,13 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
     try:
         pairs = np.asarray(forbidden)
     except ValueError:
-        raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got {forbidden!r}") from None
+        raise InputError(
+            f"forbidden must be rows (positioner, target) of whole numbers, got {short(forbidden)}"
+        ) from None
     if pairs.size == 0:
         return reach
+    if pairs.dtype.kind == "O":
+        raise InputTypeError(f"forbidden must be rows (positioner, target) of whole numbers, got {short(forbidden)}")
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
         raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got the shape {pairs.shape}")
     if pairs.min() < 0 or pairs[:, 0].max() >= reach.n_positioners or pairs[:, 1].max() >= n:

@@ -159,7 +159,7 @@ def _keys(problem, target, held):
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)
     if problem.any_required:
-        required = np.append(problem.required, False)[target][None]
+        required = np.append(problem.is_required, False)[target][None]
     does = np.concatenate([held[np.flatnonzero(low)], required])
     spends = held[np.flatnonzero(high)]
     if len(does) + len(spends) == 0:

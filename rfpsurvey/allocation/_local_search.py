@@ -16,7 +16,9 @@ def match(candidates: Candidates) -> np.ndarray:
     """Return the target of each positioner in the best plan of arms that may collide, without requirements."""
     options, problem = candidates.options, candidates.problem
     n, m = len(options.start) - 1, len(problem.xy)
-    classes = problem.rank if not problem.any_required else problem.rank - problem.required * (len(problem.classes) + 2)
+    classes = problem.rank
+    if problem.any_required:
+        classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     able = np.flatnonzero(np.diff(options.t_indptr))  # a few, where the field is crowded
     order = able[np.argsort(classes[able], kind="stable")]

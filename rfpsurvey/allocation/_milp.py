@@ -192,7 +192,7 @@ class Program:
             objectives.append(Objective(0.0, float(most), is_class))
 
         if problem.any_required:
-            add(np.flatnonzero(np.append(problem.required, False)[self.target]))
+            add(np.flatnonzero(np.append(problem.is_required, False)[self.target]))
         if problem.groups:
             columns.append(self.short)
             worth.append(-1.0)

@@ -10,7 +10,7 @@ import astropy.units as u
 from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice, check_switch, refusal
 
 __all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
 
@@ -96,7 +96,7 @@ class AllocationOptions:
         check_allocator(self.allocator)
         if not hasattr(self.start, "target_of_positioner"):
             if not isinstance(self.start, str):
-                raise InputError(f"start must be an Allocation or the name of an allocator, got {self.start!r}")
+                raise refusal("start must be an Allocation or the name of an allocator", self.start, str)
             check_allocator(self.start, [name for name in ALLOCATORS if name != "repair"], "allocator to start with")
         check_choice(self.objective, OBJECTIVES, "objective")
         to_scalar(self.time_limit, u.s, "time_limit", low=0)
@@ -105,7 +105,7 @@ class AllocationOptions:
             to_scalar(self.sky_separation, unit, "sky_separation", low=0)
         if not self._of_instrument:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
-        object.__setattr__(self, "parked_obstacles", bool(self.parked_obstacles))
+        object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
 
     def __repr__(self):
         given = {f.name: getattr(self, f.name) for f in fields(self)[1:]}

@@ -112,7 +112,7 @@ def _codes(problem):
             seen.add(group.requirement)
             columns.append(group.targets)
     if problem.any_required:
-        columns.append(problem.required)
+        columns.append(problem.is_required)
     plane = problem.focal_plane
     several = plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
     if problem.several_fiber_types and several:  # the fiber type decides on the spectrograph

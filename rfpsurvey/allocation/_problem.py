@@ -19,12 +19,30 @@ __all__ = ["AllocationAnswer", "AllocationProblem", "Level", "TargetColumns"]
 
 
 class Level(NamedTuple):
-    """One objective of a plan; earlier ones come first, whatever they cost later ones."""
+    """One objective of a plan; earlier ones come first, whatever they cost later ones.
+
+    Parameters
+    ----------
+    name : str
+        What is counted, such as ``science`` or ``priority 2``.
+    value : float
+        Its value in the plan; more is better.
+    bound : float
+        What no plan exceeds, given the values of the levels before; NaN where nothing is proven.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> rs.allocate(plane, [[12, 0], [14, 0]] * u.mm, allocator="optimal").levels
+    (Level(name='science', value=1.0, bound=1.0),)
+    """
 
     name: str
     value: float
     bound: float
-    """What no plan exceeds, given the values of the levels before; NaN where nothing is proven."""
 
 
 class TargetColumns(NamedTuple):
@@ -34,7 +52,7 @@ class TargetColumns(NamedTuple):
     kind: np.ndarray | None = None
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
-    required: np.ndarray | None = None
+    is_required: np.ndarray | None = None
 
 
 class AllocationAnswer(NamedTuple):
@@ -98,8 +116,8 @@ class AllocationProblem:
         Names that requirements refer to; ``""`` for none.
     fiber_type : ndarray of str, shape (n_targets,), optional
         Fiber type that each target needs; ``""`` for any.
-    required : ndarray of bool, shape (n_targets,), optional
-        Targets that come before everything else.
+    is_required : ndarray of bool, shape (n_targets,), optional
+        Whether a target comes before everything else.
     options : AllocationOptions, optional
         Requirements, objective, time limit and the other options of the plan.
     rng : numpy.random.Generator, optional
@@ -134,7 +152,7 @@ class AllocationProblem:
     kind: np.ndarray | None = None
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
-    required: np.ndarray | None = None
+    is_required: np.ndarray | None = None
     options: AllocationOptions = field(default_factory=AllocationOptions)
     rng: np.random.Generator | None = None
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
@@ -142,7 +160,7 @@ class AllocationProblem:
 
     def __post_init__(self):
         n = len(self.xy)
-        usual = {"kind": "science", "category": "", "fiber_type": "", "required": False}
+        usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
         for name in ("xy", "rank", *usual):
             value = getattr(self, name)
             # a column that is not given is one value, repeated without memory
@@ -152,7 +170,10 @@ class AllocationProblem:
     @cached_property
     def reachable(self) -> csr_array:
         """Which positioner may observe which target, bool, shape (n_positioners, n_targets)."""
-        return self.pairs.matrix
+        matrix = self.pairs.matrix
+        for array in (matrix.data, matrix.indices, matrix.indptr):
+            array.flags.writeable = False
+        return matrix
 
     @cached_property
     def priority(self) -> np.ndarray:
@@ -182,7 +203,7 @@ class AllocationProblem:
     @cached_property
     def any_required(self) -> bool:
         """Whether any target is required."""
-        return bool(self.required.any())
+        return bool(self.is_required.any())
 
     @property
     def several_fiber_types(self) -> bool:
@@ -303,7 +324,7 @@ class AllocationProblem:
         counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
         levels = {}
         if self.any_required:
-            levels["required targets"] = float(self.required[used].sum())
+            levels["required targets"] = float(self.is_required[used].sum())
         if self.groups:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
             levels["requirements"] = 0.0 - sum(max(n, 0) for n in missing)
@@ -344,9 +365,9 @@ class AllocationProblem:
             elif one.maximum is not None and n > one.maximum:
                 found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
         used = target_of[target_of >= 0]
-        if self.any_required and (n := int(self.required[used].sum())) < self.required.sum():
-            possible = int((self.required & (np.diff(self.pairs.indptr) > 0)).sum())
-            found.append(Shortfall(None, None, int(self.required.sum()), n, possible))
+        if self.any_required and (n := int(self.is_required[used].sum())) < self.is_required.sum():
+            possible = int((self.is_required & (np.diff(self.pairs.indptr) > 0)).sum())
+            found.append(Shortfall(None, None, int(self.is_required.sum()), n, possible))
         return found
 
     def _hint(self, group: Group, possible: int) -> str:

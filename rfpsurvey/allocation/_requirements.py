@@ -3,10 +3,11 @@
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from numbers import Number
 
 import numpy as np
 
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 
 __all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences"]
 
@@ -58,16 +59,16 @@ class Requirement:
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
-            raise InputError(f"a requirement must name a kind or category of targets, got {self.what!r}")
+            raise refusal("a requirement must name a kind or category of targets", self.what, str)
         if not isinstance(self.fiber_type, str):
-            raise InputError(f"fiber_type of {self.what!r} must be a name, got {self.fiber_type!r}")
+            raise refusal(f"fiber_type of {self.what!r} must be a name", self.fiber_type, str)
         check_choice(self.per, PERS, "range of a requirement")
         for name in ("minimum", "maximum"):
             value = getattr(self, name)
             if not (value is None and name == "maximum") and not (
                 isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value <= MOST
             ):
-                raise InputError(f"{name} of {self.what!r} must be a whole number from 0 to 10^9, got {value!r}")
+                raise refusal(f"{name} of {self.what!r} must be a whole number from 0 to 10^9", value, Number)
         if self.maximum is not None and self.minimum > self.maximum:
             raise InputError(
                 f"the requirement on {self.what!r} contradicts itself: at least {self.minimum}, at most {self.maximum}"
@@ -203,7 +204,7 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
         return ()
     given = [given] if isinstance(given, str | Requirement) else given
     if not isinstance(given, Iterable):
-        raise InputError(f"requirements must be a list of Requirement or text, got {given!r}")
+        raise refusal("requirements must be a list of Requirement or text", given, list)
     found = []
     for one in given:
         if not isinstance(one, str | Requirement):

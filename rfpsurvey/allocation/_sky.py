@@ -99,7 +99,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
         "kind": np.concatenate([problem.kind.astype("U8"), np.full(k, "sky")]),
         "watched": watched if stuck.any() else None,
         "category": None,
-        "required": None,
+        "is_required": None,
         "fiber_type": None,
     }
     if problem.category.strides != (0,):
@@ -107,7 +107,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
         name = "sky" if np.any(problem.category == "sky") else ""
         columns["category"] = np.concatenate([problem.category, np.full(k, name)])
     if problem.any_required:
-        columns["required"] = np.concatenate([problem.required, np.zeros(k, dtype=bool)])
+        columns["is_required"] = np.concatenate([problem.is_required, np.zeros(k, dtype=bool)])
     if plane.fiber_types != ("",):
         columns["fiber_type"] = np.concatenate([problem.fiber_type, wanted])
     return replace(problem, **columns)

@@ -1,7 +1,6 @@
 """Methods of finding collisions side by side: how fast each of them is, and how often and how far it errs."""
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from time import perf_counter
@@ -9,10 +8,10 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
-from astropy.utils.console import ProgressBar
 from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import reference
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
 from rfpsurvey.collision import (
@@ -71,7 +70,7 @@ def benchmark_collisions(
     repeats: int = 15,
     seconds: float = 2.0,
     rng: int | np.random.Generator | None = 0,
-    progress: bool = False,
+    progress: bool | Callable = False,
 ) -> QTable:
     """Time every way of finding collisions on the same arms, and compare what it finds with rational arithmetic.
 
@@ -94,8 +93,8 @@ def benchmark_collisions(
         Time (s) after which a slow method is not repeated.
     rng : int, Generator or None, optional
         Seed or source of the targets.
-    progress : bool, optional
-        Show a bar on the standard error.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (turns done, all turns).
 
     Returns
     -------
@@ -152,19 +151,21 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
-    for turn in ProgressBar(turns, file=sys.stderr) if progress else turns:
-        for run in (runs[k] for k in rng.permutation(len(runs))):
-            if sum(times[run]) > seconds:
-                continue
-            results = []
-            for case in (replace(case, n_points=run[1]) for case in cases):
-                start = perf_counter()
-                results.append(COMPARED[run[0]](case))
-                times[run].append(perf_counter() - start)
-            if turn == 0:
-                found[run] = results
-                # the last call of a slow method counts, and may be all that there is time for
-                times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
+    with Progress(progress, len(turns), "turns") as bar:
+        for turn in turns:
+            for run in (runs[k] for k in rng.permutation(len(runs))):
+                if sum(times[run]) > seconds:
+                    continue
+                results = []
+                for case in (replace(case, n_points=run[1]) for case in cases):
+                    start = perf_counter()
+                    results.append(COMPARED[run[0]](case))
+                    times[run].append(perf_counter() - start)
+                if turn == 0:
+                    found[run] = results
+                    # the last call of a slow method counts, and may be all that there is time for
+                    times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
+            bar(turn + 1)
     return found, times
 
 

@@ -1,15 +1,14 @@
 """Methods of collision probability side by side, within one estimand."""
 
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
-from astropy.utils.console import ProgressBar
 
 from rfpsurvey._plugins import name_of
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import allocate
 from rfpsurvey.benchmark._common import check_positive, provenance
@@ -37,7 +36,7 @@ def benchmark_probability(
     repeats: int = 30,
     precision: float = 2e-4,
     rng: int | np.random.Generator | None = 0,
-    progress: bool = False,
+    progress: bool | Callable = False,
 ) -> QTable:
     """Time every method of collision probability, and compare it with the best answer to the same question.
 
@@ -56,8 +55,8 @@ def benchmark_probability(
         Standard error of the truth.
     rng : int, Generator or None, optional
         Seed or source of random numbers.
-    progress : bool, optional
-        Show a bar on the standard error.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (turns done, all turns).
 
     Returns
     -------
@@ -98,12 +97,14 @@ def benchmark_probability(
     }
     results: dict = {run: [] for run in runs}
     turns = range(repeats + 1)  # the first to warm up
-    for turn in ProgressBar(turns, file=sys.stderr) if progress else turns:
-        for method, n in runs:
-            effort = Precision(max_iterations=n or None)
-            start = perf_counter()
-            found = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
-            results[method, n] += [(perf_counter() - start, found.value, found.standard_error)] if turn else []
+    with Progress(progress, len(turns), "turns") as bar:
+        for turn in turns:
+            for method, n in runs:
+                effort = Precision(max_iterations=n or None)
+                start = perf_counter()
+                found = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
+                results[method, n] += [(perf_counter() - start, found.value, found.standard_error)] if turn else []
+            bar(turn + 1)
     rows = []
     for (method, n), values in results.items():
         seconds, value, error = np.array(values).T

@@ -1,5 +1,6 @@
 """Targets: real catalogs from files and tables, and synthetic ones."""
 
+from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
 from rfpsurvey.catalog._extra import RESERVED
@@ -12,6 +13,7 @@ __all__ = [
     "RESERVED",
     "UNITS",
     "Catalog",
+    "CatalogArrays",
     "Finder",
     "PartitionedCatalog",
     "SkyIndex",

@@ -33,6 +33,16 @@ class CatalogArrays:
         Further columns without units, by their names in results: ``target_ra`` for another ``ra``.
     extra_units : dict
         Their units as text, empty for none.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> catalog = rs.Catalog(SkyCoord([0, 90] * u.deg, [0, 0] * u.deg))
+    >>> catalog.arrays.vectors
+    array([[1., 0., 0.],
+           [0., 1., 0.]])
     """
 
     def __init__(self, catalog):

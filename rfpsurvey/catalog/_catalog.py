@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from dataclasses import fields as dataclass_fields
 from functools import cached_property
@@ -20,7 +21,7 @@ from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._extra import extra_columns, pick_columns, result_name
 from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, short
 
 __all__ = ["Catalog"]
 
@@ -140,11 +141,19 @@ class Catalog:
             )
         for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
             object.__setattr__(self, name, value)
+        for name, kind in (("n_dropped", int | np.integer), ("meta", Mapping)):
+            if not isinstance(getattr(self, name), kind):
+                what = "a whole number" if name == "n_dropped" else "a dict"
+                raise InputTypeError(f"{name} must be {what}, got {short(getattr(self, name))}")
         object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
         object.__setattr__(self, "meta", dict(self.meta))
 
     def __len__(self):
         return len(self.coord)
+
+    def __getstate__(self):
+        # a copy for another process makes the plain arrays again
+        return {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
 
     def __getitem__(self, index):
         return self._take(index)

@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._units import to_labels, to_plain
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 
 __all__ = ["ROLES", "Finder"]
 
@@ -72,7 +72,7 @@ class Finder:
     def __post_init__(self):
         for given, what in ((self.columns, "columns"), (self.units, "units")):
             if not isinstance(given, dict):
-                raise InputError(f"{what} must be a dict from role to {what[:-1]}, got {given!r}")
+                raise refusal(f"{what} must be a dict from role to {what[:-1]}", given, dict)
         for role, name in self.columns.items():
             check_choice(role, ROLES, "column role")
             if not isinstance(name, str):

@@ -1,5 +1,7 @@
 """Synthetic catalogs: random points in a circle on the sphere, true to area."""
 
+from numbers import Number
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
@@ -7,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._units import to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 
 __all__ = ["synthetic_catalog"]
 
@@ -80,7 +82,7 @@ def synthetic_catalog(
     cap = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
     cap = np.deg2rad(min(cap, 180.0))
     if not isinstance(center, SkyCoord) or not center.isscalar:
-        raise InputError(f"center must be one SkyCoord, got {center!r}")
+        raise refusal("center must be one SkyCoord", center, SkyCoord)
     expected = _expected_number(kind, cap, n_targets, density)
     rng = to_generator(rng)
     options = {"min_separation": min_separation, "cluster_size": cluster_size, "cluster_scale": cluster_scale}
@@ -106,7 +108,7 @@ def _expected_number(kind, cap, n_targets, density):
     try:
         number = float(number)
     except (TypeError, ValueError):
-        raise InputError(f"the number of targets must be one number, got {number!r}") from None
+        raise refusal("the number of targets must be one number", number, str) from None
     if not 0 <= number <= MOST:
         raise InputError(f"the number of targets must be from 0 to {MOST:.0e}, got {number:g}")
     return number
@@ -176,8 +178,8 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     if cluster_scale is None:
         raise InputError("a clustered catalog needs cluster_scale")
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
-    if not 1e-3 <= cluster_size <= MOST:
-        raise InputError(f"cluster_size must be from 0.001 to {MOST:.0e}, got {cluster_size}")
+    if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
+        raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
     # clusters centered outside reach in: 6 sigma leaves out 1e-8 of them
     wide = min(cap + 6 * sigma, np.pi)
     parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))

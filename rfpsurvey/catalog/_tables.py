@@ -10,7 +10,7 @@ from astropy.time import Time
 
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, short
 
 __all__ = ["read_columns"]
 
@@ -20,7 +20,7 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> dict:
     """Return the arguments of a Catalog that a table describes."""
     if not isinstance(table, Table):
-        raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+        raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     find = Finder(table, columns or {}, units or {}, assume_units)
     category = find.labels("category")
     kind = find.labels("kind")
@@ -48,7 +48,9 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
         if len(mixed) > 1:
             raise InputError(f"the table has several columns of coordinates, {', '.join(mixed)}; keep one of them")
         return find.table[mixed[0]]
-    frame = str(frame).lower()
+    if not isinstance(frame, str):
+        raise InputTypeError(f"frame must be the name of a frame such as 'icrs', got {short(frame)}")
+    frame = frame.lower()
     check_choice(frame, frame_transform_graph.get_names(), "frame")
     equatorial = frame in EQUATORIAL
     roles = ("ra", "dec") if equatorial else ("lon", "lat")

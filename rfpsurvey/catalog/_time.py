@@ -1,10 +1,12 @@
 """Epochs."""
 
+from numbers import Number
+
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import refusal
 
 __all__ = ["to_time"]
 
@@ -29,6 +31,5 @@ def to_time(value: object, name: str) -> Time:
             raise ValueError
         return Time(years, format="jyear", scale="tcb")
     except (ValueError, TypeError, u.UnitConversionError) as error:
-        raise InputError(
-            f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date, got {value!r}"
-        ) from error
+        text = f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date"
+        raise refusal(text, value, Number, str, u.Quantity, np.ndarray, list) from error

@@ -6,8 +6,8 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
-from rfpsurvey._units import to_points_mm, to_radian
-from rfpsurvey.errors import InputError, InputTypeError, check_choice
+from rfpsurvey._units import to_plain, to_points_mm, to_radian
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_switch
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
@@ -65,7 +65,7 @@ def place_arms(
     """
     check_plane(focal_plane)
     n, columns = len(focal_plane), focal_plane.arrays
-    idle = columns.idle(parked_obstacles)
+    idle = columns.idle(check_switch(parked_obstacles, "parked_obstacles"))
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("give either tips, or both theta and phi")
     if tips is None:
@@ -175,7 +175,7 @@ def to_sides(plane, points, handedness):
     if handedness is None:
         return plane.arrays.sides(points)
     n = len(plane)
-    names = np.full(n, handedness) if isinstance(handedness, str) else np.asarray(handedness, dtype=str)
+    names = np.full(n, handedness) if isinstance(handedness, str) else to_plain(handedness, "handedness").astype(str)
     if names.shape != (n,):
         raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
     left = names == "left"
@@ -188,7 +188,7 @@ def arm_angles(plane, fiber_type):
     """Cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
     if fiber_type is None:
         return plane.arrays.angles
-    types = np.asarray(fiber_type, dtype=str)
+    types = to_plain(fiber_type, "fiber_type").astype(str)
     if types.shape != (len(plane),):
         raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
     if plane.fiber_types == ("",) and (types != "").any():

@@ -11,7 +11,7 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
-from rfpsurvey.errors import InputError, InputTypeError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["CollisionCounts", "count_collisions", "lay_out", "make_desk", "make_stage"]
@@ -144,7 +144,7 @@ def count_collisions(
     check_plane(focal_plane)
     check_choice(method, SCORERS, "method of counting collisions")
     if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
             raise InputError("an Allocation brings its own poses; give no handedness or fiber_type")

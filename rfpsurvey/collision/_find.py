@@ -1,6 +1,7 @@
 """Which arms of one configuration are closer than the minimum separation."""
 
 from fractions import Fraction
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -20,7 +21,7 @@ from rfpsurvey.collision._arms import (
 from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_switch, refusal
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["find_collisions", "touching"]
@@ -106,7 +107,7 @@ def find_collisions(
     find = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)
     if not (isinstance(n_points, int | np.integer) and 2 <= n_points <= MOST_POINTS):
-        raise InputError(f"n_points must be a whole number of at least 2 and at most {MOST_POINTS}, got {n_points!r}")
+        raise refusal(f"n_points must be a whole number of at least 2 and at most {MOST_POINTS}", n_points, Number)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
     if ready and any(value is not None for value in given.values()):
@@ -114,6 +115,7 @@ def find_collisions(
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles
+    check_switch(parked_obstacles, "parked_obstacles")
     segments, assigned, parked, poses = _stand(focal_plane, tips, given, parked_obstacles)
     quiet = len(focal_plane.arrays.runs) == 0
     first, second, distances, n_borderline = (

@@ -1,9 +1,11 @@
 """The fields of a comparison, and what each method makes of them."""
 
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from numbers import Number
 from zlib import crc32
 
 import astropy.units as u
@@ -11,15 +13,15 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, refusal, short
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Progress
 from rfpsurvey.tile import plan_tile
 
 __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
@@ -55,7 +57,9 @@ class Plan:
 
 def allocators_of(allocators, options: AllocationOptions | None, others: dict) -> list[AllocationOptions]:
     """Return the allocators to compare, each with the same options."""
-    methods = [allocators] if isinstance(allocators, str) or callable(allocators) else list(allocators)
+    methods = [allocators] if isinstance(allocators, str) or callable(allocators) else allocators
+    if not isinstance(methods, list | tuple):
+        raise InputTypeError(f"allocators must be a list of allocators, got {short(allocators)}")
     if "allocator" in others:
         raise InputError("the allocators to compare are given by allocators, not by allocator")
     if not methods:
@@ -69,9 +73,9 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
     """Return random skies for each instrument: so many targets a positioner, or of one density."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-        raise InputError(f"n_realizations must be a whole number of at least 1, got {number!r}")
+        raise refusal("n_realizations must be a whole number of at least 1", number, Number)
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
-        raise InputError(f"targets_per_positioner must be a positive number, got {each!r}")
+        raise refusal("targets_per_positioner must be a positive number", each, Number)
     center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
     seed, fields = int(to_generator(rng).integers(2**63)), []
     for model in models:
@@ -100,7 +104,7 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     centers = catalog.mean_direction if center is None else center
     if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
-        raise InputError(f"center must be a SkyCoord, one or in a row, got {center!r}")
+        raise refusal("center must be a SkyCoord, one or in a row", center, SkyCoord)
     centers = centers.reshape(-1)
     seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
     return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]
@@ -110,14 +114,24 @@ def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
     """Plan every field by the allocator whose arms pass through each other, and by every other one, in this order."""
-    bar, plans = Progress(progress), []
-    blind = replace(allocators[0], allocator=BLIND)
-    work = partial(plan_field, allocators=(blind, *allocators), others=others)
-    for plan in map_in_order(executor, work, fields):
-        plans.append(plan)
-        bar(len(plans) / len(fields))
-    bar.close()
+    plans, work = [], partial(plan_field, others=others)
+    options = _for_instruments((replace(allocators[0], allocator=BLIND), *allocators), fields)
+    with Progress(progress, len(fields), "fields") as bar:
+        for plan in map_in_order(executor, work, fields, [options[field.instrument.name] for field in fields]):
+            plans.append(plan)
+            bar(len(plans))
     return plans
+
+
+def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[AllocationOptions]]:
+    """Return the options for each instrument, and warn once of what holds for several of them."""
+    models = {field.instrument.name: field.instrument for field in fields}
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", RfpsurveyWarning)
+        found = {name: [one.for_instrument(model) for one in allocators] for name, model in models.items()}
+    for text in dict.fromkeys(str(one.message) for one in told):
+        warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+    return found
 
 
 def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:

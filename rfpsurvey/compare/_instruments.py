@@ -1,7 +1,7 @@
 """Several instruments on the same sky, or with as many targets for each of their positioners."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 
 import astropy.units as u
@@ -13,7 +13,7 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
@@ -89,7 +89,7 @@ def compare_instruments(
     n_realizations: int | None = None,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
-    progress: bool = False,
+    progress: bool | Callable = False,
     **others: object,
 ) -> QTable:
     """Let several instruments look at the same sky, or at skies as crowded for each of them, and say what each gets.
@@ -117,8 +117,8 @@ def compare_instruments(
         Seed or source of random numbers.
     executor : concurrent.futures.Executor, optional
         Plans fields at the same time; the figures do not depend on it, but for the seconds.
-    progress : bool, optional
-        Show a bar on the standard error.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (fields done, all fields).
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 
@@ -232,6 +232,8 @@ def _models(instruments) -> list[Instrument]:
     """Return the instruments, each with a name of its own."""
     if isinstance(instruments, str | Instrument):
         instruments = [instruments]
+    if not isinstance(instruments, Iterable | None):
+        raise InputTypeError(f"instruments must be a list of instruments, got {short(instruments)}")
     models = [as_instrument(one) for one in (every_instrument().values() if instruments is None else instruments)]
     if not models:
         raise InputError("instruments must hold at least one instrument, got none")

@@ -1,6 +1,7 @@
 """Scan many designs of fiber positioners."""
 
 import warnings
+from collections.abc import Callable
 from concurrent.futures import Executor
 
 import astropy.units as u
@@ -8,6 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_radian, to_seed
 from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._checkpoint import Checkpoint
@@ -16,8 +18,7 @@ from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
 from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
-from rfpsurvey.errors import InputTypeError, RfpsurveyWarning
-from rfpsurvey.probability import Progress
+from rfpsurvey.errors import InputTypeError, RfpsurveyWarning, short
 
 __all__ = ["explore_designs", "scan"]
 
@@ -37,7 +38,7 @@ def explore_designs(
     objectives: dict[str, str] | None = None,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
-    progress: bool = False,
+    progress: bool | Callable = False,
     path: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -78,8 +79,8 @@ def explore_designs(
         Seed or source of random numbers; each design has a stream of its own.
     executor : concurrent.futures.Executor, optional
         Runs designs in parallel, on threads or processes; the result does not depend on it.
-    progress : bool, optional
-        Show a bar on the standard error.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (designs done, all designs).
     path : str or path-like, optional
         Keep what is done here, .ecsv or .fits, every ten seconds and at the end.
     resume : bool, optional
@@ -168,7 +169,7 @@ def scan(
 ) -> QTable:
     """Return the table of the designs that axes in mm span, and of the one that the scan starts from."""
     if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
     seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
@@ -192,14 +193,13 @@ def scan(
 
 def _run(task, designs, checkpoint, executor, *, progress):
     """Take all designs that are not done into the checkpoint, in their order."""
-    bar, starts = Progress(progress), range(checkpoint.done, len(designs), CHUNK)
+    starts = range(checkpoint.done, len(designs), CHUNK)
     parts = (designs[start : start + CHUNK] for start in starts)
-    with checkpoint.open():
+    with checkpoint.open(), Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
         for rows in map_in_order(executor, task, starts, parts):
             checkpoint.add(rows)
             checkpoint.save()
-            bar(checkpoint.done / len(designs))
-    bar.close()
+            bar(checkpoint.done)
 
 
 def _warn(table):

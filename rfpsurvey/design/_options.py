@@ -1,6 +1,7 @@
 """Which loss a scan of designs looks for, and how."""
 
 from dataclasses import dataclass, field
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.design._losses import ESTIMANDS, METHODS
 from rfpsurvey.design._work import MOST_TARGETS
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 
 __all__ = ["LossOptions"]
 
@@ -61,7 +62,7 @@ class LossOptions:
         self.question, self.targets, self.seconds  # noqa: B018  (raise where something is wrong)
         n_skies = self.n_skies
         if isinstance(n_skies, bool) or not isinstance(n_skies, int | np.integer) or n_skies < 2:
-            raise InputError(f"n_skies must be a whole number of at least 2, got {n_skies!r}")
+            raise refusal("n_skies must be a whole number of at least 2", n_skies, Number)
 
     @property
     def question(self) -> tuple[str, str]:
@@ -87,9 +88,7 @@ class LossOptions:
         number = PER_POSITIONER if each is None else each
         known = isinstance(number, int | float | np.number) and not isinstance(number, bool)
         if not (known and 0 < number <= MOST_TARGETS):
-            raise InputError(
-                f"targets_per_positioner must be a number above 0 and up to {MOST_TARGETS:g}, got {each!r}"
-            )
+            raise refusal(f"targets_per_positioner must be a number above 0 and up to {MOST_TARGETS:g}", each, Number)
         return float(number), False
 
     @property

@@ -1,8 +1,18 @@
 """All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
 
+from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._coverage import on_footprint
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names, joints_allow
 
-__all__ = ["FocalPlane", "Reach", "accepted_types", "elbow_names", "hexagonal_cells", "joints_allow", "on_footprint"]
+__all__ = [
+    "FocalPlane",
+    "FocalPlaneArrays",
+    "Reach",
+    "accepted_types",
+    "elbow_names",
+    "hexagonal_cells",
+    "joints_allow",
+    "on_footprint",
+]

@@ -67,6 +67,13 @@ class FocalPlaneArrays:
         How many others can share a target with each positioner, at most.
     separation, clearance, length : float
         Minimum separation of two arms, clearance of one, and length of the colliding segment (0: as the arm), mm.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> arrays = rs.Instrument.preset("lamost").focal_plane.arrays
+    >>> arrays.xy.shape, float(arrays.outer_radius[0]), len(arrays.neighbors)
+    ((4000, 2), 16.5, 11769)
     """
 
     def __init__(self, plane):

@@ -21,10 +21,11 @@ def check_columns(plane) -> None:
         raise InputError(f"xy must be finite, but {int((~np.isfinite(xy)).any(axis=1).sum())} rows are not")
     if len(np.unique(xy, axis=0)) < n:
         raise InputError("two positioners have the same center")
+    spectrograph, fiber_type = plane.spectrograph, plane.fiber_type
     columns = {
         "id": np.arange(n) if plane.id is None else to_labels(plane.id, "id"),
-        "spectrograph": np.zeros(n, int) if plane.spectrograph is None else np.asarray(plane.spectrograph),
-        "fiber_type": np.full(n, "") if plane.fiber_type is None else to_plain(plane.fiber_type).astype(str),
+        "spectrograph": np.zeros(n, int) if spectrograph is None else to_plain(spectrograph, "spectrograph"),
+        "fiber_type": np.full(n, "") if fiber_type is None else to_plain(fiber_type, "fiber_type").astype(str),
         "disabled": np.zeros(n, bool) if plane.disabled is None else to_flags(plane.disabled, "disabled"),
     }
     for name, value in columns.items():

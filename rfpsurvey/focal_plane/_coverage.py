@@ -1,10 +1,12 @@
 """How much of a focal plane is in reach, and of how many positioners."""
 
+from numbers import Number
+
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, refusal
 
 __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
@@ -31,7 +33,7 @@ def find_coverage(plane, n_points, rng) -> np.ndarray:
     A random point in each cell of a square grid: regular points would beat with the lattice of the positioners.
     """
     if isinstance(n_points, bool) or not isinstance(n_points, int | np.integer) or not 1 <= n_points <= 2**26:
-        raise InputError(f"n_points must be a whole number from 1 to {2**26}, got {n_points!r}")
+        raise refusal(f"n_points must be a whole number from 1 to {2**26}", n_points, Number)
     hull = footprint_of(plane)
     corners = hull.points[hull.vertices]
     n = int(np.ceil(np.sqrt(n_points)))

@@ -1,6 +1,6 @@
 """All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import astropy.units as u
@@ -80,6 +80,10 @@ class FocalPlane:
 
     def __repr__(self):
         return f"<FocalPlane of {len(self)} positioners, {len(self.arrays.obstacles)} obstacles>"
+
+    def __getstate__(self):
+        # a copy for another process makes the plain arrays again
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @cached_property
     def fiber_types(self) -> tuple[str, ...]:

@@ -1,10 +1,13 @@
 """Hexagonal lattices."""
 
+from collections.abc import Iterable
+from numbers import Number
+
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 
 __all__ = ["hexagonal_cells"]
 
@@ -19,9 +22,11 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
         if value is not None and not (
             isinstance(value, int | float | np.integer) and least <= value <= most and value % 1 == 0
         ):
-            raise InputError(f"{name} must be a whole number from {least} to {most}, got {value!r}")
+            raise refusal(f"{name} must be a whole number from {least} to {most}", value, Number)
     if rows_along not in ("x", "y"):
-        raise InputError(f"rows_along must be 'x' or 'y', got {rows_along!r}")
+        raise refusal("rows_along must be 'x' or 'y'", rows_along, str)
+    if not isinstance(vacant, Iterable):
+        raise InputTypeError(f"vacant must be a list of cells (q, k), got {short(vacant)}")
     hole = to_scalar(inner_radius, u.mm, "inner_radius", low=0, closed=True)
     edge = np.inf if radius is None else to_scalar(radius, u.mm, "radius", low=0)
     if rings is not None:

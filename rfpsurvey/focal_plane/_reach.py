@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from rfpsurvey._kernels import arms, reach
+from rfpsurvey._units import locked, to_plain
 from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "joints_allow", "make_grid", "sides"]
@@ -18,19 +19,44 @@ BLOCK = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Reachable pairs, a row of positioners for each target (CSR)."""
+    """Reachable pairs, a row of positioners for each target (CSR); no array can be written to.
+
+    Parameters
+    ----------
+    indptr : ndarray of int, shape (n_targets + 1,)
+        Where the pairs of each target begin, and after the last one where they end.
+    owner : ndarray of int, shape (n_pairs,)
+        Positioner of each pair, ascending within a target.
+    r2 : ndarray of float, shape (n_pairs,)
+        Squared distance of target and center, mm^2.
+    n_positioners : int
+        Number of positioners.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> pairs = plane.arrays.reach(np.array([[13.0, 0.0], [20.0, 10.0], [99.0, 0.0]]))
+    >>> pairs.owner, pairs.target, pairs.covered
+    (array([0, 1, 1]), array([0, 0, 1]), array([ True,  True, False]))
+    """
 
     indptr: np.ndarray
     owner: np.ndarray
-    """Positioner of each pair, ascending within a target."""
     r2: np.ndarray
-    """Squared distance of target and center, mm^2."""
     n_positioners: int
+
+    def __post_init__(self):
+        for name in ("indptr", "owner", "r2"):
+            object.__setattr__(self, name, locked(getattr(self, name)))
 
     @cached_property
     def target(self) -> np.ndarray:
         """Target of each pair."""
-        return np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))
+        return locked(np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr)))
 
     @property
     def covered(self) -> np.ndarray:
@@ -46,7 +72,18 @@ class Reach:
         return csr_array((np.ones(len(target), bool), target, indptr), shape=(self.n_positioners, len(self.indptr) - 1))
 
     def where(self, keep: np.ndarray) -> "Reach":
-        """Return the pairs marked in ``keep``."""
+        """Return the pairs marked in ``keep``.
+
+        Parameters
+        ----------
+        keep : ndarray of bool, shape (n_pairs,)
+            Pairs to keep.
+
+        Returns
+        -------
+        Reach
+            These pairs.
+        """
         n = int(np.count_nonzero(keep))
         indptr, owner, r2 = np.empty_like(self.indptr), np.empty(n, dtype=np.int64), np.empty(n)
         reach.take_pairs(self.indptr, self.owner, self.r2, keep, indptr, owner, r2)
@@ -58,7 +95,7 @@ class Reach:
         indptr = np.empty(self.n_positioners + 1, dtype=np.int64)
         target, source = np.empty_like(self.owner), np.empty_like(self.owner)
         reach.transpose(self.indptr, self.owner, self.n_positioners, indptr, target, source)
-        return indptr, target, self.r2[source]
+        return locked(indptr), locked(target), locked(self.r2[source])
 
 
 def make_grid(xy, outer):
@@ -80,7 +117,7 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
     """Return the bit mask of the fiber types that may observe each of ``n`` targets."""
     if fiber_type is None or plane.fiber_types == ("",):
         return np.broadcast_to(np.int64(-1), n)
-    types = np.asarray(fiber_type, dtype=str)
+    types = to_plain(fiber_type, "fiber_type").astype(str)
     if types.shape != (n,):
         raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
     names, inverse = np.unique(types, return_inverse=True)

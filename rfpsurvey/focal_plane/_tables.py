@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["read_columns", "to_table"]
@@ -16,7 +16,7 @@ __all__ = ["read_columns", "to_table"]
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
     """Return the arguments of a FocalPlane that a table describes."""
     if not isinstance(table, Table):
-        raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+        raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
     for name in ("x", "y"):
         if name not in names:

@@ -4,6 +4,7 @@ import hashlib
 import os
 import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
+from numbers import Number
 from pathlib import Path
 
 import astropy.units as u
@@ -14,7 +15,7 @@ from astropy.table import Table
 from rfpsurvey._display import to_html
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, refusal, short
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
@@ -79,6 +80,9 @@ class Instrument:
     def __post_init__(self):
         if not isinstance(self.focal_plane, FocalPlane):
             raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(self.focal_plane).__name__}")
+        for name, kind in (("name", str), ("title", str), ("notes", str), ("values", dict)):
+            if not isinstance(getattr(self, name), kind):
+                raise InputTypeError(f"{name} must be a {kind.__name__}, got {short(getattr(self, name))}")
         check_choice(self.layout, LAYOUTS, "layout")
         if isinstance(self.distortion, dict):
             for name in self.distortion:
@@ -88,7 +92,7 @@ class Instrument:
                     raise InputError(f"the distortion must have a map for the fiber type {name!r}")
         number = self.targets_per_fiber
         if not isinstance(number, int | float) or not 0 < number < np.inf:
-            raise InputError(f"targets_per_fiber must be a positive number, got {self.targets_per_fiber}")
+            raise refusal("targets_per_fiber must be a positive number", self.targets_per_fiber, Number)
         plane = self.projection(SkyCoord(0 * u.deg, 0 * u.deg))  # raises where the optics are incomplete
         object.__setattr__(self, "plate_scale", plane.plate_scale)
 
@@ -285,9 +289,8 @@ def as_instrument(instrument: Instrument | str) -> Instrument:
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):
-        raise InputTypeError(
-            f"instrument must be an Instrument, the name of a preset or the path of a TOML file, got {instrument!r}"
-        )
+        text = "instrument must be an Instrument, the name of a preset or the path of a TOML file"
+        raise InputTypeError(f"{text}, got {short(instrument)}")
     return instrument
 
 
@@ -296,7 +299,9 @@ def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
     if isinstance(instrument, FocalPlane):
         return instrument
     if not isinstance(instrument, str | Instrument):
-        raise InputError(f"instrument must be a name, an Instrument or a FocalPlane, got {type(instrument).__name__}")
+        raise InputTypeError(
+            f"instrument must be a name, an Instrument or a FocalPlane, got {type(instrument).__name__}"
+        )
     return as_instrument(instrument).focal_plane
 
 

@@ -8,7 +8,7 @@ from rfpsurvey.probability._methods import CHUNK, ESTIMANDS, METHODS
 from rfpsurvey.probability._options import Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._question import ProbabilityQuestion
-from rfpsurvey.probability._run import Progress, rate_interval, run, summarize
+from rfpsurvey.probability._run import rate_interval, run, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._surrogate import AXES, interior_risk, make_surrogate, outside_box, surrogate_probability
 from rfpsurvey.probability._targets import Source, make_source
@@ -23,7 +23,6 @@ __all__ = [
     "PolynomialFit",
     "Precision",
     "ProbabilityQuestion",
-    "Progress",
     "RandomTargets",
     "Simulation",
     "Source",

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
+from numbers import Number
 from time import perf_counter
 
 import astropy.units as u
@@ -13,7 +14,7 @@ from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
 from rfpsurvey.allocation import Allocation, AllocationOptions, as_options, packages
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, refusal, short
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
@@ -42,7 +43,7 @@ def collision_probability(
     dynamic: float = 0.0,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
-    progress: bool = False,
+    progress: bool | Callable = False,
 ) -> Estimate:
     """Estimate the probability that a positioner at its target collides with another one.
 
@@ -97,8 +98,8 @@ def collision_probability(
         Seed or source of random numbers. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
         Runs parts of the simulation; kernels release the GIL, so that threads suffice. None for the calling thread.
-    progress : bool, optional
-        Whether to show a progress bar on the standard error stream.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function with (fraction done, 1).
 
     Returns
     -------
@@ -154,7 +155,7 @@ def collision_probability(
     _check_density(density)
     _check_numbers(dynamic=dynamic, most_entries=most_entries)
     if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     _check_science_only(options)
     source = None
     if asked == "allocated":
@@ -223,10 +224,10 @@ def _check_science_only(options):
 def _check_numbers(*, dynamic, most_entries):
     """Refuse numbers out of range."""
     if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
-        raise InputError(f"dynamic must be a number of at least 0 and below 1, got {dynamic!r}")
+        raise refusal("dynamic must be a number of at least 0 and below 1", dynamic, Number)
     whole = isinstance(most_entries, int | np.integer) and not isinstance(most_entries, bool)
     if most_entries is not None and not (whole and most_entries >= 1):
-        raise InputError(f"most_entries must be a whole number of at least 1, got {most_entries!r}")
+        raise refusal("most_entries must be a whole number of at least 1", most_entries, Number)
 
 
 def _check_density(density):
@@ -234,10 +235,9 @@ def _check_density(density):
     known = density is None or callable(density) or isinstance(density, Allocation)
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
-        raise InputError(
-            f"density must be one of {', '.join(DENSITIES)}, an Allocation or a list of them, or a function of points "
-            f"on the focal plane, got {density!r}"
-        )
+        names = ", ".join(DENSITIES)
+        text = f"density must be one of {names}, an Allocation or a list of them, or a function of points"
+        raise refusal(f"{text} on the focal plane", density, str, list, tuple)
 
 
 def _zero(plane, source):

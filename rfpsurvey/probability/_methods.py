@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 
+from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
@@ -50,16 +51,18 @@ def _simulated(name: str, question: ProbabilityQuestion) -> dict:
         tally = task(1, question.rng)
         found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
-        tally, found = run(
-            task,
-            CHUNK[name],
-            precision,
-            question.focal_plane,
-            question.rng,
-            question.executor,
-            question.progress,
-            given=given,
-        )
+        with Progress(question.progress) as bar:
+            tally, found = run(
+                task,
+                CHUNK[name],
+                precision,
+                question.focal_plane,
+                question.rng,
+                question.executor,
+                bar,
+                given=given,
+            )
+            bar(1)
     return {
         **_of_tally(tally, found),
         "n": len(tally.pairs),
@@ -84,7 +87,9 @@ def _integrated(question: ProbabilityQuestion) -> dict:
     density = question.density
     check_usable(question.focal_plane)
     task = Quadrature(question.focal_plane, density)
-    found = integrate(task, question.precision, question.rng, question.executor, question.progress)
+    with Progress(question.progress) as bar:
+        found = integrate(task, question.precision, question.rng, question.executor, bar)
+        bar(1)
     environments = found.pop("n_environments")
     name = density if isinstance(density, str) else "given"
     return {**found, "value_assigned": found["value"], "meta": {"density": name, "environments": environments}}

@@ -1,12 +1,13 @@
 """The random targets and the precision of a collision probability."""
 
 from dataclasses import dataclass, fields, replace
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
 __all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
@@ -67,7 +68,7 @@ class RandomTargets:
         check_choice(self.kind, KINDS, "kind of targets")
         number = self.number
         if number is not None and not (isinstance(number, int | float | np.number) and 0 <= number <= MOST_TARGETS):
-            raise InputError(f"number must be a number from 0 to {MOST_TARGETS:.0e}, got {number!r}")
+            raise refusal(f"number must be a number from 0 to {MOST_TARGETS:.0e}", number, Number)
         if self.radius is not None:
             to_scalar(self.radius, u.mm, "radius", low=0, high=1e7)
         if (self.kind == "poisson_disc") != (self.min_separation is not None):
@@ -133,11 +134,11 @@ class Precision:
     def __post_init__(self):
         error, most = self.standard_error, self.max_iterations
         if error is not None and not (isinstance(error, int | float | np.floating) and 0 < error < 1):
-            raise InputError(f"standard_error must be a number above 0 and below 1, got {error!r}")
+            raise refusal("standard_error must be a number above 0 and below 1", error, Number)
         if most is not None and not (isinstance(most, int | np.integer) and most >= 1):
-            raise InputError(f"max_iterations must be a whole number of at least 1, got {most!r}")
+            raise refusal("max_iterations must be a whole number of at least 1", most, Number)
         if not (isinstance(self.confidence, int | float) and 0 < self.confidence < 1 - 1e-9):
-            raise InputError(f"confidence must be a number above 0 and below 1, got {self.confidence!r}")
+            raise refusal("confidence must be a number above 0 and below 1", self.confidence, Number)
         check_choice(self.interval, INTERVALS, "interval")
         check_choice(self.stop, STOPS, "stopping rule")
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, queues
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_plain
 from rfpsurvey.collision import make_stage
 from rfpsurvey.errors import InputError
@@ -17,7 +18,6 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._options import Precision
-from rfpsurvey.probability._run import Progress
 from rfpsurvey.probability._workspace import make_array, make_hall
 
 __all__ = ["DENSITIES", "Quadrature", "integrate"]
@@ -149,13 +149,12 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 
 
 def integrate(
-    task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, progress: bool
+    task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
     """Return value, interval and error, with as many points as the precision needs."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
-    bar = Progress(progress)
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner.numbers.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
@@ -178,7 +177,6 @@ def integrate(
             break
         more = 4.0 if precision.half_width == 0 else half / precision.half_width  # the error falls about as 1 / n
         n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
-    bar.close()
     per_positioner = np.full(len(first), np.nan)
     per_positioner[used] = risks.mean(axis=0)
     return {

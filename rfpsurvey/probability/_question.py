@@ -46,8 +46,8 @@ class ProbabilityQuestion:
         Variant of the closed form.
     executor : concurrent.futures.Executor, optional
         Where parts of a simulation run; None for this thread.
-    progress : bool, optional
-        Whether to show a progress bar.
+    progress : bool or callable, optional
+        Whether to show a line on the standard error, or a function of (fraction done, 1).
 
     Examples
     --------
@@ -73,7 +73,7 @@ class ProbabilityQuestion:
     density: object = "uniform"
     variant: str = "corrected"
     executor: Executor | None = None
-    progress: bool = False
+    progress: bool | Callable = False
 
     @property
     def parked_obstacles(self) -> bool:

@@ -1,13 +1,12 @@
 """Repeat a simulation until its interval is narrow enough."""
 
-import sys
 from collections.abc import Callable
 from concurrent.futures import Executor
 
 import numpy as np
-from astropy.utils.console import ProgressBar
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
@@ -15,7 +14,7 @@ from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
 from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._simulate import Tally, merge
 
-__all__ = ["Progress", "rate_interval", "run", "summarize"]
+__all__ = ["rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
 """Tasks before the first look at the error."""
@@ -34,23 +33,6 @@ TOO_FEW = (
 """Why an estimate has no interval."""
 
 
-class Progress:
-    """A bar on the standard error, if wanted, from 0 to 1."""
-
-    def __init__(self, wanted: bool):
-        self.bar = ProgressBar(1000, file=sys.stderr) if wanted else None
-
-    def __call__(self, part: float) -> None:
-        if self.bar is not None:
-            self.bar.update(round(1000 * min(part, 1.0)))
-
-    def close(self) -> None:
-        """End the line."""
-        if self.bar is not None:
-            self.bar.update(1000)
-            self.bar.__exit__(None, None, None)
-
-
 def run(
     task: Callable[[int, np.random.Generator], Tally],
     chunk: int,
@@ -58,7 +40,7 @@ def run(
     plane: FocalPlane,
     rng: np.random.Generator,
     executor: Executor | None,
-    progress: bool,
+    bar: Progress,
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
@@ -66,7 +48,6 @@ def run(
 
     Tasks and looks depend on the results alone, so that the number of workers has no influence.
     """
-    bar = Progress(progress)
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
     goal = min(FIRST_TASKS * chunk, precision.max_iterations)
@@ -97,7 +78,6 @@ def run(
             needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
             more = max(more, int(min(max(FORESIGHT * needed, floor), GROWTH * done)))
         goal = min(-(-more // chunk) * chunk, precision.max_iterations)
-    bar.close()
     return tally, {**summary, "met": met}
 
 

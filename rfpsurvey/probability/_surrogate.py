@@ -12,12 +12,12 @@ import numpy as np
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._io import output_path
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator, to_mm
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability._quadrature import SCRAMBLES, Quadrature
-from rfpsurvey.probability._run import Progress
 
 if TYPE_CHECKING:
     from scipy.interpolate import NdBSpline
@@ -117,12 +117,11 @@ def make_surrogate(
     """Compute the grid of the surrogate and write it."""
     grid = np.stack(np.meshgrid(*AXES.values(), indexing="ij"), axis=-1)
     shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
-    bar, values = Progress(progress), []
-    sources = to_generator(rng).spawn(len(shapes))
-    for value, _ in map_in_order(executor, interior_risk, shapes, repeat(N_POINTS), sources):
-        values.append(value)
-        bar(len(values) / len(shapes))
-    bar.close()
+    values, sources = [], to_generator(rng).spawn(len(shapes))
+    with Progress(progress, len(shapes), "designs") as bar:
+        for value, _ in map_in_order(executor, interior_risk, shapes, repeat(N_POINTS), sources):
+            values.append(value)
+            bar(len(values))
     with output_path(path, (".npz",), overwrite=overwrite) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, risk=np.array(values, dtype=np.float32).reshape(grid.shape[:-1]))
 

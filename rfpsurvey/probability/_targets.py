@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from rfpsurvey._kernels import simulate
 from rfpsurvey._units import to_points_mm, to_scalar
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -104,7 +104,7 @@ def make_source(
         return _given(to_points_mm(targets, "targets"))
     if callable(targets):
         return Source("sampler", sampler=targets)
-    raise InputError(
+    raise InputTypeError(
         f"targets must be RandomTargets or one of {', '.join(KINDS)}, a Catalog, a Quantity of shape (n, 2), or a "
         f"function of a Generator that returns one, got {type(targets).__name__}"
     )

@@ -20,6 +20,23 @@ class FieldProjection:
         mm per radian at the center, for a projection without a radial map.
     distortion : RadialMap, dict of str to RadialMap, or None
         Radial map, or one for each fiber type.
+
+    Attributes
+    ----------
+    basis, focal_length, distortion
+        As given.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> field = lamost.field_projection(ra=0.0, dec=0.0, angle=0.0)
+    >>> target = np.array([[np.cos(0.01), np.sin(0.01), 0.0]])
+    >>> field.project(target).round(3)
+    array([[200.007,   0.   ]])
+    >>> np.allclose(field.unproject(field.project(target)), target)
+    True
     """
 
     def __init__(

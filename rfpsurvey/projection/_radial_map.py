@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import sky
 from rfpsurvey._units import to_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 
 __all__ = ["RadialMap"]
 
@@ -72,7 +73,9 @@ class RadialMap:
         try:
             object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
         except (TypeError, ValueError):
-            raise InputError(f"coefficients must be a sequence of numbers, got {self.coefficients!r}") from None
+            raise refusal(
+                "coefficients must be a sequence of numbers", self.coefficients, list, tuple, np.ndarray
+            ) from None
         c = np.array(self.coefficients)
         if c.size == 0 or not np.isfinite(c).all():
             raise InputError(f"coefficients must be finite numbers, at least one, got {self.coefficients}")
@@ -82,7 +85,7 @@ class RadialMap:
             try:
                 number = u.Quantity(getattr(self, name))
             except (TypeError, ValueError):
-                raise InputError(f"{name} must be a number, got {getattr(self, name)!r}") from None
+                raise refusal(f"{name} must be a number", getattr(self, name), Number, list) from None
             to_scalar(number, u.dimensionless_unscaled, name, low=0)
         if (self.form == "sine") != (self.radius is not None):
             raise InputError(f"the form 'sine' and no other needs a radius, got {self.radius} with {self.form!r}")

@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.projection._field import FieldProjection, field_basis
 from rfpsurvey.projection._radial_map import RadialMap
 
@@ -59,10 +59,10 @@ class TangentPlane:
 
     def __post_init__(self):
         if not isinstance(self.center, SkyCoord) or not self.center.isscalar:
-            raise InputError(f"center must be one SkyCoord, got {self.center!r}")
+            raise refusal("center must be one SkyCoord", self.center, SkyCoord)
         maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
         if self.distortion is not None and not (maps and all(isinstance(m, RadialMap) for m in maps)):
-            raise InputError(f"distortion must be a RadialMap or a dict of them by fiber type, got {self.distortion!r}")
+            raise refusal("distortion must be a RadialMap or a dict of them by fiber type", self.distortion, dict)
         scale = self.plate_scale
         if scale is None:
             if self.distortion is None:

@@ -1,6 +1,7 @@
 """A region of the sky: circle, box, polygon or a set of HEALPix pixels."""
 
 from dataclasses import dataclass
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -8,7 +9,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey import _healpix
 from rfpsurvey._units import to_scalar, to_vectors
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, refusal
 from rfpsurvey.region import _shapes
 from rfpsurvey.region._sphere import is_inside
 
@@ -175,7 +176,7 @@ class Region:
         check_choice(order, ("nested", "ring"), "order of pixels")
         numbers = np.unique(np.asarray(pixels))
         if numbers.size == 0 or numbers.dtype.kind not in "iu":
-            raise InputError("pixels must be at least one whole number")
+            raise refusal("pixels must be at least one whole number", pixels, Number, list, np.ndarray)
         if numbers[0] < 0 or numbers[-1] >= 12 * nside**2:
             raise InputError(
                 f"pixels of nside {nside} go from 0 to {12 * nside**2 - 1}, got {numbers[0]} to {numbers[-1]}"
@@ -279,6 +280,6 @@ def _two(values, name, low, high):
     try:
         first, last = values
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be two angles, got {values!r}") from None
+        raise refusal(f"{name} must be two angles", values, list, tuple) from None
     both = [float(to_scalar(value, u.deg, name, low=low - 1e-9, high=high + 1e-9)) for value in (first, last)]
     return [min(max(value, low), high) for value in both]

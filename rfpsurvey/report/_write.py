@@ -4,14 +4,15 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from itertools import chain
+from numbers import Number
 from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._io import check_output, output_path
+from rfpsurvey._io import check_output, output_path, to_path
 from rfpsurvey.compare import PARTS
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputTypeError, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._html import html_of
@@ -107,11 +108,11 @@ def write_report(
     path = check_report(path, overwrite=overwrite)
     whole = isinstance(max_rows, int | np.integer) and not isinstance(max_rows, bool)
     if max_rows is not None and not (whole and max_rows >= 1):
-        raise InputError(f"max_rows must be a whole number of at least 1, got {max_rows!r}")
+        raise refusal("max_rows must be a whole number of at least 1", max_rows, Number)
     if not (title is None or isinstance(title, str)):
-        raise InputError(f"title must be text, got {title!r}")
+        raise refusal("title must be text", title, str)
     pictures = _pictures(figures)
-    page = _page_of(result, "" if data is None else Path(data).name)
+    page = _page_of(result, "" if data is None else to_path(data).name)
     if title is not None:
         page = replace(page, title=str(title))  # not a type that marks itself as safe HTML
     if pictures:
@@ -130,7 +131,7 @@ def _page_of(result, where: str) -> Page:
             complete = not columns or columns <= set(result.colnames)  # a selection is a table like others
             return (own if complete else build)(result, where)
     known = ", ".join(kind.__name__ for kind in PAGES)
-    raise InputError(f"a report is about one of: {known}; got {type(result).__name__}")
+    raise InputTypeError(f"a report is about one of: {known}; got {type(result).__name__}")
 
 
 def _pictures(figures) -> list[Picture]:
@@ -141,7 +142,7 @@ def _pictures(figures) -> list[Picture]:
         named = {f"Figure {k}.": figure for k, figure in enumerate(several, 1)}
     for figure in named.values():
         if not hasattr(getattr(figure, "figure", figure), "savefig"):
-            raise InputError(f"figures must be Figures or Axes of matplotlib, got {type(figure).__name__}")
+            raise InputTypeError(f"figures must be Figures or Axes of matplotlib, got {type(figure).__name__}")
     pictures = []
     for caption, figure in named.items():
         first, stop, rest = str(caption).partition(". ")

@@ -9,9 +9,10 @@ import numpy as np
 from astropy.table import QTable, Row
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._progress import Progress
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Estimate, Progress, RandomTargets, collision_probability
+from rfpsurvey.probability import Estimate, RandomTargets, collision_probability
 
 __all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "numbers_of", "plane_of", "random_designs"]
 
@@ -79,9 +80,9 @@ def estimate(
 
 def each(task: Callable, jobs: list, settings: Settings) -> list:
     """Return the results of all jobs, in their order, with a bar."""
-    bar, results = Progress(settings.progress), []
-    for result in map_in_order(settings.executor, task, jobs):
-        results.append(result)
-        bar(len(results) / len(jobs))
-    bar.close()
+    results = []
+    with Progress(settings.progress, len(jobs), "jobs") as bar:
+        for result in map_in_order(settings.executor, task, jobs):
+            results.append(result)
+            bar(len(results))
     return results

@@ -73,7 +73,7 @@ def reproduce(
     overwrite : bool, optional
         Replace outputs of an earlier run.
     progress : bool, optional
-        Show bars on the standard error.
+        Show lines on the standard error.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_switch, short
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import make_request
@@ -42,7 +42,7 @@ def plan_survey(
     folder: object = None,
     resume: bool = False,
     executor: Executor | None = None,
-    progress: object = False,
+    progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Survey:
     """Plan tile after tile; a target leaves the list once it was observed as often as it is wanted.
@@ -83,7 +83,8 @@ def plan_survey(
     executor : concurrent.futures.Executor, optional
         Runs tiles in parallel: threads, processes, or a cluster through ``dask.distributed``.
     progress : bool or callable, optional
-        Show a line with rate and remaining time, or call a function with (tiles done, all tiles).
+        Show a line on the standard error with rate and remaining time, which count only the tiles that are planned
+        in this run, or call a function with (tiles done, all tiles).
     rng : int, Generator or None, optional
         Seed or source of random numbers; each tile has a stream of its own. A seed that is drawn is written down in
         ``provenance`` and ``survey.json``: a survey is continued with that.
@@ -126,7 +127,7 @@ def plan_survey(
     """
     begin = perf_counter()
     if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
+        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     asked = as_options(allocator)
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
@@ -134,7 +135,7 @@ def plan_survey(
             f"allocator must be a name where processes do the work, such as that of an entry point, got "
             f"{asked.allocator!r}"
         )
-    if resume and folder is None:
+    if check_switch(resume, "resume") and folder is None:
         raise InputError("resume needs the folder of the survey to continue")
     instrument = as_instrument(instrument)
     if isinstance(catalog, PartitionedCatalog):
@@ -154,7 +155,7 @@ def plan_survey(
         seed=to_seed(rng),
         order=check_choice(order, ORDERS, "order"),
         epoch=None if epoch is None else str(epoch),
-        lost_in_collision=bool(lost_in_collision),
+        lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
     )
     _warn_of_lacks(request)
     survey = run(request, folder, executor, progress, resume=resume)

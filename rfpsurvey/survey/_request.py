@@ -8,7 +8,7 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_visits
+from rfpsurvey._units import to_plain, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument
@@ -152,7 +152,7 @@ def make_request(
     if len(source) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     number = np.asarray(tiling.table["pass"])
-    asked = np.unique(number) if passes is None else np.atleast_1d(passes)
+    asked = np.unique(number) if passes is None else np.atleast_1d(to_plain(passes, "passes", "numbers"))
     known = np.unique(number).tolist()
     strange = [p for p in asked.tolist() if p not in known]
     passes = asked.tolist() if strange else asked.astype(int).tolist()

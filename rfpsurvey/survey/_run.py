@@ -9,10 +9,10 @@ import numpy as np
 
 from rfpsurvey import _io
 from rfpsurvey._executors import submit
+from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, Folder
-from rfpsurvey.survey._progress import Ticker
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
@@ -36,7 +36,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         counts = {name: np.zeros(n, dtype=np.int64) for name, _ in (*COUNTS.values(), ("n_observed", ""))}
         finished = 0
-        with Ticker(progress, n) as ticker:
+        with Progress(progress, n, "tiles") as tell:
             for k, tiles in enumerate(request.rounds):
                 round_of[tiles] = k
                 for tile, field, done, fresh in _plan_round(request, tiles, state, folder, executor):
@@ -48,7 +48,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                     for name, value in {**done.counts, "n_observed": kept}.items():
                         counts[name][tile] = value
                     finished += 1
-                    ticker.step(finished, new=fresh)
+                    tell(finished, new=fresh)
         outcomes = outcome_table(request, state)
         tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
         if folder is None:

@@ -4,28 +4,24 @@ from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 
-from rfpsurvey._units import to_direction, to_labels, to_scalar
-from rfpsurvey.errors import InputError
+from rfpsurvey._units import to_labels
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.projection import TangentPlane
+from rfpsurvey.region import Region
 
-__all__ = ["absent_required", "add_keep_out", "find_required"]
+__all__ = ["absent_required", "add_keep_out", "as_keep_out", "find_required"]
 
 
-def add_keep_out(instrument: Instrument, plane: TangentPlane, keep_out: SkyCoord | None, radius) -> Instrument:
+def add_keep_out(instrument: Instrument, plane: TangentPlane, regions: list[Region]) -> Instrument:
     """Return the instrument with obstacles where no arm may be."""
-    if (keep_out is None) != (radius is None):
-        raise InputError("keep_out and keep_out_radius must be given together")
-    if keep_out is None:
+    if not regions:
         return instrument
-    if isinstance(radius, u.Quantity) and radius.unit.is_equivalent(u.rad):
-        radius = to_scalar(radius, radius.unit, "keep_out_radius", low=0) * radius.unit * instrument.plate_scale
-    radius = to_scalar(radius, u.mm, "keep_out_radius", low=0)
-    points = plane.to_focal_plane(to_direction(keep_out, "keep_out").reshape(-1)).to_value(u.mm)
-    points = points[np.isfinite(points).all(axis=1)]
-    circles = np.column_stack([points, np.full(len(points), radius)])
+    values = np.array([region.values for region in regions])
+    points = plane.plain.project(values[:, :3])
+    radius = values[:, 3] * instrument.plate_scale.to_value(u.mm / u.rad)
+    circles = np.column_stack([points, radius])[np.isfinite(points).all(axis=1)]
     focal_plane = instrument.focal_plane
     obstacles = np.vstack([focal_plane.arrays.obstacles, circles]) * u.mm
     return replace(
@@ -33,6 +29,20 @@ def add_keep_out(instrument: Instrument, plane: TangentPlane, keep_out: SkyCoord
         focal_plane=replace(focal_plane, obstacles=obstacles),
         plate_scale=None if instrument.distortion else instrument.plate_scale,
     )
+
+
+def as_keep_out(keep_out: object) -> list[Region]:
+    """Return circles on the sky from one, from several, or from None."""
+    regions = [] if keep_out is None else [keep_out] if isinstance(keep_out, Region) else keep_out
+    what = "keep_out must be circles made by Region.cap, one or a list"
+    if not isinstance(regions, list | tuple):
+        raise InputTypeError(f"{what}, got {type(keep_out).__name__}")
+    for region in regions:
+        if not isinstance(region, Region):
+            raise InputTypeError(f"{what}, got {type(region).__name__} in the list")
+        if region.kind != "cap":
+            raise InputError(f"{what}, got {region!r}")
+    return list(regions)
 
 
 def find_required(known: np.ndarray, ids: np.ndarray, required) -> np.ndarray:

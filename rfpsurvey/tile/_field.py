@@ -9,7 +9,7 @@ from rfpsurvey._units import to_direction, to_plain
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
 
-__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
+__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "one_direction", "where"]
 
 # where planners write the field: names of columns (one value throughout) or of entries in the table's meta
 FIELD = {
@@ -21,18 +21,21 @@ FIELD = {
 OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
-def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
-    """Return the center as a plain direction, in a frame whose north is that of the equinox where one is given."""
+def one_direction(center: SkyCoord) -> SkyCoord:
+    """Return a field center as a plain direction in its own frame."""
     center = to_direction(center, "center")
     if not center.isscalar:
         raise InputError(f"center must be one direction, got the shape {center.shape}")
-    if equinox is None:
-        return center
-    return center.transform_to(FK5(equinox=to_time(str(equinox), "equinox")))
+    return center
+
+
+def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
+    """Return a field center in a frame whose north is that of the equinox, or as it is where there is none."""
+    return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox")))
 
 
 def field_center(table) -> SkyCoord:
-    """Return the field's center from columns or the meta."""
+    """Return the field center that columns or the meta state."""
     return SkyCoord(field_value(table, "ra") * u.deg, field_value(table, "dec") * u.deg)
 
 

@@ -17,8 +17,9 @@ from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
-from rfpsurvey.tile._constraints import absent_required, add_keep_out, find_required
-from rfpsurvey.tile._field import epoch_text, north_of_date, where
+from rfpsurvey.region import Region
+from rfpsurvey.tile._constraints import absent_required, add_keep_out, as_keep_out, find_required
+from rfpsurvey.tile._field import epoch_text, one_direction, where
 from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
 from rfpsurvey.tile._tile import Tile, build_tile
 
@@ -36,12 +37,10 @@ def plan_tile(
     center: SkyCoord,
     *,
     position_angle: u.Quantity = 0 * u.deg,
-    equinox: str | None = None,
     epoch: Time | str | float | None = None,
     allocator: AllocationOptions | str | Callable = "lamost",
     required: np.ndarray | None = None,
-    keep_out: SkyCoord | None = None,
-    keep_out_radius: u.Quantity | None = None,
+    keep_out: Region | list[Region] | None = None,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
     """Assign the targets of one field to fibers and find the arms that collide there.
@@ -57,11 +56,10 @@ def plan_tile(
     instrument : Instrument or str
         The instrument, the name of a preset, or the path of a TOML file.
     center : SkyCoord
-        Field center; north is that of its frame.
+        Field center; north is that of its frame, so that position angles of a center in ``FK5(equinox="J2026")`` are
+        measured from the north of that date.
     position_angle : Quantity, optional
         Angle from north toward east by which +y of the focal plane is turned.
-    equinox : str, optional
-        Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
     epoch : Time, str or float, optional
         Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
     allocator : AllocationOptions or str or callable, optional
@@ -69,10 +67,9 @@ def plan_tile(
         See `AllocationOptions`.
     required : array_like, optional
         Ids of targets that come before everything else.
-    keep_out : SkyCoord, optional
-        Directions, such as guide stars, that no arm may cover; obstacles of this tile.
-    keep_out_radius : Quantity, optional
-        Angle or length about them; needed with ``keep_out``.
+    keep_out : Region or list of Region, optional
+        Circles made by `Region.cap`, such as the surroundings of guide stars, that no arm may cover; obstacles of this
+        tile.
     rng : int, Generator or None, optional
         Seed or source of random numbers, for allocators that draw. The default gives the same tile every time.
 
@@ -85,7 +82,7 @@ def plan_tile(
     ------
     InputError
         If the catalog is empty, does not overlap the field, or has no target that a positioner reaches; if a name or a
-        required id is unknown, a unit is missing, ``keep_out`` has no radius, or targets move and there is no epoch
+        required id is unknown, a unit is missing, ``keep_out`` is no circle, or targets move and there is no epoch
         that they move from.
 
     Examples
@@ -105,9 +102,10 @@ def plan_tile(
     catalog = as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    center = north_of_date(center, equinox)
+    center = one_direction(center)
     plane = instrument.projection(center, position_angle)
-    instrument = add_keep_out(instrument, plane, keep_out, keep_out_radius)
+    circles = as_keep_out(keep_out)
+    instrument = add_keep_out(instrument, plane, circles)
     options = asked.for_instrument(instrument)
     everything, radius = catalog, field_radius_rad(instrument)
     if epoch is not None:
@@ -134,7 +132,7 @@ def plan_tile(
         warnings.warn(text, RfpsurveyWarning, stacklevel=2)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
-    columns["required"] = is_required[given] if is_required.any() else None
+    columns["is_required"] = is_required[given] if is_required.any() else None
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
     targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns), extra=extra)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
@@ -166,7 +164,7 @@ def plan_tile(
         "epoch_asked": None if epoch is None else str(epoch),
         **options.record,
         "required": [] if required is None else [str(name) for name in np.atleast_1d(required)],
-        "n_keep_out": 0 if keep_out is None else int(keep_out.size),
+        "n_keep_out": len(circles),
         "rng": seed,
     }
     row_of = np.full(len(instrument.focal_plane), -1)

@@ -12,10 +12,10 @@ from astropy.time import Time
 from rfpsurvey._units import to_flags, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_switch
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
+from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, one_direction, where
 from rfpsurvey.tile._tile import Tile, build_tile
 
 __all__ = ["score_tile"]
@@ -52,7 +52,8 @@ def score_tile(
         Position angle of +y, from the north of the center's frame; without it ``position_angle`` or
         ``field_pa`` of the table.
     equinox : str, optional
-        Measure the position angle from the north of this date, such as ``"J2026.0"``, whatever the center's frame.
+        Without ``center``: date whose north position angles are measured from, such as ``"J2026.0"``, where it is not
+        that of ICRS. A ``center`` has a frame, whose north it is.
     epoch : Time, str or float, optional
         Move sky positions by their proper motions to this epoch.
     positions : {"focal_plane", "sky"}, optional
@@ -87,7 +88,12 @@ def score_tile(
     start = perf_counter()
     instrument = as_instrument(instrument)
     if not isinstance(table, Table):
-        raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+        raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+    if center is not None and equinox is not None:
+        raise InputError(
+            "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("
+            f'equinox="{equinox}"))'
+        )
     plane = instrument.focal_plane
     full = Finder(table, columns or {}, units or {})
     rows, who, name = _positioners(full, plane)
@@ -105,13 +111,17 @@ def score_tile(
     fibers = plane.arrays.first_type[who]
     fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
     ids = _target_ids(find, name)
-    parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": bool(parked_obstacles)}
+    parameters = {
+        "allocator": "scored",
+        "positions": positions,
+        "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
+    }
     if positions == "sky":
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = north_of_date(field_center(part) if center is None else center, equinox)
+        center = north_of_date(field_center(part), equinox) if center is None else one_direction(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
         xy = instrument.projection(center, position_angle).plain.project(catalog.arrays.vectors, fibers)

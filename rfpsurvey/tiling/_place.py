@@ -3,6 +3,7 @@
 import logging
 import warnings
 from collections.abc import Callable
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -12,7 +13,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
 from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, refusal
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
@@ -158,7 +159,7 @@ def place_tiles(
     wanted = _wanted(catalog, visits, exclude)
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
-        raise InputError(f"completeness must be a number above 0 and at most 1, got {completeness!r}")
+        raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
     if fibers.number is None and model is None:
         raise InputError("give an instrument, or the number of fibers of a tile")
     usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
@@ -287,5 +288,5 @@ def _build(vectors, number, position_angle, summary, columns):
 
 def _whole(value, name):
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+        raise refusal(f"{name} must be a whole number of at least 1", value, Number)
     return int(value)

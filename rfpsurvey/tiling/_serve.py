@@ -1,6 +1,7 @@
 """What one tile observes: as many targets as it has fibers, or what a real focal plane reaches."""
 
 from dataclasses import dataclass
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import refusal
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldTargets, assign_field
 from rfpsurvey.tiling._tiling import to_ra_dec
@@ -46,7 +47,7 @@ class Fibers:
     def __post_init__(self):
         number = self.number
         if number is not None and (isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1):
-            raise InputError(f"fibers must be a whole number of at least 1, got {number!r}")
+            raise refusal("fibers must be a whole number of at least 1", number, Number)
         if self.min_separation is not None:
             to_scalar(self.min_separation, u.rad, "min_separation", low=0, high=np.pi)
 

@@ -13,7 +13,7 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex
-from rfpsurvey.errors import InputError, InputTypeError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -142,11 +142,11 @@ class Tiling:
     @classmethod
     def _from_table(cls, table, columns, units, *, assume_units):
         if not isinstance(table, Table):
-            raise InputError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+            raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
         names = _find(table, columns)
         units = {} if units is None else units
         if not isinstance(units, dict):
-            raise InputError(f"units must be a dict from role to unit, got {units!r}")
+            raise refusal("units must be a dict from role to unit", units, dict)
         for role in units:
             check_choice(role, ("ra", "dec", "position_angle"), "column role with a unit")
         missing = [role for role in ("ra", "dec") if role not in names]
@@ -277,7 +277,7 @@ def _find(table, columns):
     """Return role to column name."""
     columns = {} if columns is None else columns
     if not isinstance(columns, dict):
-        raise InputError(f"columns must be a dict from role to column, got {columns!r}")
+        raise refusal("columns must be a dict from role to column", columns, dict)
     for role, name in columns.items():
         check_choice(role, COLUMNS, "column role of a tiling")
         if name not in table.colnames:

@@ -21,7 +21,7 @@ def test_an_allocator_is_told_everything():
         "kind": ["science", "science", "sky", "science", "standard"],
         "category": ["", "x", "", "", "x"],
         "fiber_type": ["", "A", "", "B", ""],
-        "required": [0, 0, 0, 1, 0],
+        "required": [3],
         "requirements": ["sky=1", "x=1"],
         "forbidden": [[1, 2]],
         "objective": "count",
@@ -45,13 +45,19 @@ def test_an_allocator_is_told_everything():
     assert problem.kind.tolist() == columns["kind"]
     assert problem.category.tolist() == columns["category"]
     assert problem.fiber_type.tolist() == columns["fiber_type"]
-    assert problem.required.tolist() == [False, False, False, True, False]
+    assert problem.is_required.tolist() == [False, False, False, True, False]
     assert problem.requirements == (rs.Requirement("sky", 1), rs.Requirement("x", 1))
     assert (problem.objective, problem.time_limit, problem.parked_obstacles) == ("count", 6.0, False)
     assert problem.rng.random() == np.random.default_rng(8).random()
-    for name in ("xy", "rank", "priority", "kind", "category", "fiber_type", "required"):
+    for name in ("xy", "rank", "priority", "kind", "category", "fiber_type", "is_required"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(problem, name)[0] = 1
+    pairs, matrix = problem.pairs, problem.reachable
+    arrays = [pairs.indptr, pairs.owner, pairs.r2, pairs.target, *pairs.by_positioner]
+    for array in (*arrays, matrix.data, matrix.indices, matrix.indptr):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    assert matrix.tocsc().nnz == matrix[[0, 1]].nnz + matrix[[2]].nnz == len(pairs.owner)
 
 
 def test_what_is_not_said_has_a_value():
@@ -60,7 +66,7 @@ def test_what_is_not_said_has_a_value():
     (problem,) = seen
     assert problem.kind.tolist() == ["science"] * 4
     assert problem.category.tolist() == problem.fiber_type.tolist() == [""] * 4
-    assert problem.rank.tolist() == problem.priority.tolist() == problem.required.tolist() == [0] * 4
+    assert problem.rank.tolist() == problem.priority.tolist() == problem.is_required.tolist() == [0] * 4
     assert problem.reachable.toarray().tolist() == [[1, 1, 0, 0], [0, 1, 1, 0]]
 
 

@@ -35,7 +35,7 @@ def random_case(seed, *, quotas):
             fiber = str(rng.choice(["", *plane.fiber_types]))
             options["requirements"].append(rs.Requirement(str(what), low, most, str(per), fiber))
         if rng.random() < 0.3:
-            options["required"] = rng.random(m) < 0.3
+            options["required"] = np.flatnonzero(rng.random(m) < 0.3)
         if rng.random() < 0.3:
             options["objective"] = "count"
         if rng.random() < 0.3:
@@ -53,7 +53,7 @@ def judge(plane, xy, options):
     kind = options.get("kind", np.full(m, "science"))
     category = options.get("category", np.full(m, ""))
     fibers = options.get("fiber_type", np.full(m, ""))
-    required = options.get("required", np.zeros(m, bool))
+    required = np.isin(np.arange(m), options.get("required", []))
     first = [row.split("+")[0] for row in plane.fiber_type]
     science = kind == "science"
 

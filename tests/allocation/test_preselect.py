@@ -34,7 +34,7 @@ def crowded_case(seed):
             rs.Requirement("standard", int(low[1])),
         ]
     if rng.random() < 0.2:
-        options["required"] = rng.random(m) < 0.1
+        options["required"] = np.flatnonzero(rng.random(m) < 0.1)
     if rng.random() < 0.3:
         options["objective"] = "count"
     return plane, xy, options

@@ -53,7 +53,11 @@ def test_one_requirement_or_any_list_of_them_will_do(wishes):
         ({"kind": ["science"] * 5}, r"kind must have one value per target, shape \(6,\), got \(5,\)"),
         ({"kind": ["science"] * 5 + ["star"]}, "unknown kind of target 'star'; choose one of: science, sky, standard"),
         ({"category": ["a"]}, r"category must have one value per target, shape \(6,\), got \(1,\)"),
-        ({"required": [True]}, r"required must have one value per target, shape \(6,\), got \(1,\)"),
+        ({"required": [True] * 6}, r"required must be rows of targets, whole numbers, got bool of the shape \(6,\)"),
+        ({"required": [1.0]}, r"required must be rows of targets, whole numbers, got float64 of the shape \(1,\)"),
+        ({"required": [[1]]}, r"required must be rows of targets, whole numbers, got int64 of the shape \(1, 1\)"),
+        ({"required": [-1, 2]}, "required must be rows of targets, 0 to 5, got -1 to 2"),
+        ({"required": 6}, "required must be rows of targets, 0 to 5, got 6 to 6"),
         ({"forbidden": [0, 1]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[3, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
@@ -268,7 +272,7 @@ def random_case(seed):
         "category": rng.choice(["faint", "bright", ""], n),
         "fiber_type": rng.choice(["A", "B", ""], n),
         "priority": rng.integers(0, 3, n),
-        "required": rng.random(n) < 0.04,
+        "required": np.flatnonzero(rng.random(n) < 0.04),
         "requirements": [
             rs.Requirement("standard", 3, 3, "spectrograph"),
             rs.Requirement("sky", 4, 6, "tile", "A"),
@@ -305,9 +309,9 @@ def test_unmet_is_what_a_count_by_hand_finds(method, seed):
     can[tuple(options["forbidden"].T)] = False
     for s in found.unmet:
         if s.requirement is None:
-            seen = options["required"] & can.any(axis=0)
-            n = options["required"][found.target_of_positioner[found.target_of_positioner >= 0]].sum()
-            assert (s.wanted, s.found, s.possible) == (options["required"].sum(), n, seen.sum())
+            required = options["required"]
+            n, possible = np.isin(required, found.target_of_positioner).sum(), can.any(axis=0)[required].sum()
+            assert (s.wanted, s.found, s.possible) == (len(required), n, possible)
             continue
         columns = options["kind"], options["category"], options["fiber_type"]
         counted = {t for i, t in np.argwhere(can) if held(s.requirement, plane, [(i, t)], *columns, s.spectrograph)}
@@ -362,29 +366,26 @@ def test_required_targets_come_before_everything_else(method):
     """The one of least priority, standards, and sky that no requirement wants, against requirements and science."""
     xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
     kind = ["science", "sky", "science", "standard", "sky", "science"]
-    required = [False, True, False, True, False, True]
     found = rs.allocate(
         ROW,
         xy,
         allocator=rs.AllocationOptions(method, requirements=["science=3"]),
         kind=kind,
-        required=required,
+        required=[1, 3, 5],
         priority=[9, 0, 9, 0, 0, 1],
     )
     assert found.target_of_positioner.tolist() == [1, 3, 5]
     assert found.levels[0] == ("required targets", 3, 3)
-    assert said(method, ["sky=1"], required=[True, False, False, False, False, False]) == [
-        "sky targets: 0 of 1, 1 missing"
-    ]
+    assert said(method, ["sky=1"], required=[0]) == ["sky targets: 0 of 1, 1 missing"]
 
 
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_required_targets_that_do_not_fit_are_reported(method):
-    found = rs.allocate(ROW, [[5, 0], [0, 6], [0, 900]] * MM, allocator=method, required=[True] * 3)
+    found = rs.allocate(ROW, [[5, 0], [0, 6], [0, 900]] * MM, allocator=method, required=[0, 1, 2])
     assert [str(s) for s in found.unmet] == ["required targets: 1 of 3, 2 missing; only 2 are in reach"]
-    found = rs.allocate(ROW, [[0, 900]] * MM, allocator=method, required=[True])
+    found = rs.allocate(ROW, [[0, 900]] * MM, allocator=method, required=[0])
     assert [str(s) for s in found.unmet] == ["required targets: 0 of 1, 1 missing; none is in reach"]
-    assert rs.allocate(ROW, [[5, 0]] * MM, allocator=method, required=[False]).unmet == ()
+    assert rs.allocate(ROW, [[5, 0]] * MM, allocator=method, required=[]).unmet == ()
 
 
 @pytest.mark.parametrize("method", ALLOCATORS)

@@ -133,7 +133,7 @@ def test_a_stuck_fiber_of_another_type_is_somewhere_else():
 def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_other(seed):
     plane = dense_plane(rings=3)
     xy, rng = sparse_targets(plane, seed)
-    options = {"priority": rng.integers(0, 2, len(xy)), "required": rng.random(len(xy)) < 0.2}
+    options = {"priority": rng.integers(0, 2, len(xy)), "required": np.flatnonzero(rng.random(len(xy)) < 0.2)}
     blind = flat.allocate(plane, xy * MM, allocator="sdss", **options)
     mended = flat.allocate(plane, xy * MM, allocator="repair", **options)
     for level, best in zip(mended.levels, blind.levels, strict=True):
@@ -251,7 +251,7 @@ def test_classes_after_required_targets_may_be_larger_than_in_a_matching():
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 3 * MM), rings=7, pitch=18 * MM)
     n, rng = len(plane), np.random.default_rng(2)
     xy = plane.arrays.xy[rng.integers(n, size=2 * n)] + rng.uniform(-12, 12, (2 * n, 2))
-    options = {"priority": rng.integers(0, 4, 2 * n), "required": rng.random(2 * n) < 0.5}
+    options = {"priority": rng.integers(0, 4, 2 * n), "required": np.flatnonzero(rng.random(2 * n) < 0.5)}
     found = flat.allocate(plane, xy * MM, allocator="optimal", parked_obstacles=False, **options)
     assert found.levels[-1].value == found.levels[-1].bound == 27
 
@@ -289,7 +289,7 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     xy[0], priority[0], kind[0] = 3 * MM, 1, "science"  # the first of all counts, too
     options = {"method": method, "priority": priority, "kind": kind, "requirements": "sky=4"}
     if n_required:
-        options["required"] = rng.permutation(n) < n_required
+        options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
     best = flat.allocate(plane, xy, **options)
     late = OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
     monkeypatch.setattr("scipy.optimize.milp", lambda *_, **__: late)

@@ -72,7 +72,7 @@ def test_bad_names_are_named(crowded, allocators, message):
 
 def test_no_arm_covers_a_guide_star(crowded):
     stars = SkyCoord([150.05, 150.12], [2.15, 2.25], unit="deg")
-    options = {"keep_out": stars, "keep_out_radius": 20 * u.arcsec}
+    options = {"keep_out": [rs.Region.cap(star, 20 * u.arcsec) for star in stars]}
     tile = flat.plan_tile(crowded, "moons", CENTER, allocator="optimal", **options)
     assert tile.summary["n_obstacle_collisions"] == 0
     xy = rs.Instrument.preset("moons").projection(CENTER).to_focal_plane(stars).value
@@ -86,10 +86,39 @@ def test_no_arm_covers_a_guide_star(crowded):
         assert np.nanmin(np.hypot(*(points - star).T)) > radius + 2 - 0.1
     blind = flat.plan_tile(crowded, "moons", CENTER, allocator="lamost", **options)
     assert blind.summary["n_obstacle_collisions"] > 0
-    length = rs.plan_tile(crowded, "moons", CENTER, allocator="optimal", keep_out=stars, keep_out_radius=radius * MM)
-    assert length.summary["n_assigned"] == tile.summary["n_assigned"]
-    with pytest.raises(rs.InputError, match="keep_out and keep_out_radius must be given together"):
-        rs.plan_tile(crowded, "moons", CENTER, keep_out=stars)
+    assert tile.provenance["parameters"]["n_keep_out"] == 2
+
+
+def test_circles_that_no_arm_covers_have_radii_of_their_own(crowded):
+    star = SkyCoord(150.05, 2.15, unit="deg")
+    n = [
+        rs.plan_tile(crowded, "moons", CENTER, keep_out=rs.Region.cap(star, r * u.arcsec)).summary[
+            "n_obstacle_collisions"
+        ]
+        for r in (1, 100)
+    ]
+    assert n[0] < n[1]
+    opposite = rs.Region.cap(SkyCoord(330, -2.15, unit="deg"), 1 * u.deg)  # has no image
+    plain, other = (rs.plan_tile(crowded, "moons", CENTER, keep_out=k) for k in (None, opposite))
+    assert plain.summary["n_obstacle_collisions"] == other.summary["n_obstacle_collisions"]
+
+
+@pytest.mark.parametrize(
+    ("keep_out", "kind", "message"),
+    [
+        (
+            SkyCoord([150], [2], unit="deg"),
+            TypeError,
+            "keep_out must be circles made by Region.cap, one or a list, got SkyCoord",
+        ),
+        (["star"], TypeError, "keep_out must be circles made by Region.cap, one or a list, got str in the list"),
+        (rs.Region.parse("box 1 2 3 4"), ValueError, "one or a list, got <Region box of "),
+    ],
+)
+def test_what_no_arm_covers_is_a_list_of_circles(crowded, keep_out, kind, message):
+    with pytest.raises(rs.InputError, match=message) as told:
+        rs.plan_tile(crowded, "moons", CENTER, keep_out=keep_out)
+    assert isinstance(told.value, kind)
 
 
 def test_required_targets_are_found_by_their_ids(crowded):

@@ -1,5 +1,6 @@
 import pickle
 import shutil
+import warnings
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -171,8 +172,10 @@ def test_the_footprint_holds_as_many_targets_as_asked_though_optics_distort(name
 class Copies(Executor):
     """Hands on copies, as processes do."""
 
-    def map(self, work, tasks):
-        return [pickle.loads(pickle.dumps(work))(pickle.loads(pickle.dumps(task))) for task in tasks]
+    def map(self, work, *tasks):
+        return [
+            pickle.loads(pickle.dumps(work))(*pickle.loads(pickle.dumps(task))) for task in zip(*tasks, strict=True)
+        ]
 
 
 class Picky:
@@ -201,6 +204,30 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
 
     with pytest.raises(rs.InputError, match="flat: a footprint needs three centers"):
         rs.compare_instruments("poisson", [design(), flat], allocators=[never])
+
+
+@pytest.mark.parametrize(
+    "compare",
+    [
+        lambda options: rs.compare_instruments(
+            "poisson", ["moons", "sdss_apo"], options=options, n_realizations=2, allocators=["lamost", "nearest"]
+        ),
+        lambda options: rs.compare_allocators(
+            rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1),
+            "moons",
+            CENTER,
+            options=options,
+            allocators=["lamost", "nearest"],
+        ),
+    ],
+)
+def test_an_option_without_an_effect_is_warned_of_once(compare):
+    """Each field and each allocator repeated the sentence."""
+    options = rs.AllocationOptions(sky_separation=10 * u.arcsec)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        compare(options)
+    assert [str(one.message).partition(":")[0] for one in told] == ["sky_separation changes nothing"]
 
 
 def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independent_trials():

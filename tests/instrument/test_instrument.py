@@ -1,3 +1,4 @@
+import pickle
 import sys
 import textwrap
 from pathlib import Path
@@ -249,3 +250,21 @@ def test_descriptions_of_a_later_form_are_refused(tmp_path):
     (tmp_path / "later.toml").write_text(text.replace("schema = 1", "schema = 2"))
     with pytest.raises(rs.InputError, match="schema must be 1, the only one that this version reads, got 2"):
         rs.Instrument.read(tmp_path / "later.toml")
+
+
+def test_copies_for_other_processes_leave_out_what_is_computed():
+    """The plain arrays of 5000 positioners are 3 MB, and went to each process with every model of a survey."""
+    center = SkyCoord(95, 23, unit="deg")
+    desi = rs.Instrument.preset("desi")
+    sky = rs.synthetic_catalog("uniform", center, 1 * u.deg, n_targets=5000, rng=1)
+    sizes = [len(pickle.dumps(one)) for one in (desi, sky)]
+    tile = rs.plan_tile(sky, desi, center)
+    assert "arrays" in vars(sky)
+    assert "arrays" in vars(desi.focal_plane)
+    after = [len(pickle.dumps(one)) for one in (desi, sky)]
+    np.testing.assert_allclose(after, sizes, atol=200)
+    desi, sky = (pickle.loads(pickle.dumps(one)) for one in (desi, sky))
+    again = rs.plan_tile(sky, desi, center)
+    assert again.provenance["instrument"] == tile.provenance["instrument"]
+    np.testing.assert_array_equal(again.table["target_id"].filled(-1), tile.table["target_id"].filled(-1))
+    np.testing.assert_array_equal(again.table["tip_x"].value, tile.table["tip_x"].value)

@@ -332,7 +332,7 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stderr", terminal)
             shown = flat.collision_probability(lamost_like(1), max_iterations=300, progress=True, **options)
-        assert "(100" in terminal.getvalue()
+        assert "100%, 0:00:00 left" in terminal.getvalue()
         assert capsys.readouterr().out == ""
         assert shown.value == silent.value
 

@@ -378,8 +378,8 @@ def test_progress_is_one_line_with_a_rate(case, tmp_path, capsys):
     plan(case, None, progress=True)
     shown = capsys.readouterr()
     assert shown.out == ""
-    last = shown.err.split("\r")[-1]
-    assert last.startswith("50 of 50 tiles, ")
-    assert "tiles/s, 0:00:00 left" in last
+    (line,) = shown.err.splitlines()
+    assert " 50 of 50 tiles, " in line
+    assert "tiles/s, 0:00:00 left" in line
     plan(case, None)
     assert capsys.readouterr().err == ""

@@ -1,7 +1,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import FK5, SkyCoord
 from astropy.table import QTable, vstack
 
 import rfpsurvey as rs
@@ -58,6 +58,23 @@ def test_hole_names_and_field_columns(presets, tiles):
     two["racen"][10:] = 96 * u.deg
     with pytest.raises(rs.InputError, match="column 'racen' has 2 values, so the table holds several fields"):
         rs.score_tile(two, presets["sdss_apo"])
+
+
+def test_the_north_of_a_date_is_that_of_the_center_or_of_the_equinox_of_the_table(presets, tiles):
+    t = tiles["lamost"].table
+    t = t[t["status"] == "assigned"]
+    plan = QTable({"positioner": t["id"], "ra": t["ra"], "dec": t["dec"]})
+    plan.meta.update(racen=95.0, deccen=23.0, position_angle=20.0)
+    by_table = rs.score_tile(plan, presets["lamost"], equinox="J2028")
+    center = CENTER.transform_to(FK5(equinox="J2028"))
+    by_center = rs.score_tile(plan, presets["lamost"], center=center)
+    assert by_table.provenance["parameters"]["north_of"] == "fk5 J2028.000"
+    assert by_table.provenance["parameters"] == by_center.provenance["parameters"]
+    assert by_table.summary["n_out_of_reach"] == by_center.summary["n_out_of_reach"]
+    icrs = rs.score_tile(plan, presets["lamost"])
+    assert not np.allclose(icrs.table["tip_x"].value, by_table.table["tip_x"].value, atol=1e-3, equal_nan=True)
+    with pytest.raises(rs.InputError, match=r"give center.transform_to\(FK5\(equinox=\"J2028\"\)\)"):
+        rs.score_tile(plan, presets["lamost"], center=CENTER, equinox="J2028")
 
 
 def test_targets_out_of_reach_are_counted_and_their_arms_stretched(presets):

@@ -1,0 +1,85 @@
+"""How much of a run is done, on one line of the standard error."""
+
+from time import monotonic
+
+from rfpsurvey.errors import check_switch
+
+__all__ = ["Progress"]
+
+EVERY = 0.1  # seconds between two looks of the line
+
+
+class Progress:
+    """Shows how much of a run is done, with the rate and the remaining time, or tells it to a function.
+
+    The rate counts only what is done in this run, and only the time that it took: results that are read from an
+    earlier run come much faster.
+
+    Parameters
+    ----------
+    progress : bool or callable
+        False: show nothing. True: show a line. A function is called with (done, total).
+    total : float, optional
+        All that there is to do; 1 where only a fraction is known.
+    unit : str, optional
+        What is counted, in the plural; percent without it.
+    done : float, optional
+        What an earlier run did.
+    """
+
+    def __init__(self, progress: object, total: float = 1, unit: str = "", *, done: float = 0):
+        self._tell = progress if callable(progress) else None
+        self._shown = self._tell is None and check_switch(progress, "progress")
+        self._total, self._unit, self._done = total, unit, done
+        self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
+
+    def __call__(self, done: float, *, new: bool = True) -> None:
+        """Say how much is done by now; ``new=False`` if the last of it was read from an earlier run."""
+        now = monotonic()
+        if new:
+            self._new += done - self._done
+            self._seconds += now - self._last
+        self._done, self._last = done, now
+        if self._tell is not None:
+            self._tell(done, self._total)
+        elif self._line is not None and (now - self._drawn >= EVERY or done == self._total):
+            self._draw()
+
+    def __enter__(self):
+        self._last = self._drawn = monotonic()
+        if self._shown:
+            from rich import console, progress
+
+            bar, text = progress.BarColumn(), progress.TextColumn("{task.description}")
+            where = console.Console(stderr=True, force_jupyter=False)
+            # without a thread, which processes that are forked later could not be sure of
+            self._line = progress.Progress(
+                bar, text, console=where, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+            )
+            self._task = self._line.add_task("", total=self._total, completed=self._done)
+            self._line.start()
+        return self
+
+    def __exit__(self, *_):
+        if self._line is not None:
+            self._draw()
+            self._line.stop()
+            self._line = None
+
+    def _draw(self):
+        self._drawn = self._last
+        self._line.update(self._task, completed=self._done, description=self._text(), refresh=True)
+
+    def _text(self):
+        rate = self._new / self._seconds if self._seconds > 0 else 0.0
+        left = f", {_clock((self._total - self._done) / rate)} left" if rate > 0 else ""
+        if not self._unit:
+            return f"{self._done / self._total:.0%}{left}"
+        kept = round(self._done - self._new)
+        kept = f" ({kept} of them were there)" if kept else ""
+        return f"{self._done} of {self._total} {self._unit}{kept}, {rate:.1f} {self._unit}/s{left}"
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"

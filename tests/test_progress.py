@@ -1,0 +1,104 @@
+"""How much of a run is done is shown where that is asked for, with a rate of what is done in this run."""
+
+import io
+import sys
+
+import pytest
+
+from rfpsurvey import _progress
+from rfpsurvey._progress import Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that a test sets."""
+    times = [0.0]
+    monkeypatch.setattr(_progress, "monotonic", lambda: times[0])
+    return times
+
+
+@pytest.fixture
+def open_terminal(monkeypatch):
+    """A function that puts a terminal in place of the standard error."""
+
+    def put():
+        terminal = Terminal()
+        monkeypatch.setattr(sys, "stderr", terminal)  # in the test, as pytest puts its own there before
+        monkeypatch.setenv("COLUMNS", "120")
+        monkeypatch.setenv("TERM", "xterm")
+        return terminal
+
+    return put
+
+
+def test_the_remaining_time_after_a_resume_is_that_of_the_work_that_is_left(clock, open_terminal):
+    """900 tiles were read in 30 s, and 10 were planned in 1 s: 90 are left for 9 s, not for minutes or hours."""
+    terminal = open_terminal()
+    with Progress(True, 1000, "tiles") as tell:
+        for k in range(900):
+            clock[0] += 1 / 30
+            tell(k + 1, new=False)
+        for k in range(10):
+            clock[0] += 0.1
+            tell(901 + k)
+        assert "910 of 1000 tiles (900 of them were there), 10.0 tiles/s, 0:00:09 left" in terminal.getvalue()
+
+
+def test_what_an_earlier_run_did_does_not_count_for_the_rate(clock, open_terminal):
+    terminal = open_terminal()
+    with Progress(True, 100, "designs", done=80) as tell:
+        clock[0] += 20
+        tell(90)
+        clock[0] += 20
+        tell(100)
+    text = terminal.getvalue()
+    assert "90 of 100 designs (80 of them were there), 0.5 designs/s, 0:00:20 left" in text
+    assert "100 of 100 designs (80 of them were there), 0.5 designs/s, 0:00:00 left" in text
+
+
+def test_a_fraction_is_shown_in_percent_and_may_fall(clock, open_terminal):
+    """A goal that moves away lowers the fraction."""
+    terminal = open_terminal()
+    with Progress(True) as tell:
+        for fraction in (0.5, 0.25):
+            clock[0] += 10
+            tell(fraction)
+    assert "50%, 0:00:10 left" in terminal.getvalue()
+    assert "25%, 0:01:00 left" in terminal.getvalue()
+
+
+def test_the_line_is_drawn_a_few_times_a_second(clock, monkeypatch, open_terminal):
+    open_terminal()
+    drawn = []
+    monkeypatch.setattr(Progress, "_draw", lambda self: (drawn.append(clock[0]), setattr(self, "_drawn", clock[0])))
+    with Progress(True, 1000, "tiles") as tell:
+        for k in range(1000):
+            clock[0] += 0.001
+            tell(k + 1)
+    assert 8 <= len(drawn) <= 12
+
+
+def test_nothing_is_shown_unless_it_is_asked_for(capsys):
+    told = []
+    with Progress(False, 2, "tiles") as tell:
+        tell(1)
+    with Progress(lambda *args: told.append(args), 2, "tiles") as tell:
+        tell(1)
+        tell(2, new=False)
+    assert capsys.readouterr() == ("", "")
+    assert told == [(1, 2), (2, 2)]
+
+
+def test_a_file_gets_one_line_at_the_end_also_of_work_that_fails(capsys):
+    with pytest.raises(ValueError, match="broken"), Progress(True, 3, "tiles") as tell:  # noqa: PT012
+        tell(1)
+        raise ValueError("broken")
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("tiles,") == 1
+    assert err.endswith("\n")

@@ -1,0 +1,166 @@
+"""Every argument of every public function refuses an object of a wrong type, in a sentence that does not paste it."""
+
+import inspect
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+MM, DEG = u.mm, u.deg
+CENTER = SkyCoord(95, 23, unit="deg")
+TWO = SkyCoord([95, 95.01] * DEG, [23, 23] * DEG)
+ROBOT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+PLANE = rs.FocalPlane([[0, 0], [25.6, 0], [0, 25.6]] * MM, ROBOT)
+SMALL = rs.Instrument("small", PLANE, plate_scale=200 * MM / DEG)
+SKY = rs.Catalog(TWO)
+XY = [[1, 2], [25, 1]] * MM
+TABLE = QTable({"ra": [95.0, 96.0] * DEG, "dec": [23.0, 23.0] * DEG})
+SCORED = QTable({"positioner": [0, 1], "x": [1.0, 25.0] * MM, "y": [0.0, 1.0] * MM})
+TILING = rs.Tiling.from_table(TABLE)
+
+# what is given where the argument in question is not the wrong one
+CALLS = [
+    (rs.Positioner, {"central_arm": 8 * MM, "eccentric_arm": 8 * MM, "clearance": 2 * MM}),
+    (rs.FocalPlane, {"xy": PLANE.xy, "positioner": ROBOT}),
+    (rs.FocalPlane.hexagonal, {"positioner": ROBOT, "pitch": 25.6 * MM, "rings": 1}),
+    (rs.FocalPlane.from_table, {"table": PLANE.to_table()}),
+    (PLANE.reachable, {"xy": XY}),
+    (PLANE.multiplicity, {"xy": XY}),
+    (PLANE.coverage, {"n_points": 100}),
+    (rs.Instrument, {"name": "small", "focal_plane": PLANE, "plate_scale": 200 * MM / DEG}),
+    (rs.Instrument.preset, {"name": "lamost"}),
+    (rs.Instrument.read, {"path": "x.toml"}),
+    (SMALL.projection, {"center": CENTER}),
+    (rs.RadialMap, {"form": "theta", "coefficients": [1.0], "max_angle": 1 * DEG}),
+    (rs.TangentPlane, {"center": CENTER, "plate_scale": 200 * MM / DEG}),
+    (rs.TangentPlane.from_focal_length, {"center": CENTER, "focal_length": 2 * u.m}),
+    (rs.Region.cap, {"center": CENTER, "radius": 1 * DEG}),
+    (rs.Region.box, {"ra": (0 * DEG, 1 * DEG), "dec": (0 * DEG, 1 * DEG)}),
+    (rs.Region.polygon, {"vertices": SkyCoord([0, 1, 0] * DEG, [0, 0, 1] * DEG)}),
+    (rs.Region.healpix, {"pixels": [1], "nside": 1}),
+    (rs.Region.cap(CENTER, 1 * DEG).contains, {"coord": TWO}),
+    (rs.Catalog, {"coord": TWO}),
+    (rs.Catalog.from_table, {"table": TABLE}),
+    (rs.Catalog.read, {"path": "x.fits"}),
+    (SKY.within, {"center": CENTER, "radius": 1 * DEG}),
+    (SKY.at_epoch, {"time": 2026}),
+    (rs.synthetic_catalog, {"kind": "uniform", "center": CENTER, "radius": 1 * DEG, "n_targets": 3}),
+    (rs.Requirement, {"what": "sky", "minimum": 1}),
+    (rs.AllocationOptions, {}),
+    (rs.allocate, {"focal_plane": PLANE, "xy": XY}),
+    (rs.find_collisions, {"focal_plane": PLANE, "tips": PLANE.xy}),
+    (rs.collision_probability, {"focal_plane": PLANE}),
+    (rs.probability.RandomTargets, {}),
+    (rs.probability.Precision, {}),
+    (rs.plan_tile, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
+    (rs.score_tile, {"table": SCORED, "instrument": SMALL}),
+    (rs.place_tiles, {"field": rs.Region.cap(CENTER, 1 * DEG), "instrument": SMALL}),
+    (rs.tiling.Fibers, {}),
+    (rs.Tiling.from_table, {"table": TABLE}),
+    (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiling": TILING}),
+    (rs.compare_allocators, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
+    (rs.compare_instruments, {"catalog": SKY, "instruments": [SMALL]}),
+    (rs.design.LossOptions, {}),
+    (rs.write_report, {"path": "x.html", "result": TILING}),
+]
+
+MOVING = rs.Catalog(
+    SkyCoord([95] * DEG, [23] * DEG, pm_ra_cosdec=[1] * u.mas / u.yr, pm_dec=[1] * u.mas / u.yr), epoch="J2016"
+)
+SCORED_ON_SKY = QTable(
+    {"positioner": [0], "ra": [95.0] * DEG, "dec": [23.0] * DEG}, meta={"racen": 95.0, "deccen": 23.0, "pa": 0.0}
+)
+SCORE = {"table": SCORED_ON_SKY, "positions": "sky"}
+CLUSTERED = {"kind": "clustered", "cluster_size": 3, "cluster_scale": 0.1 * DEG}
+SERVED = {"field": SKY, "method": "max_density"}
+POISSON = {"catalog": "poisson"}
+# what a file is not read for, and what nothing depends on
+NOT_LOOKED_AT = {
+    "Catalog.read-columns",
+    "Catalog.read-units",
+    "Catalog.read-frame",
+    "FocalPlane.reachable-fiber_type",
+    "allocate-fiber_type",  # without fiber types
+}
+# what else an argument needs to be looked at
+ALSO = {
+    "Positioner-arm_angle": {"arm_model": "capsule", "arm_length": 9 * MM},
+    "FocalPlane.hexagonal-count": {"rings": None},
+    "FocalPlane.hexagonal-vacant": {"rings": 1},
+    "RadialMap-radius": {"form": "sine"},
+    "synthetic_catalog-density": {"n_targets": None},
+    "synthetic_catalog-min_separation": {"kind": "poisson_disc"},
+    "synthetic_catalog-cluster_size": CLUSTERED,
+    "synthetic_catalog-cluster_scale": CLUSTERED,
+    "find_collisions-theta": {"tips": None, "phi": [0, 0, 0] * DEG},
+    "find_collisions-phi": {"tips": None, "theta": [0, 0, 0] * DEG},
+    "collision_probability-center": {"focal_plane": SMALL, "targets": SKY},
+    "collision_probability-density": {"method": "quadrature"},
+    "collision_probability-variant": {"method": "closed_form"},
+    "RandomTargets-min_separation": {"kind": "poisson_disc"},
+    "plan_tile-epoch": {"catalog": MOVING},
+    "plan_survey-epoch": {"catalog": MOVING},
+    "score_tile-center": SCORE,
+    "score_tile-position_angle": SCORE,
+    "score_tile-equinox": SCORE,
+    "score_tile-epoch": SCORE,
+    "compare_instruments-targets_per_positioner": POISSON,
+    "compare_instruments-density": POISSON,
+    "compare_instruments-n_realizations": POISSON,
+    **{f"place_tiles-{name}": SERVED for name in ("n_tiles", "completeness", "allocator", "visits", "rng")},
+}
+
+
+class Strange:
+    """An object of no use anywhere, whose text is long."""
+
+    def __repr__(self):
+        return "strange " * 200
+
+
+def cases():
+    for call, given in CALLS:
+        for name, parameter in inspect.signature(call).parameters.items():
+            if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+                continue
+            key = f"{call.__qualname__}-{name}"
+            if key not in NOT_LOOKED_AT:
+                yield pytest.param(call, {**given, **ALSO.get(key, {})}, name, id=key)
+
+
+@pytest.mark.parametrize(("call", "given", "name"), list(cases()))
+def test_an_object_of_a_wrong_type_is_a_type_error(monkeypatch, tmp_path, call, given, name):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(rs.InputTypeError) as told:
+        call(**{**given, name: Strange()})
+    assert len(str(told.value)) < 400
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda value: rs.plan_tile(value, SMALL, CENTER),
+        lambda value: rs.plan_tile(SKY, value, CENTER),
+        lambda value: rs.plan_tile(SKY, SMALL, value),
+        lambda value: rs.collision_probability(value),
+        lambda value: rs.AllocationOptions(value),
+        lambda value: rs.AllocationOptions(start=value),
+        lambda value: rs.TangentPlane(value, 200 * MM / DEG),
+        lambda value: rs.tiling.Fibers(value),
+        lambda value: rs.place_tiles(value, SMALL),
+        lambda value: rs.plan_survey(SKY, SMALL, value),
+    ],
+)
+@pytest.mark.parametrize("kind", ["frame", "dict", "text"])
+def test_no_message_pastes_what_was_given(call, kind):
+    """A DataFrame as a catalog came back on the screen, row by row."""
+    rows = {name: np.arange(2000.0) for name in ("alpha", "beta")}
+    value = {"frame": lambda: pytest.importorskip("pandas").DataFrame(rows), "dict": lambda: rows, "text": Strange}
+    with pytest.raises(rs.InputTypeError) as told:
+        call(value[kind]())
+    assert len(str(told.value)) < 400
+    assert "\n" not in str(told.value)
