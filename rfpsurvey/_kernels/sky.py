@@ -14,7 +14,7 @@ HORIZON = 1e-15
 
 @kernel
 def project(vectors, basis, focal_length, out):
-    """Gnomonic projection; ``basis`` has the rows +x, +y and center. No image: NaN."""
+    """Project unit vectors gnomonically; ``basis`` has the rows +x, +y and center. No image: NaN."""
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
@@ -29,7 +29,7 @@ def project(vectors, basis, focal_length, out):
 
 @kernel
 def unproject(xy, basis, focal_length, out):
-    """Inverse of `project`."""
+    """Compute the unit vectors of points, the inverse of `project`."""
     for i in range(xy.shape[0]):
         x, y = xy[i, 0] / focal_length, xy[i, 1] / focal_length
         norm = 1.0 / math.sqrt(1.0 + x * x + y * y)
@@ -39,7 +39,7 @@ def unproject(xy, basis, focal_length, out):
 
 @kernel
 def radius_and_slope(theta, form, coefficients, argument, inner, output):
-    """Radius r(theta) of a radial map and its derivative.
+    """Return the radius r(theta) of a radial map and its derivative.
 
     ``t = argument * theta`` (or ``argument * tan(theta)``); ``r = output * p(t)`` or
     ``output * sin(inner * p(t))``.
@@ -66,7 +66,7 @@ def radius_and_slope(theta, form, coefficients, argument, inner, output):
 
 @kernel
 def radii(theta, form, coefficients, argument, inner, output, limit, out):
-    """Radius of each field angle; NaN beyond ``limit``."""
+    """Compute the radius of each field angle; NaN beyond ``limit``."""
     for i in range(theta.size):
         if 0.0 <= theta[i] <= limit:
             out[i] = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
@@ -76,7 +76,7 @@ def radii(theta, form, coefficients, argument, inner, output, limit, out):
 
 @kernel
 def invert_radius(r, form, coefficients, argument, inner, output, limit):
-    """Field angle at radius ``r`` by Newton steps kept inside a shrinking bracket; NaN outside the map."""
+    """Return the field angle at radius ``r``, by Newton steps inside a shrinking bracket; NaN outside the map."""
     low, high = 0.0, limit
     edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
     if not 0.0 <= r <= edge:
@@ -99,14 +99,14 @@ def invert_radius(r, form, coefficients, argument, inner, output, limit):
 
 @kernel
 def angles(r, form, coefficients, argument, inner, output, limit, out):
-    """Field angle of each radius; NaN outside the map."""
+    """Compute the field angle of each radius; NaN outside the map."""
     for i in range(r.size):
         out[i] = invert_radius(r[i], form, coefficients, argument, inner, output, limit)
 
 
 @kernel
 def project_radial(vectors, basis, form, coefficients, argument, inner, output, limit, out):
-    """Projection through a radial map. No image (beyond ``limit``): NaN."""
+    """Project unit vectors by a radial map. No image (beyond ``limit``): NaN."""
     cosine_limit = math.cos(limit) - 1e-12
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
@@ -127,7 +127,7 @@ def project_radial(vectors, basis, form, coefficients, argument, inner, output, 
 
 @kernel
 def unproject_radial(xy, basis, form, coefficients, argument, inner, output, limit, out):
-    """Inverse of `project_radial`."""
+    """Compute the unit vectors of points, the inverse of `project_radial`."""
     for i in range(xy.shape[0]):
         r = math.hypot(xy[i, 0], xy[i, 1])
         theta = invert_radius(r, form, coefficients, argument, inner, output, limit)

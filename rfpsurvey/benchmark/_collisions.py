@@ -148,7 +148,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return what each run finds in each case, and all its times; the first turn compiles and hardly counts."""
+    """Return the pairs that each run finds in each case, and all its times; the first round is to compile."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -169,7 +169,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
 
 
 def _true_pairs(case):
-    """Colliding pairs and their distances in rational arithmetic on the floats as they are; all pairs are looked at."""
+    """Return all colliding pairs and their distances, in rational arithmetic and without a broad phase."""
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]
@@ -183,7 +183,7 @@ def _true_pairs(case):
 
 
 def _errors(truth, found):
-    """Pairs missed and spurious, and errors of the distances of the others, over all configurations."""
+    """Return the numbers of pairs missed and spurious, and errors of the distances of the others."""
     n = missed = spurious = 0
     errors = []
     for true, got in zip(truth, found, strict=True):
@@ -203,13 +203,13 @@ def _errors(truth, found):
 
 
 def _case(plane, tips) -> Configuration:
-    """Arms that stand."""
+    """Return the configuration of arms at their tips."""
     posed = place_arms(plane, tips * u.mm)
     return Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
 
 
 def _check_methods(methods):
-    """Return the names asked for, or all that can run here."""
+    """Return the names that are given, or those of all methods that can run here."""
     if isinstance(methods, str):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()

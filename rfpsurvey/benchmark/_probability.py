@@ -1,4 +1,4 @@
-"""Methods of collision probability side by side, within one estimand."""
+"""Comparison of methods of collision probability with the same estimand."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -146,7 +146,7 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Say how far independent targets are from those of balanced queues, for each density that could stand in.
+    """Compare the collision probability of independent targets, for each density, with that of balanced queues.
 
     Parameters
     ----------

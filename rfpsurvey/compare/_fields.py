@@ -1,4 +1,4 @@
-"""The fields of a comparison, and what each method makes of them."""
+"""The fields of a comparison, and their plans by each allocator."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -26,7 +26,7 @@ __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind
 
 SAMPLE = 100_000
 BLIND = "sdss"
-"""The method whose arms pass through each other, and which assigns as many as that allows."""
+"""The allocator that ignores collisions, and assigns the largest number of targets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,13 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What one method made of a field."""
+    """Numbers of one allocator's plan of a field."""
 
     n_targets: int
     n_science: int
     n_usable: int
     n_pairs: int
-    risk: np.ndarray
+    probability: np.ndarray
     """1 for each positioner in collision, 0 for others, NaN for those that do not count."""
     gap: float
     seconds: float
@@ -67,7 +67,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
-    """Return random skies for each instrument: so many targets a positioner, or of one density."""
+    """Return random skies for each instrument: with a number of targets per positioner, or of one density."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
         raise InputError(f"n_realizations must be a whole number of at least 1, got {number!r}")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
@@ -88,7 +88,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
 
 
 def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
-    """Return the part of a uniform sky, as wide as the field, whose image is on the footprint."""
+    """Return the fraction of a uniform sky, as wide as the field, whose image is on the footprint."""
     sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
     xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
     return float(on_footprint(model.focal_plane, xy).mean())
@@ -109,7 +109,7 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
 def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
-    """Plan every field by the allocator whose arms pass through each other, and by every other one, in this order."""
+    """Plan every field by the allocator that ignores collisions, then by each of ``allocators``."""
     bar, plans = Progress(progress), []
     blind = replace(allocators[0], allocator=BLIND)
     work = partial(plan_field, allocators=(blind, *allocators), others=others)

@@ -1,4 +1,4 @@
-"""Allocators side by side."""
+"""Comparison of allocators."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Draw what each allocator gives: usable science fibers, those lost to collisions, what requirements lack.
+    """Draw the usable science fibers of each allocator, those lost to collisions, and those missing for requirements.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     -------
     matplotlib.axes.Axes
         The axes, a bar for each allocator in the order of the table, with the seconds it took. The dashed line is the
-        number of science fibers of the best plan that does not look at collisions.
+        number of science fibers of the best plan that ignores collisions.
 
     Raises
     ------

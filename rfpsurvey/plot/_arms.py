@@ -11,7 +11,7 @@ from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OUTLINE
 __all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
-"""Status to the marker and the words that stand for it."""
+"""Status to its marker and label."""
 
 
 def draw_patrol_areas(ax, scene: Scene, color, kwargs) -> Iterator:

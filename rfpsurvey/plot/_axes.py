@@ -1,4 +1,4 @@
-"""What the plots share: axes, axes of focal planes in mm, legends below the axes, and collections of circles."""
+"""Functions that plots share: axes, axes of focal planes in mm, legends below the axes, and collections of circles."""
 
 from typing import TYPE_CHECKING
 
@@ -61,7 +61,7 @@ def focal_plane_axes(
 ) -> "Axes":
     """Return axes that show a part of a focal plane to scale, in mm; all of it by default.
 
-    ``beside`` is the room for a color bar in inches.
+    ``beside`` is the width of a color bar in inches.
     """
     if orientation not in ORIENTATIONS:
         raise InputError(f"orientation must be {' or '.join(map(repr, ORIENTATIONS))}, got {orientation!r}")
@@ -94,7 +94,7 @@ def limits_of(ax: "Axes") -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_per_unit(ax: "Axes") -> float:
-    """Return about how many points (1/72 inch) a unit of the data takes on axes of equal scales."""
+    """Return the approximate length of a unit of the data in points (1/72 inch), on axes of equal scales."""
     low, high = limits_of(ax)
     size = ax.get_window_extent()
     return 72 / ax.figure.dpi * float(np.min(np.array([size.width, size.height]) / (high - low)))
@@ -141,7 +141,7 @@ def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: obje
 
 
 def check_columns(table: QTable, columns: set[str], maker: str | None = None) -> None:
-    """Refuse what is no table with these columns; ``maker`` is the function that makes one."""
+    """Raise an error for anything but a table with these columns; ``maker`` is the function that returns one."""
     if not isinstance(table, QTable):
         raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
     missing = ", ".join(sorted(columns - set(table.colnames)))

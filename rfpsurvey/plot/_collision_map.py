@@ -1,4 +1,4 @@
-"""Where on the focal plane arms collide, and how often."""
+"""Map of collisions on the focal plane."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, points_per_unit, spacing_of
 from rfpsurvey.plot._compass import add_compass, position_angle_of
-from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, RISK
+from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, PROBABILITY_COLORS
 from rfpsurvey.probability import Estimate
 from rfpsurvey.tile import Tile
 
@@ -45,7 +45,7 @@ def plot_collision_map(
     Parameters
     ----------
     collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
-        What to draw; of an array, a probability (NaN: it is not counted) or a truth value for each positioner.
+        Result to draw; of an array, a probability (NaN: it is not counted) or a truth value for each positioner.
     focal_plane : FocalPlane, Instrument or str, optional
         The positioners; a str is the name of a preset. A Tile has its own.
     ax : matplotlib.axes.Axes, optional
@@ -102,7 +102,7 @@ def _places(collisions, focal_plane):
     """Return centers and outer radii in mm."""
     if isinstance(collisions, Tile):
         if focal_plane is not None:
-            raise InputError("a Tile brings its own positioners; give no focal_plane")
+            raise InputError("a Tile has its own positioners; give no focal_plane")
         table = collisions.table
         centers = np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
         return centers, np.asarray(table.meta["geometry"]["outer_radius_mm"])
@@ -113,7 +113,7 @@ def _places(collisions, focal_plane):
 
 
 def _values(collisions):
-    """Return a value for each positioner, colliding pairs, what the values are, and a title."""
+    """Return a value for each positioner, colliding pairs, the name of the values, and a title."""
     none = np.empty((0, 2), dtype=int)
     if isinstance(collisions, Estimate):
         e = collisions
@@ -157,7 +157,7 @@ def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     limits = (max(low - 0.15 * (high - low), 0.0), high) if low < high else (0.0, high or 1.0)
     small = radius * points_per_unit(ax) < SMALL
     edges = {"edgecolors": "none"} if small else {"edgecolors": "0.6", "linewidths": 0.2}
-    style = {"cmap": RISK, "clim": limits, **edges, **kwargs}
+    style = {"cmap": PROBABILITY_COLORS, "clim": limits, **edges, **kwargs}
     drawn = add_circles(ax, centers[known], radius / 0.96 if small else radius, array=values[known], **style)
     ax.figure.colorbar(drawn, cax=ax.inset_axes([1.02, 0, 0.03, 1]), label=label)
     if not known.all():

@@ -1,4 +1,4 @@
-"""How complete a survey is, tile after tile."""
+"""Completeness of a survey against the number of tiles."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""How many positioners reach each point."""
+"""Map of the number of positioners that reach each point."""
 
 from typing import TYPE_CHECKING
 
@@ -136,6 +136,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Two digits, and no more than the sample can tell."""
+    """Return a percentage with two digits, as far as the sample allows."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

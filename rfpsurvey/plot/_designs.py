@@ -147,9 +147,9 @@ def plot_designs(
 
 
 def _question(table):
-    """Return what the losses of a table are, in words."""
+    """Return the estimand of the losses of a table, with the number of targets."""
     asked = table.meta["request"]
-    targets = f", {asked['targets']:g} targets a {'mm^2' if asked['by_area'] else 'positioner'}"
+    targets = f", {asked['targets']:g} targets per {'mm^2' if asked['by_area'] else 'positioner'}"
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)
 
 
@@ -160,7 +160,7 @@ def _parameter(table):
 
 
 def _label(table, name, *, short=False):
-    """Return what a column is, with its unit; ``short`` for an entry of a legend."""
+    """Return the label of a column, with its unit; ``short`` for an entry of a legend."""
     text, unit = LABELS.get(name, name.replace("_", " ")), getattr(table[name], "unit", None)
     if short:
         return f"{'arm ratio' if name == 'ratio' else text}" + (f" [{unit:unicode}]" if unit else "")

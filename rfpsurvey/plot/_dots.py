@@ -15,7 +15,7 @@ SHORTEST = 5.0
 
 
 def arms_are_visible(ax, scene: Scene) -> bool:
-    """Tell whether the axes are large enough for arms."""
+    """Return whether the axes are large enough for arms."""
     present = np.isfinite(scene.bodies).all(axis=1)
     if not present.any():
         length = np.max(scene.outer, initial=0.0) / 2
@@ -27,7 +27,7 @@ def arms_are_visible(ax, scene: Scene) -> bool:
 def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     """Draw a dot for each positioner, colored by its state, and yield legend entries.
 
-    A dot stands on the fiber, which is on its target, or on the center of a positioner without a target. Those in
+    A dot is at the fiber, which is on its target, or at the center of a positioner without a target. Those in
     collision are diamonds, larger and on top of the others.
     """
     from matplotlib.lines import Line2D

@@ -1,4 +1,4 @@
-"""Instruments side by side."""
+"""Comparison of instruments."""
 
 from typing import TYPE_CHECKING
 
@@ -127,7 +127,7 @@ def _draw_probability(table, ax):
 
 
 def _places(table):
-    """Return the height of each row, with room between instruments, and its label."""
+    """Return the height of each row, with a gap between instruments, and its label."""
     names = np.asarray(table["instrument"])
     changes = np.concatenate([[False], names[1:] != names[:-1]])
     y = -np.arange(len(names)) - 0.5 * np.cumsum(changes)

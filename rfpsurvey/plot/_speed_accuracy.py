@@ -1,4 +1,4 @@
-"""Time against error."""
+"""Plots of time against error."""
 
 from typing import TYPE_CHECKING
 
@@ -236,7 +236,7 @@ def _state(ax, table, number, legend, *, figure=False):
 
 
 def _label(ax, points):
-    """Write labels (x, y, text) beside their points, where they overlap no marker and no label if there is room.
+    """Write labels (x, y, text) beside their points, where they overlap no marker and no label if possible.
 
     This comes last, since all other text changes the size of the axes.
     """

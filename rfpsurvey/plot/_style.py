@@ -16,7 +16,7 @@ __all__ = [
     "OBSTACLE",
     "OUTLINE",
     "PATROL",
-    "RISK",
+    "PROBABILITY_COLORS",
     "SEQUENTIAL",
     "SERIES",
     "light_scale",
@@ -60,7 +60,7 @@ HATCH = "//////"
 """On everything that collides or is lost to collisions."""
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
 """Counts 0, 1, 2, ...: steps of lightness, which print in gray as well."""
-SEQUENTIAL, DIVERGING, RISK = "viridis", "RdBu_r", "YlOrBr"
+SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 
 def light_scale():

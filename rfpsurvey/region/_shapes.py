@@ -23,7 +23,7 @@ __all__ = [
     "turned_area",
 ]
 
-# Rows times edges that are looked at together.
+# Rows times edges that are computed together.
 CHUNK = 2_000_000
 
 
@@ -64,7 +64,7 @@ def box_contains(box, vectors):
     """Tell which directions are inside; the border belongs to the box, and a pole to every box that ends there."""
     begin, width, low, high = box
     dec, turn = to_dec(vectors), (to_ra(vectors) - begin) % (2 * np.pi)
-    # a hair of rounding at either end
+    # a margin for rounding at either end
     inside = (turn <= width + 1e-13) | (turn >= 2 * np.pi - 1e-13)
     pole = np.abs(dec) >= np.pi / 2 - 1e-15
     return (dec >= low - 1e-15) & (dec <= high + 1e-15) & (inside | pole)
@@ -83,7 +83,7 @@ def box_distance(box, vectors):
 
 
 def _to_arc(vectors, a, b):
-    """Distance to the shorter great circle from a to b."""
+    """Return distances to the shorter great circle from a to b."""
     normal = np.cross(a, b)
     length = np.linalg.norm(normal)
     ends = np.minimum(angle(vectors, a), angle(vectors, b))
@@ -149,7 +149,7 @@ def polygon_contains(vertices, vectors):
     for k in range(0, len(vectors), step):
         p = vectors[k : k + step]
         height = p @ normal
-        # what is on the great circle of that edge would go along it: by 2 micro-arcseconds it does not
+        # a direction on the great circle of that edge has its path along the edge: move it by 2 micro-arcseconds
         p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
         left = p @ normal > 0
         plane = np.cross(middle, p)

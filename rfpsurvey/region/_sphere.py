@@ -1,4 +1,4 @@
-"""Regions on the unit sphere: what is inside, how far away, the border, a circle around."""
+"""Regions on the unit sphere: directions inside, distances, the border, and a circle around."""
 
 import numpy as np
 

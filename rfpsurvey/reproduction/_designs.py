@@ -25,14 +25,14 @@ MOST_ENTRIES = 32
 
 @dataclass(frozen=True)
 class Settings:
-    """How carefully to work."""
+    """The settings of a run."""
 
     quick: bool = False
     executor: Executor | None = None
     progress: bool = False
     seed: int = 0
     error: float | None = None
-    """Standard error of every design, if it is not the usual one."""
+    """Standard error of every design; by default 0.0001, or 0.002 in a quick run."""
 
     @property
     def precision(self) -> float:
@@ -41,7 +41,7 @@ class Settings:
         return usual if self.error is None else self.error
 
     def pick(self, full: int, quick: int) -> int:
-        """Return the number for this care."""
+        """Return the number for a full or a quick run."""
         return quick if self.quick else full
 
 

@@ -1,4 +1,4 @@
-"""How often intervals hold the truth, with the stopping rule at work."""
+"""Coverage of the confidence intervals, with the stopping rule in use."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 
 
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
-    """Return how often each interval holds the truth, for plain and conditional simulation.
+    """Return how often each interval contains the truth, for plain and conditional simulation.
 
     Every repeat runs until the precision is met; the truth comes from a conditional simulation twenty times as precise.
     """
@@ -147,5 +147,5 @@ def _repeat(scene, method, stop, repeats, settings):
 
 
 def _binomial(p, n):
-    """Return the standard error of a part of n, never 0."""
+    """Return the standard error of a fraction of n, never 0."""
     return float(np.sqrt(max(p * (1 - p), 1 / n) / n))

@@ -1,4 +1,4 @@
-"""How often the interval that one sky gives holds the expectation over all skies of its kind."""
+"""Coverage of the interval from one sky: how often it contains the expectation over all skies of its kind."""
 
 import astropy.units as u
 import numpy as np
@@ -33,7 +33,7 @@ CONFIDENCE = 0.95
 
 
 def one_sky(settings: Settings) -> QTable:
-    """Return how often the interval of given targets holds the truth, for focal planes of 7 to 469 positioners.
+    """Return how often the interval of given targets contains the truth, for focal planes of 7 to 469 positioners.
 
     The truth is the mean over other skies of the same kind.
     """

@@ -341,7 +341,7 @@ def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     assert len(plane.arrays.neighbors) == 0
     tips = plane.xy + [12, 3] * MM
     expected = rs.find_collisions(plane, tips)
-    monkeypatch.setattr("rfpsurvey.collision._find.stand", None)
+    monkeypatch.setattr("rfpsurvey.collision._find.pose_tips", None)
     monkeypatch.setattr("rfpsurvey.collision._find.METHODS", dict.fromkeys(METHODS))
     for method in METHODS:
         report = rs.find_collisions(plane, tips, method=method)
