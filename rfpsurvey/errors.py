@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from numbers import Integral
 
 from astropy.units import UnitsError
 
-__all__ = ["InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning", "check_choice"]
+__all__ = ["InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning", "check_choice", "check_whole"]
 
 
 class InputError(ValueError):
@@ -26,6 +27,14 @@ class InputUnitsError(InputError, UnitsError):
 
 class RfpsurveyWarning(UserWarning):
     """Something was left out or assumed; the message says what, and how much of it."""
+
+
+def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
+    """Raise an error unless ``value`` is a whole number from ``low`` to ``high``; booleans are none."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (whole and low <= value and (high is None or value <= high)):
+        limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise InputError(f"{name} must be a whole number {limits}, got {value!r}")
 
 
 def check_choice(name: object, choices: Iterable[str], what: str) -> str:

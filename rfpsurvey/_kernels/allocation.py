@@ -161,12 +161,10 @@ def nominate(
     must be the number of targets in reach of each positioner; candidates may be fewer.
     """
     n = indptr.size - 1
-    for i in range(n):
-        target_of_positioner[i] = -1
-        cursor[i] = indptr[i]
-    for t in range(positioner_of_target.size):
-        positioner_of_target[t] = -1
-        nominee_of[t] = -1
+    cursor[:] = indptr[:-1]
+    target_of_positioner[:] = -1
+    positioner_of_target[:] = -1
+    nominee_of[:] = -1
     c = 0
     while c < n_ranks:
         upcoming = n_ranks

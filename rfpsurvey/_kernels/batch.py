@@ -39,12 +39,9 @@ class Workspace(NamedTuple):
     assigned: np.ndarray
     far: np.ndarray
     colliding: np.ndarray
-    mask: np.ndarray
     first: np.ndarray
     second: np.ndarray
     squared: np.ndarray
-    hits: np.ndarray
-    gaps: np.ndarray
 
 
 @kernel
@@ -58,7 +55,6 @@ def count(setup, workspace, counts, times):
             workspace.halves,
             setup.runs,
             setup.limits,
-            workspace.mask,
             workspace.first,
             workspace.second,
             workspace.squared,
@@ -72,18 +68,19 @@ def count(setup, workspace, counts, times):
             counts[PAIRS] += 1
             workspace.colliding[workspace.first[k]] = workspace.colliding[workspace.second[k]] = True
     if setup.obstacle_pairs.shape[0] > 0:
+        hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
         m = colliding_obstacles(
             workspace.segments,
             setup.obstacle_pairs,
             setup.obstacles,
             setup.clearance,
             0.0,
-            workspace.hits,
-            workspace.gaps,
+            hits,
+            gaps,
         )
         counts[OBSTACLE_PAIRS] = m
         for k in range(m):
-            workspace.colliding[workspace.hits[k, 0]] = True
+            workspace.colliding[hits[k, 0]] = True
     assigned = colliding = both = counted = 0
     for i in range(workspace.assigned.size):
         counts_too = workspace.assigned[i] | setup.parked[i]

@@ -157,13 +157,14 @@ def keep_near(halves, m, squared, first, second):
 
 
 @kernel
-def near_pairs(halves, runs, limits, mask, first, second):
+def near_pairs(halves, runs, limits, first, second):
     """List neighbors that may be closer than the minimum separation in ``first`` and ``second``; returns how many.
 
     ``runs`` lists neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, n pairs. Arms whose midpoints are
     too far apart are left out, and so are those that an axis separates.
     """
     m = 0
+    marks = np.empty(halves.shape[1], np.bool_)
     near2, limit2 = limits.near**2, (limits.separation + limits.slack) ** 2
     for r in range(runs.shape[0]):
         i, j, n = runs[r, 0], runs[r, 1], runs[r, 2]
@@ -174,7 +175,6 @@ def near_pairs(halves, runs, limits, mask, first, second):
                 m += dx * dx + dy * dy <= near2
             continue
         xi, yi, xj, yj = halves[0, i : i + n], halves[1, i : i + n], halves[0, j : j + n], halves[1, j : j + n]
-        marks = mask[:n]
         for k in range(n):
             dx, dy = xj[k] - xi[k], yj[k] - yi[k]
             marks[k] = dx * dx + dy * dy <= near2  # not for NaN
@@ -185,14 +185,14 @@ def near_pairs(halves, runs, limits, mask, first, second):
 
 
 @kernel
-def colliding_pairs(segments, halves, runs, limits, mask, first, second, squared):
+def colliding_pairs(segments, halves, runs, limits, first, second, squared):
     """List pairs closer than the minimum separation, and those within the band about it, which rounding could decide.
 
     Returns their number and how many of them are within the band.
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
-    for k in range(near_pairs(halves, runs, limits, mask, first, second)):
+    for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
         d2 = pair_squared(segments, i, j)
         if d2 < limit + band:

@@ -33,13 +33,7 @@ class Entries(NamedTuple):
     hit: np.ndarray
     """Weight of the entries of one neighbor that collide with each entry; zero between calls."""
     ahead: np.ndarray
-    near: np.ndarray
-    marks: np.ndarray
-    mid_x: np.ndarray
-    mid_y: np.ndarray
-    back: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
+    """Farthest point of each entry along the line between two centers."""
 
 
 @kernel
@@ -96,9 +90,11 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
     arrays to another one takes longer than testing short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
-    free, hit = entries.free, entries.hit
-    ahead, near, marks, first, second = entries.ahead, entries.near, entries.marks, entries.first, entries.second
-    mid_x, mid_y, back = entries.mid_x, entries.mid_y, entries.back
+    free, hit, ahead = entries.free, entries.hit, entries.ahead
+    longest = (entries.stop - entries.start).max()
+    near, marks = np.empty(longest, np.int64), np.empty(longest, np.bool_)
+    mid_x, mid_y, back = np.empty(longest), np.empty(longest), np.empty(longest)
+    first, second = np.empty(BATCH + longest, np.int64), np.empty(BATCH + longest, np.int64)
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
     touching, limit = limits.separation + limits.slack, limits.separation**2
     near2 = limits.near**2

@@ -48,9 +48,6 @@ class Realization(NamedTuple):
     length: np.ndarray
     queues: np.ndarray
     queue: np.ndarray
-    uniform: np.ndarray
-    target_of: np.ndarray
-    tips: np.ndarray
     cells: np.ndarray
     """The grid of `scatter_apart`, (2, n)."""
 
@@ -155,19 +152,18 @@ def thin(rng, most, indptr, queue):
 def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
     """Count the collisions of one configuration of each realization; add 1 to ``counted`` where a positioner counts."""
     n = positioners.side.size
+    uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, positioners, realization)
         for i in range(n):
-            realization.uniform[i] = rng.random()
-        draw_configuration(realization.queues, realization.queue, realization.uniform, realization.target_of)
+            uniform[i] = rng.random()
+        draw_configuration(realization.queues, realization.queue, uniform, target_of)
         for i in range(n):
-            t = realization.target_of[i]
+            t = target_of[i]
             workspace.assigned[i] = t >= 0
-            realization.tips[i, 0], realization.tips[i, 1] = (
-                (realization.x[t], realization.y[t]) if t >= 0 else (np.nan, np.nan)
-            )
+            tips[i, 0], tips[i, 1] = (realization.x[t], realization.y[t]) if t >= 0 else (np.nan, np.nan)
             counted[i] += workspace.assigned[i] | setup.parked[i]
-        place(realization.tips, positioners.geometry, positioners.side, workspace.segments)
+        place(tips, positioners.geometry, positioners.side, workspace.segments)
         shape(workspace.segments, setup.model, setup.length, setup.cosine, setup.sine)
         fill_idle(workspace.assigned, positioners.idle, workspace.segments)
         count(setup, workspace, counts[c], times)
@@ -240,11 +236,10 @@ def queue_and_expect(
             setup.sine,
             entries.segments,
         )
-        prepare_entries(realization.queues, positioners.idle, entries)
-        sum_realization(
+        expect_given(
             realization.queues,
             pairs,
-            positioners.geometry,
+            positioners,
             setup,
             entries,
             probability,

@@ -18,13 +18,9 @@ def project(vectors, basis, focal_length, out):
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
-        if along > HORIZON:
-            scale = focal_length / along
-            out[i, 0] = scale * (a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2])
-            out[i, 1] = scale * (a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2])
-        else:
-            out[i, 0] = np.nan
-            out[i, 1] = np.nan
+        scale = focal_length / along if along > HORIZON else np.nan
+        out[i, 0] = scale * (a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2])
+        out[i, 1] = scale * (a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2])
 
 
 @kernel
@@ -52,8 +48,7 @@ def radius_and_slope(theta, form, coefficients, argument, inner, output):
         t = argument * theta
         t_slope = argument
     t2 = t * t
-    value = 0.0
-    slope = 0.0
+    value = slope = 0.0
     for k in range(coefficients.size - 1, -1, -1):
         value = value * t2 + coefficients[k]
         slope = slope * t2 + (2 * k + 1) * coefficients[k]
@@ -68,10 +63,8 @@ def radius_and_slope(theta, form, coefficients, argument, inner, output):
 def radii(theta, form, coefficients, argument, inner, output, limit, out):
     """Compute the radius of each field angle; NaN beyond ``limit``."""
     for i in range(theta.size):
-        if 0.0 <= theta[i] <= limit:
-            out[i] = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
-        else:
-            out[i] = np.nan
+        r = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
+        out[i] = r if 0.0 <= theta[i] <= limit else np.nan
 
 
 @kernel
@@ -111,8 +104,7 @@ def project_radial(vectors, basis, form, coefficients, argument, inner, output, 
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
-        out[i, 0] = np.nan
-        out[i, 1] = np.nan
+        out[i, 0] = out[i, 1] = np.nan
         if along >= cosine_limit:
             x = a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2]
             y = a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2]
@@ -140,7 +132,5 @@ def unproject_radial(xy, basis, form, coefficients, argument, inner, output, lim
 def within(vectors, center, half_chord_squared, out):
     """Mark the directions whose squared half chord to ``center`` is at most the given one."""
     for i in range(vectors.shape[0]):
-        a = vectors[i, 0] - center[0]
-        b = vectors[i, 1] - center[1]
-        c = vectors[i, 2] - center[2]
+        a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
         out[i] = 0.25 * (a * a + b * b + c * c) <= half_chord_squared

@@ -80,12 +80,11 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
     """Sum the weights of the directions near each center."""
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     for m in range(centers.shape[0]):
+        center = centers[m]
         total = 0.0
-        for k in range(list_runs(key, n_zones, centers[m], radius, runs)):
+        for k in range(list_runs(key, n_zones, center, radius, runs)):
             for i in range(runs[k, 0], runs[k, 1]):
-                a = vectors[i, 0] - centers[m, 0]
-                b = vectors[i, 1] - centers[m, 1]
-                c = vectors[i, 2] - centers[m, 2]
+                a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
                 if 0.25 * (a * a + b * b + c * c) <= limit:
                     total += weight[i]
         out[m] = total

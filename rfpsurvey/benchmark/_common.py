@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.collision import place_arms
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import check_whole
 
 __all__ = ["check_positive", "has_gpu", "processor", "provenance", "random_tips"]
 
@@ -42,8 +42,7 @@ def has_gpu():
 def check_positive(**numbers):
     """Raise an error for anything but a whole number of at least 1."""
     for name, value in numbers.items():
-        if not (isinstance(value, int | np.integer) and value >= 1):
-            raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+        check_whole(value, name)
 
 
 def provenance(instrument, plane):

@@ -11,7 +11,7 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
-from rfpsurvey.errors import InputError, InputTypeError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
@@ -227,8 +227,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
             f"the allocation is for {len(allocation.target_of_positioner)} positioners, not for {len(plane)}"
         )
     n = n_configurations
-    if not (isinstance(n, int | np.integer) and n >= 0):
-        raise InputError(f"n_configurations must say how many to draw, a whole number of at least 0, got {n!r}")
+    check_whole(n, "n_configurations", 0)
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
     indptr, entries = queue_segments(plane, allocation)
@@ -284,13 +283,10 @@ def make_setup(plane, angles, parked_obstacles) -> batch.CollisionSetup:
 
 def make_workspace(plane) -> batch.Workspace:
     """Return arrays that the count of one configuration writes to."""
-    n, size, m = len(plane), len(plane.arrays.neighbors), len(plane.arrays.obstacle_pairs)
+    n, size = len(plane), len(plane.arrays.neighbors)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
-    mask = np.empty(plane.arrays.longest_run, dtype=np.bool_)
     pairs = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64), np.empty(size)
-    return batch.Workspace(
-        np.empty((4, n)), np.empty((4, n)), *flags, mask, *pairs, np.empty((m, 2), dtype=np.int64), np.empty(m)
-    )
+    return batch.Workspace(np.empty((4, n)), np.empty((4, n)), *flags, *pairs)
 
 
 def _sides_of_chunk(plane, points, side, start):

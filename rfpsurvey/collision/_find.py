@@ -20,7 +20,7 @@ from rfpsurvey.collision._arms import (
 from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["find_collisions", "touching"]
@@ -104,8 +104,7 @@ def find_collisions(
     """
     find = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)
-    if not (isinstance(n_points, int | np.integer) and 2 <= n_points <= MOST_POINTS):
-        raise InputError(f"n_points must be a whole number of at least 2 and at most {MOST_POINTS}, got {n_points!r}")
+    check_whole(n_points, "n_points", 2, MOST_POINTS)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
     if ready and any(value is not None for value in given.values()):

@@ -38,9 +38,9 @@ class Found(NamedTuple):
 def exact(case: Configuration) -> Found:
     """Find pairs by distances with a proven error; pairs within it of the limit are decided in rational arithmetic."""
     columns = case.plane.arrays
-    halves, mask, first, second = _scratch(case)
+    halves, first, second = _scratch(case)
     squared = np.empty(len(first))
-    n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, mask, first, second, squared)
+    n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, first, second, squared)
     return _settle(case, first[:n], second[:n], squared[:n])
 
 
@@ -101,8 +101,8 @@ METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
     """Return the neighbors that the broad phase does not reject."""
-    halves, mask, first, second = _scratch(case)
-    n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, mask, first, second)
+    halves, first, second = _scratch(case)
+    n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, first, second)
     return first[:n], second[:n]
 
 
@@ -113,12 +113,11 @@ def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, dist
 
 
 def _scratch(case):
-    """Return the halves of the segments, and arrays for marks and for all pairs."""
+    """Return the halves of the segments, and arrays for all pairs."""
     size = len(case.plane.arrays.neighbors)
     halves = np.empty_like(case.segments)
     collisions.halve(case.segments, halves)
-    mask = np.empty(case.plane.arrays.longest_run, dtype=np.bool_)
-    return halves, mask, np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+    return halves, np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
 
 
 def _settle(case, first, second, squared):

@@ -10,16 +10,15 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Progress
+from rfpsurvey.probability import map_with_progress
 from rfpsurvey.tile import plan_tile
 
 __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
@@ -68,8 +67,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
     """Return random skies for each instrument: with a number of targets per positioner, or of one density."""
-    if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-        raise InputError(f"n_realizations must be a whole number of at least 1, got {number!r}")
+    check_whole(number, "n_realizations")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise InputError(f"targets_per_positioner must be a positive number, got {each!r}")
     center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
@@ -110,14 +108,9 @@ def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
     """Plan every field by the allocator that ignores collisions, then by each of ``allocators``."""
-    bar, plans = Progress(progress), []
     blind = replace(allocators[0], allocator=BLIND)
     work = partial(plan_field, allocators=(blind, *allocators), others=others)
-    for plan in map_in_order(executor, work, fields):
-        plans.append(plan)
-        bar(len(plans) / len(fields))
-    bar.close()
-    return plans
+    return map_with_progress(executor, progress, work, fields)
 
 
 def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:

@@ -196,6 +196,7 @@ def compare_instruments(
         rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, own, strict=True)]
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
+    shared = {name: value for name, value in methods[0].record.items() if name != "allocator"}
     software = dict(versions())
     for method in methods:
         software.update(packages(method))
@@ -208,18 +209,13 @@ def compare_instruments(
         sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta),
         software=software,
         instruments={model.name: model.provenance for model in models},
-        parameters={"rng": str(rng), **_record(methods), **{name: str(value) for name, value in others.items()}},
+        parameters={"rng": str(rng), **shared, **{name: str(value) for name, value in others.items()}},
     )
     if way == "same targets per positioner":
         table.meta["targets_per_positioner"] = float(each)
     elif way == "same density":
         table.meta["density_per_deg2"] = float(density.to_value(u.deg**-2))
     return table
-
-
-def _record(methods: list[AllocationOptions]) -> dict:
-    """Return the options that all plans share."""
-    return {name: value for name, value in methods[0].record.items() if name != "allocator"}
 
 
 def parts_of(table: QTable) -> dict[str, QTable]:

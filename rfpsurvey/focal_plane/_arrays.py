@@ -267,11 +267,6 @@ class FocalPlaneArrays:
         return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)
 
     @cached_property
-    def longest_run(self) -> int:
-        """Length of the mask that the broad phase needs."""
-        return int(self.runs[:, 2].max(initial=0))
-
-    @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Cosine and sine of the capsule's angle where every positioner uses its first fiber."""
         return self.angles_of(self.first_type)

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 
 __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
@@ -31,8 +31,7 @@ def find_coverage(plane, n_points, rng) -> np.ndarray:
     There is a random point in each cell of a square grid, since the result of regular points would depend on how their
     grid lies on the lattice of the positioners.
     """
-    if isinstance(n_points, bool) or not isinstance(n_points, int | np.integer) or not 1 <= n_points <= 2**26:
-        raise InputError(f"n_points must be a whole number from 1 to {2**26}, got {n_points!r}")
+    check_whole(n_points, "n_points", 1, 2**26)
     hull = footprint_of(plane)
     corners = hull.points[hull.vertices]
     n = int(np.ceil(np.sqrt(n_points)))

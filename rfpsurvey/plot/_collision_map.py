@@ -10,9 +10,9 @@ from rfpsurvey.collision import CollisionCounts, CollisionReport
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
-from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, legend_line, points_per_unit, spacing_of
 from rfpsurvey.plot._compass import add_compass, position_angle_of
-from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, PROBABILITY_COLORS
+from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OPEN_CIRCLE, OUTLINE, PROBABILITY_COLORS
 from rfpsurvey.probability import Estimate
 from rfpsurvey.tile import Tile
 
@@ -149,8 +149,6 @@ def _flags(flags, pairs):
 
 def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     """Color disks by value, between the smallest and the largest one, with a color bar."""
-    from matplotlib.lines import Line2D
-
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
     # a little below the smallest value, whose color would else be that of the background
@@ -162,23 +160,20 @@ def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     ax.figure.colorbar(drawn, cax=ax.inset_axes([1.02, 0, 0.03, 1]), label=label)
     if not known.all():
         add_circles(ax, centers[~known], radius, facecolors="none", edgecolors=IDLE, linestyles="--", linewidths=0.8)
-        entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-        legend_below(ax, [Line2D([], [], color=IDLE, label="not counted", **entry)])
+        legend_below(ax, [legend_line(color=IDLE, label="not counted", **OPEN_CIRCLE)])
 
 
 def _draw_flags(ax, centers, radius, flags, pairs, kwargs):
     from matplotlib.collections import LineCollection
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     add_circles(ax, centers[~flags], radius, facecolors="none", edgecolors=IDLE, linewidths=0.5)
-    entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-    handles = [Line2D([], [], color=IDLE, label="no collision", **entry)]
+    handles = [legend_line(color=IDLE, label="no collision", **OPEN_CIRCLE)]
     if flags.any():
         style = {"facecolors": COLLISION, "edgecolors": "white", "hatch": HATCH, "linewidths": 0, **kwargs}
         add_circles(ax, centers[flags], radius, **style)
         handles.append(Patch(facecolor=COLLISION, edgecolor="white", hatch=HATCH, linewidth=0, label="in collision"))
     if len(pairs):
         ax.add_collection(LineCollection(centers[pairs], colors=OUTLINE, linewidths=1.5, zorder=3))
-        handles.append(Line2D([], [], color=OUTLINE, linewidth=1.5, label="colliding pair"))
+        handles.append(legend_line(color=OUTLINE, linewidth=1.5, label="colliding pair"))
     legend_below(ax, handles)

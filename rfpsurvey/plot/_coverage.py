@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, named_plane
@@ -73,9 +73,8 @@ def plot_coverage(
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
 
-    whole = isinstance(n_pixels, int | np.integer) and not isinstance(n_pixels, bool)
-    if n_pixels is not None and not (whole and 1 <= n_pixels <= 5000):
-        raise InputError(f"n_pixels must be a whole number from 1 to 5000, got {n_pixels!r}")
+    if n_pixels is not None:
+        check_whole(n_pixels, "n_pixels", 1, 5000)
     name, plane = named_plane(focal_plane)
     ax = focal_plane_axes(ax, plane.arrays.xy, plane.arrays.outer_radius, region, orientation)
     low, high = limits_of(ax)

@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.plot._axes import legend_below, new_axes, values_of
+from rfpsurvey.plot._axes import legend_below, legend_line, new_axes, values_of
 from rfpsurvey.plot._style import COLLISION, MARKERS, light_scale
 
 if TYPE_CHECKING:
@@ -81,7 +81,6 @@ def plot_designs(
     'fraction of fibers lost to collisions (independent)'
     """
     from matplotlib.cm import ScalarMappable
-    from matplotlib.lines import Line2D
 
     for one in (table, *(mark or {}).values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
@@ -109,9 +108,7 @@ def plot_designs(
         if few:
             face = points.cmap(points.norm(level))
             handles.append(
-                Line2D(
-                    [],
-                    [],
+                legend_line(
                     linestyle="none",
                     color=face,
                     markeredgecolor="0.35",
@@ -123,7 +120,7 @@ def plot_designs(
         order = np.flatnonzero(front)[np.argsort(across[front], kind="stable")]
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
         better = f"front: no other design is better in both ({front.sum()} of {len(table)})"
-        handles.append(Line2D([], [], color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
+        handles.append(legend_line(color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
     for name, one in (mark or {}).items():
         ax.scatter(
             values_of(one, x), values_of(one, y), marker="*", s=140, color=COLLISION, edgecolors="white", zorder=4
@@ -138,8 +135,7 @@ def plot_designs(
         }
         text = ax.annotate(name, place, textcoords="offset points", **where)
         text.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1})
-    ax.set_xlabel(_label(table, x))
-    ax.set_ylabel(_label(table, y))
+    ax.set(xlabel=_label(table, x), ylabel=_label(table, y))
     if not few:
         ax.figure.colorbar(ScalarMappable(points.norm, points.cmap), ax=ax, label=_label(table, color))
     legend_below(ax, handles, columns=3 if few else 1)

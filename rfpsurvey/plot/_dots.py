@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rfpsurvey.plot._axes import add_circles, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import add_circles, legend_line, points_per_unit, spacing_of
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 
@@ -30,8 +30,6 @@ def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     A dot is at the fiber, which is on its target, or at the center of a positioner without a target. Those in
     collision are diamonds, larger and on top of the others.
     """
-    from matplotlib.lines import Line2D
-
     spacing = spacing_of(scene.centers, scene.outer)
     add_circles(ax, scene.centers, 0.5 * spacing, facecolors=FAINT, zorder=0.8)
     moving = ~np.isin(scene.status, ("disabled", "stuck"))
@@ -49,4 +47,4 @@ def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
         style = {"s": size**2, "marker": marker, "facecolor": face, "edgecolor": edge, "linewidths": width}
         ax.scatter(*points[rows].T, label=label, zorder=zorder, **{**style, **kwargs})
         look = {"markersize": max(size, 4), "markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": width}
-        yield Line2D([], [], linestyle="none", marker=marker, label=label, **look)
+        yield legend_line(linestyle="none", marker=marker, label=label, **look)

@@ -42,17 +42,13 @@ class SkyMap:
     def label(self, ax) -> None:
         """Label axes, and set the ratio of their scales."""
         if self.kind == "whole":
-            return _label_whole_sky(ax)
-        ax.set_aspect(self.aspect)
-        if self.kind == "region":
+            _label_whole_sky(ax)
+        elif self.kind == "region":
             ax.xaxis.set_major_formatter(lambda lon, _: f"{lon % 360:g}")
-            ax.set_xlabel("right ascension [deg]")
-            ax.set_ylabel("declination [deg]")
-            return None
-        where = f"{self.center.ra.deg:.1f} {self.center.dec.deg:+.1f}"
-        ax.set_xlabel(f"east of {where} [deg]")
-        ax.set_ylabel(f"north of {where} [deg]")
-        return None
+            ax.set(aspect=self.aspect, xlabel="right ascension [deg]", ylabel="declination [deg]")
+        else:
+            where = f"{self.center.ra.deg:.1f} {self.center.dec.deg:+.1f}"
+            ax.set(aspect=self.aspect, xlabel=f"east of {where} [deg]", ylabel=f"north of {where} [deg]")
 
 
 def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:
@@ -124,14 +120,12 @@ def outline_of_region(region: Region, sky_map: SkyMap) -> list[np.ndarray]:
         center = SkyCoord(x, y, z, representation_type="cartesian").spherical
         angles = np.linspace(0, 360, 401) * u.deg
         lines = [SkyCoord(center.lon, center.lat).directional_offset_by(angles, region.values[3] * u.rad)]
+    elif region.kind == "box":
+        sides = np.split(border_of(region), 4)
+        lines = [_to_coord(side) for side in (sides[:2] if region.values[1] == 2 * np.pi else sides)]
     else:
         border = border_of(region)
-        if region.kind == "box":
-            parts = np.split(border, 4)
-            parts = parts[:2] if region.values[1] == 2 * np.pi else parts
-        else:
-            parts = [np.vstack([border, border[:1]])]
-        lines = [_to_coord(part) for part in parts]
+        lines = [_to_coord(np.vstack([border, border[:1]]))]
     return [_unjoined(sky_map.to_xy(line), sky_map) for line in lines]
 
 

@@ -8,7 +8,7 @@ from rfpsurvey.probability._methods import CHUNK, ESTIMANDS, METHODS
 from rfpsurvey.probability._options import Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._question import ProbabilityQuestion
-from rfpsurvey.probability._run import Progress, rate_interval, run, summarize
+from rfpsurvey.probability._run import Progress, map_with_progress, rate_interval, run, summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._surrogate import (
     AXES,
@@ -39,6 +39,7 @@ __all__ = [
     "interior_probability",
     "make_source",
     "make_surrogate",
+    "map_with_progress",
     "outside_box",
     "quantile",
     "rate_interval",

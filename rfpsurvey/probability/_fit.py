@@ -11,7 +11,6 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["PolynomialFit", "fit_polynomial"]
 
-TERMS = ("1", "x", "y", "z", "x^2", "y^2", "z^2", "xy", "xz", "yz")
 PENALTIES = np.logspace(-8, 2, 21)
 FOLDS = 5
 

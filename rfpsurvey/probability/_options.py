@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
 __all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
@@ -134,8 +134,8 @@ class Precision:
         error, most = self.standard_error, self.max_iterations
         if error is not None and not (isinstance(error, int | float | np.floating) and 0 < error < 1):
             raise InputError(f"standard_error must be a number above 0 and below 1, got {error!r}")
-        if most is not None and not (isinstance(most, int | np.integer) and most >= 1):
-            raise InputError(f"max_iterations must be a whole number of at least 1, got {most!r}")
+        if most is not None:
+            check_whole(most, "max_iterations")
         if not (isinstance(self.confidence, int | float) and 0 < self.confidence < 1 - 1e-9):
             raise InputError(f"confidence must be a number above 0 and below 1, got {self.confidence!r}")
         check_choice(self.interval, INTERVALS, "interval")

@@ -1,7 +1,7 @@
 """Repeat a simulation until its interval is narrow enough."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -15,7 +15,7 @@ from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
 from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._simulate import Tally, merge
 
-__all__ = ["Progress", "rate_interval", "run", "summarize"]
+__all__ = ["Progress", "map_with_progress", "rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
 """Tasks before the first estimate of the error."""
@@ -51,6 +51,16 @@ class Progress:
         if self.bar is not None:
             self.bar.update(1000)
             self.bar.__exit__(None, None, None)
+
+
+def map_with_progress(executor: Executor | None, progress: bool, function: Callable, *arguments: Sequence) -> list:
+    """Return what a function returns, in the order of its arguments, with a progress bar if ``progress`` is true."""
+    bar, results = Progress(progress), []
+    for result in map_in_order(executor, function, *arguments):
+        results.append(result)
+        bar(len(results) / len(arguments[0]))
+    bar.close()
+    return results
 
 
 def run(
@@ -140,9 +150,9 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
         )
     # what iterations can reduce, whatever interval is reported
     reducible = scatter if given or np.isnan(error) else error
-    half = half_width(wilson(p, effective_number(p, reducible, n), student))
+    half = float(np.ptp(wilson(p, effective_number(p, reducible, n), student))) / 2
     if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < min(HITS, n / 2):
-        half = max(half, half_width(wilson(0.0, n, normal)))
+        half = max(half, float(np.ptp(wilson(0.0, n, normal))) / 2)
     reason = {"no_interval": TOO_FEW} if np.isnan(low) else {}
     return {
         "value": p,
@@ -173,11 +183,6 @@ def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
 def _trials(plane, n):
     """Return how many independent trials ``n`` positioners are, if the pairs of neighbors were fully correlated."""
     return n / (1 + 2 * len(plane.arrays.neighbors) / len(plane))
-
-
-def half_width(interval: tuple[float, float]) -> float:
-    """Return half of an interval's length."""
-    return (interval[1] - interval[0]) / 2
 
 
 def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence: float) -> tuple[float, float, float]:

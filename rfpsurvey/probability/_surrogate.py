@@ -3,21 +3,19 @@
 from concurrent.futures import Executor
 from functools import cache
 from importlib.resources import as_file, files
-from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._executors import map_in_order
 from rfpsurvey._io import output_path
 from rfpsurvey._units import to_generator, to_mm
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability._quadrature import SCRAMBLES, Quadrature
-from rfpsurvey.probability._run import Progress
+from rfpsurvey.probability._run import map_with_progress
 
 if TYPE_CHECKING:
     from scipy.interpolate import NdBSpline
@@ -119,12 +117,9 @@ def make_surrogate(
     """Compute the grid of the surrogate and write it to a file."""
     grid = np.stack(np.meshgrid(*AXES.values(), indexing="ij"), axis=-1)
     shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
-    bar, values = Progress(progress), []
     sources = to_generator(rng).spawn(len(shapes))
-    for value, _ in map_in_order(executor, interior_probability, shapes, repeat(N_POINTS), sources):
-        values.append(value)
-        bar(len(values) / len(shapes))
-    bar.close()
+    numbers = [N_POINTS] * len(shapes)
+    values = [v for v, _ in map_with_progress(executor, progress, interior_probability, shapes, numbers, sources)]
     with output_path(path, (".npz",), overwrite=overwrite) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, risk=np.array(values, dtype=np.float32).reshape(grid.shape[:-1]))
 

@@ -36,16 +36,13 @@ def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Rea
         length=integers(n),
         queues=integers(n + 1),
         queue=integers(number),
-        uniform=np.empty(n),
-        target_of=integers(n),
-        tips=np.empty((n, 2)),
         cells=np.empty((2, cells)),
     )
 
 
 def make_entries(n: int, number: int) -> queues.Entries:
     """Return arrays for a number of entries in the queues of n positioners, all of weight 1."""
-    size, buffer = number + n, number + n + queues.BATCH + 1
+    size = number + n
     return queues.Entries(
         start=np.empty(n, dtype=np.int64),
         stop=np.empty(n, dtype=np.int64),
@@ -56,11 +53,4 @@ def make_entries(n: int, number: int) -> queues.Entries:
         free=np.empty(size),
         hit=np.zeros(size),
         ahead=np.empty(size),
-        near=np.empty(size, dtype=np.int64),
-        marks=np.empty(size, dtype=np.bool_),
-        mid_x=np.empty(size),
-        mid_y=np.empty(size),
-        back=np.empty(size),
-        first=np.empty(buffer, dtype=np.int64),
-        second=np.empty(buffer, dtype=np.int64),
     )

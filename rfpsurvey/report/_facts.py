@@ -84,10 +84,8 @@ def survey_facts(survey: Survey) -> dict:
         "  fraction of all": s["fiber_use"],
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
-        "requirements not met, all tiles": s["n_unmet"],
+        **({"requirements not met, all tiles": s["n_unmet"]} if s["n_unmet"] else {}),
     }
-    if not s["n_unmet"]:
-        del facts["requirements not met, all tiles"]
     return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
 
 

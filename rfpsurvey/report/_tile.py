@@ -159,13 +159,10 @@ def _draw(tile, region=None):
     return ax
 
 
-def _xy(tile):
-    return np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
-
-
 def _crowded(tile) -> u.Quantity:
     """Return the corners of a square with the most collisions in it, or with the least clearance."""
-    xy, colliding = _xy(tile), np.asarray(tile.table["in_collision"])
+    xy = np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
+    colliding = np.asarray(tile.table["in_collision"])
     outer = np.max(tile.table.meta["geometry"]["outer_radius_mm"])
     half = MARGIN * outer
     if colliding.any():

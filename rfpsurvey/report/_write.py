@@ -6,12 +6,11 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._io import check_output, output_path
 from rfpsurvey.compare import PARTS
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._html import html_of
@@ -105,9 +104,8 @@ def write_report(
     1
     """
     path = check_report(path, overwrite=overwrite)
-    whole = isinstance(max_rows, int | np.integer) and not isinstance(max_rows, bool)
-    if max_rows is not None and not (whole and max_rows >= 1):
-        raise InputError(f"max_rows must be a whole number of at least 1, got {max_rows!r}")
+    if max_rows is not None:
+        check_whole(max_rows, "max_rows")
     if not (title is None or isinstance(title, str)):
         raise InputError(f"title must be text, got {title!r}")
     pictures = _pictures(figures)

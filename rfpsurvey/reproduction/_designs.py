@@ -8,12 +8,22 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey._executors import map_in_order
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Estimate, Progress, RandomTargets, collision_probability
+from rfpsurvey.probability import Estimate, RandomTargets, collision_probability, map_with_progress
 
-__all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "numbers_of", "plane_of", "random_designs"]
+__all__ = [
+    "LARGE",
+    "SMALL",
+    "Settings",
+    "each",
+    "error_of_fraction",
+    "estimate",
+    "numbers_of",
+    "plane_of",
+    "random_designs",
+    "scaled",
+]
 
 D = 4.5
 N_TARGETS = 20_000
@@ -77,11 +87,17 @@ def estimate(
     return collision_probability(plane, rng=np.random.default_rng(seed), **options)
 
 
+def scaled(values: np.ndarray) -> np.ndarray:
+    """Return values scaled so that the smallest is 0 and the largest 1."""
+    values = np.asarray(values, dtype=float)
+    return (values - values.min()) / (values.max() - values.min())
+
+
+def error_of_fraction(p: float, n: int) -> float:
+    """Return the standard error of a fraction of n, never 0."""
+    return float(np.sqrt(max(p * (1 - p), 1 / n) / n))
+
+
 def each(task: Callable, jobs: list, settings: Settings) -> list:
     """Return the results of all jobs, in their order, with a bar."""
-    bar, results = Progress(settings.progress), []
-    for result in map_in_order(settings.executor, task, jobs):
-        results.append(result)
-        bar(len(results) / len(jobs))
-    bar.close()
-    return results
+    return map_with_progress(settings.executor, settings.progress, task, jobs)

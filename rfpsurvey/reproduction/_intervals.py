@@ -23,7 +23,7 @@ from rfpsurvey.probability import (
     wilson,
 )
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduction._designs import Settings, each
+from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
 from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
@@ -136,7 +136,7 @@ def _repeat(scene, method, stop, repeats, settings):
             kind,
             truth,
             held[kind] / repeats,
-            _binomial(held[kind] / repeats, repeats),
+            error_of_fraction(held[kind] / repeats, repeats),
             widths[kind],
             ratio,
             float(np.mean(iterations)),
@@ -144,8 +144,3 @@ def _repeat(scene, method, stop, repeats, settings):
         )
         for kind in kinds
     ]
-
-
-def _binomial(p, n):
-    """Return the standard error of a fraction of n, never 0."""
-    return float(np.sqrt(max(p * (1 - p), 1 / n) / n))

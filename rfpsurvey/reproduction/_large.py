@@ -6,7 +6,7 @@ from astropy.table import QTable, Row
 
 from rfpsurvey.probability import Estimate, Precision, fit_polynomial, interior_probability, surrogate_probability
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
-from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs
+from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs, scaled
 
 __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 
@@ -16,7 +16,7 @@ NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": 
 PROPER = 0.01
 """Half width of an interval over the value after a proper number of iterations: the paper does not state it."""
 NORMALIZATIONS = {
-    "scaled to 0 and 1": lambda v: (v - v.min()) / (v.max() - v.min()),
+    "scaled to 0 and 1": scaled,
     "divided by the largest": lambda v: v / v.max(),
 }
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from astropy.table import QTable
 
 from rfpsurvey._io import check_output, output_path, to_path, write_table
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.plot import draw_reproduction
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table
 from rfpsurvey.reproduction._designs import Settings
@@ -105,8 +105,7 @@ def reproduce(
     if not isinstance(rng, int) or rng < 0:
         raise InputError(f"rng must be a seed, a whole number of at least 0, got {rng!r}")
     workers = os.cpu_count() or 1 if workers is None else workers
-    if not isinstance(workers, int) or workers < 1:
-        raise InputError(f"workers must be a whole number of at least 1, got {workers!r}")
+    check_whole(workers, "workers")
     folder = _folder(folder, names, overwrite)
     claims: list[Claim] = []
     made: dict[str, QTable] = {}
