@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import reference
 from rfpsurvey._units import to_generator
-from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
+from rfpsurvey.benchmark._common import has_gpu, provenance, random_tips
 from rfpsurvey.collision import (
     METHODS,
     Configuration,
@@ -25,7 +25,7 @@ from rfpsurvey.collision import (
     near_pairs,
     place_arms,
 )
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 
@@ -120,7 +120,8 @@ def benchmark_collisions(
     """
     plane = as_focal_plane(instrument)
     names = _check_methods(methods)
-    check_positive(n_configurations=n_configurations, repeats=repeats)
+    check_whole(n_configurations, "n_configurations")
+    check_whole(repeats, "repeats")
     if not (isinstance(seconds, int | float) and seconds >= 0):
         raise InputError(f"seconds must be a number of at least 0, got {seconds!r}")
     rng = to_generator(rng)

@@ -9,9 +9,8 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.collision import place_arms
-from rfpsurvey.errors import check_whole
 
-__all__ = ["check_positive", "has_gpu", "processor", "provenance", "random_tips"]
+__all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
@@ -37,12 +36,6 @@ def has_gpu():
     except ImportError:
         return False
     return bool(not config.ENABLE_CUDASIM and cuda.is_available())
-
-
-def check_positive(**numbers):
-    """Raise an error for anything but a whole number of at least 1."""
-    for name, value in numbers.items():
-        check_whole(value, name)
 
 
 def provenance(instrument, plane):

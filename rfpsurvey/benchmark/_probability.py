@@ -12,8 +12,8 @@ from astropy.utils.console import ProgressBar
 from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import allocate
-from rfpsurvey.benchmark._common import check_positive, provenance
-from rfpsurvey.errors import InputError
+from rfpsurvey.benchmark._common import provenance
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability import METHODS, Precision, collision_probability, find_method, make_source
@@ -88,7 +88,7 @@ def benchmark_probability(
         raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
     estimands = {method: find_method(method, METHODS)[1] for method in efforts}
     runs = [(method, n) for method, numbers in efforts.items() for n in numbers]
-    check_positive(repeats=repeats)
+    check_whole(repeats, "repeats")
     rng = to_generator(rng)
     truth = {
         kind: collision_probability(
@@ -180,7 +180,7 @@ def benchmark_densities(
     ['allocated', 'uniform', 'shared', 'voronoi', 'empirical']
     """
     plane = as_focal_plane(instrument)
-    check_positive(n_allocations=n_allocations)
+    check_whole(n_allocations, "n_allocations")
     rng = to_generator(rng)
     model = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
     found = {"allocated": collision_probability(instrument, method="auto", precision=precision, rng=rng)}

@@ -8,7 +8,7 @@ from rfpsurvey.plot._axes import add_circles, legend_line, points_per_unit, spac
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 
-__all__ = ["SHORTEST", "arms_are_visible", "draw_dots"]
+__all__ = ["arms_are_visible", "draw_dots"]
 
 SHORTEST = 5.0
 """Points (1/72 inch): arms that would be shorter are not drawn."""

@@ -18,7 +18,6 @@ __all__ = [
     "OUTLINE",
     "PATROL",
     "PROBABILITY_COLORS",
-    "SEQUENTIAL",
     "SERIES",
     "light_scale",
 ]

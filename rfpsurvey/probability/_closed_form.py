@@ -7,7 +7,7 @@ from rfpsurvey._kernels import areas
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["VARIANTS", "close_pair", "closed_form", "overlap_ratio"]
+__all__ = ["close_pair", "closed_form", "overlap_ratio"]
 
 VARIANTS = ("corrected", "pitch", "printed")
 N_CIRCLES = 400

@@ -13,7 +13,7 @@ from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "cheapest", "check_usable"]
+__all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
 """Realizations per task. Results depend on it, and do not depend on the number of workers."""
