@@ -314,7 +314,7 @@ def test_command(run, tmp_path):
     table = QTable.read(output)
     assert list(dict.fromkeys(table["instrument"])) == ["short", "sdss_apo", "pfs"]
     assert f"{row_of(table, 'short', 'lamost')['loss']:.4g}" in out
-    assert "numbers of targets and figures per field or solid angle cannot" in " ".join(out.split())
+    assert "numbers of targets and values per field or solid angle cannot" in " ".join(out.split())
     assert plot.stat().st_size > 5000
     code, out, err = run("compare", "pfs", "--output", output)
     assert code == 2
