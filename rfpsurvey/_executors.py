@@ -1,14 +1,15 @@
 """Work for executors, and workers that end when the process that started them does."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import cache
 
+from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputTypeError, short
 
-__all__ = ["end_with_parent", "map_in_order", "submit"]
+__all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
@@ -18,6 +19,18 @@ def map_in_order(executor: Executor | None, function: Callable, *arguments: Iter
     if executor is None:
         return map(function, *arguments)
     return executor.map(_for_workers(executor, function), *arguments)
+
+
+def map_with_progress(
+    executor: Executor | None, progress: bool | Callable, unit: str, function: Callable, *arguments: Sequence
+) -> list:
+    """Return what a function returns, in the order of its arguments, and show how much is done."""
+    results = []
+    with Progress(progress, len(arguments[0]), unit) as line:
+        for result in map_in_order(executor, function, *arguments):
+            results.append(result)
+            line(len(results))
+    return results
 
 
 def submit(executor: Executor, function: Callable, *arguments: object) -> Future:

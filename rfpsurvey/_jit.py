@@ -1,8 +1,9 @@
 """The one numba decorator of the package, and the switches of its on-disk cache.
 
 Numba keys its cache by the time and size of the file in which a kernel is defined, so that an edit in a file
-that the kernel calls, or an upgrade that leaves time and size alone, would run old code. Here the key is a
-digest of the source of all kernels.
+that the kernel calls, or an upgrade that leaves time and size alone, would run old code. Here a digest of the
+source of all kernels is part of the version of the cache, which numba compares before it reads anything else: the
+cache of other kernels may refer to classes that do not exist any more.
 """
 
 import hashlib
@@ -37,7 +38,7 @@ def kernel(function: Callable) -> Callable:
             dispatcher = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
             if hasattr(dispatcher, "_cache"):  # absent under NUMBA_DISABLE_JIT
                 file = dispatcher._cache._cache_file
-                file._source_stamp = (file._source_stamp, _source_digest())
+                file._version = (file._version, _source_digest())
             return dispatcher
         except (RuntimeError, AttributeError):  # no folder to write to, or a numba with other internals
             pass

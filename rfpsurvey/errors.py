@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from numbers import Number
+from numbers import Integral, Number
 
 from astropy.units import UnitsError
 
@@ -13,6 +13,7 @@ __all__ = [
     "RfpsurveyWarning",
     "check_choice",
     "check_switch",
+    "check_whole",
     "refusal",
     "short",
 ]
@@ -36,6 +37,14 @@ class InputUnitsError(InputError, UnitsError):
 
 class RfpsurveyWarning(UserWarning):
     """Something was left out or assumed; the message says what, and how much of it."""
+
+
+def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
+    """Raise an error unless ``value`` is a whole number from ``low`` to ``high``; booleans are none."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (whole and low <= value and (high is None or value <= high)):
+        limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise refusal(f"{name} must be a whole number {limits}", value, Number)
 
 
 def check_choice(name: object, choices: Iterable[str], what: str) -> str:

@@ -20,7 +20,7 @@ ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
 class Positioner:
     """A two-arm fiber positioner.
 
-    The central arm turns by theta about the center, counter-clockwise from +x; the eccentric arm turns by phi
+    The central arm rotates by theta about the center, counter-clockwise from +x; the eccentric arm rotates by phi
     about the elbow, relative to the central arm: phi = 0 is extended, 180 deg folded. The fiber
     reaches the closed annulus between ``inner_radius`` and ``outer_radius``.
 
@@ -31,7 +31,7 @@ class Positioner:
     eccentric_arm : Quantity
         Length l2, elbow to fiber.
     clearance : Quantity
-        Radius d that the eccentric arm keeps free around itself.
+        Radius d around the eccentric arm that must be free of other arms.
     step : Quantity, optional
         Angle of one step of the motors, for the displacement within a step.
     handedness : {"right", "left", "both"}, optional
@@ -45,8 +45,8 @@ class Positioner:
     displacement : Quantity, optional
         Largest displacement of the arm in one step, instead of (l1 + l2) sin(2 step); ``step`` then does not matter.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip"}, optional
-        What can collide: the segment from the elbow to the fiber; a segment of its own from the elbow; or the fiber
-        alone, so that two targets must only not be closer than the minimum separation.
+        Part that can collide: the segment from the elbow to the fiber; another segment from the elbow; or the fiber
+        alone, so that only two targets closer than the minimum separation collide.
     arm_length : Quantity, optional
         Length of the capsule's segment, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
@@ -163,13 +163,13 @@ class Positioner:
         xy : Quantity, shape (n, 2)
             Points relative to the positioner's center.
         handedness : {"right", "left", "both"}, optional
-            Instead of the positioner's own. With ``both``, the left solution stands in where the joint limits
+            Instead of the positioner's own. With ``both``, the left solution is returned where the joint limits
             forbid the right one.
 
         Returns
         -------
         theta : Quantity, shape (n,)
-            In deg, in [-180, 180]; that of home at the center, NaN out of reach.
+            In deg, in [-180, 180]; that of the parked pose at the center, NaN out of reach.
         phi : Quantity, shape (n,)
             In deg, in [0, 180] ("right") or [-180, 0]; NaN out of reach.
 
@@ -190,7 +190,7 @@ class Positioner:
         return np.rad2deg(theta) * u.deg, np.rad2deg(phi) * u.deg
 
     def forward(self, theta: u.Quantity, phi: u.Quantity) -> u.Quantity:
-        """Return where the fiber is for given joint angles.
+        """Return the position of the fiber for given joint angles.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class Positioner:
         return segments[2:].T.copy() * u.mm
 
     def _solve(self, points, side):
-        """Joint angles in radians and whether annulus and joints allow them."""
+        """Return joint angles in radians, and whether annulus and joint limits allow them."""
         n = len(points)
         theta, phi = np.empty(n), np.empty(n)
         arms.solve(points, self._geometry(n), np.full(n, side), theta, phi)
@@ -242,13 +242,13 @@ class PositionerNumbers:
     central_arm, eccentric_arm : float
         Arm lengths, mm.
     clearance : float
-        Radius that an arm keeps free, mm.
+        Radius around an arm that must be free of other arms, mm.
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
         Length of the colliding segment, if it is not that from elbow to fiber, mm.
     home : ndarray of float, shape (2,)
-        theta and phi of a positioner at home.
+        theta and phi of a parked positioner.
     joints_free : bool
         Whether the joint limits leave the whole patrol area in reach with the usual elbow.
 

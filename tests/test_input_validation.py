@@ -93,7 +93,7 @@ CALLS = {
     "the positioners have no fiber types, got the fiber type 'A'": lambda: rs.find_collisions(
         PLANE, PLANE.xy, fiber_type=["", "A", ""]
     ),
-    "an Allocation or Arms bring their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
+    "an Allocation or Arms have their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
     "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
     "required must hold numbers or text, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
     "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
@@ -189,7 +189,7 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
         (lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s), "got Instrument; an Instrument has one"),
         (lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg), "stuck must give both theta"),
         (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
-        (lambda s: replace(s.focal_plane, id=3), "id must have one value a positioner"),
+        (lambda s: replace(s.focal_plane, id=3), "id must have one value per positioner"),
         (
             lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets="ten"),
             "the number of targets must be one",

@@ -10,14 +10,15 @@ import pytest
 
 import rfpsurvey
 
-# the package without what its __init__ imports, of which kernels know nothing
+# the package without the imports of its __init__, which kernels do not need
 PROBE = """
 import sys, types
 import numpy as np
 sys.modules["rfpsurvey"] = types.ModuleType("rfpsurvey")
 sys.modules["rfpsurvey"].__path__ = [sys.argv[1]]
-from rfpsurvey._kernels import collisions
-from rfpsurvey._kernels.arms import Geometry, solve
+from rfpsurvey._kernels import arms, collisions
+from rfpsurvey._kernels.arms import solve
+Geometry = arms.Renamed if hasattr(arms, "Renamed") else arms.Geometry
 zero, two, theta, phi = np.zeros(1), np.full(1, 2.0), np.empty(1), np.empty(1)
 solve(np.array([[3.0, 0.0]]), Geometry(zero, zero, two, two, 1.0, 0.0), np.ones(1), theta, phi)
 print(theta[0], sum(solve.stats.cache_hits.values()))
@@ -66,6 +67,14 @@ def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(copy):
         assert hits == 0
         assert value == -first[0]
     assert probe(copy)[1] == 1
+
+
+def test_the_cache_of_an_older_version_with_other_classes_is_not_read(copy):
+    first = probe(copy)
+    for path in (copy / "_kernels").glob("*.py"):
+        path.write_text(path.read_text().replace("Geometry", "Renamed"))
+    assert probe(copy) == (first[0], 0)
+    assert probe(copy) == (first[0], 1)
 
 
 def test_the_cache_can_be_switched_off(copy):

@@ -31,7 +31,7 @@ def balanced(indptr, owner, r2, count, positioner_of_target):
 
 @kernel
 def fill_queues(positioner_of_target, count, indptr, queue):
-    """Lay the queues out one after the other, each in catalog order."""
+    """Write the queues of all positioners one after the other, each in catalog order."""
     indptr[0] = 0
     for i in range(count.size):
         indptr[i + 1] = indptr[i] + count[i]
@@ -45,7 +45,7 @@ def fill_queues(positioner_of_target, count, indptr, queue):
 
 @kernel
 def draw_configuration(indptr, queue, uniform, target_of_positioner):
-    """Take one target from each queue that has any, by one uniform number in [0, 1) a positioner."""
+    """Take one target from each queue that has any, by one uniform number in [0, 1) per positioner."""
     for i in range(indptr.size - 1):
         n = indptr[i + 1] - indptr[i]
         target_of_positioner[i] = -1
@@ -154,19 +154,17 @@ def nominate(
     target_of_positioner,
     positioner_of_target,
 ):
-    """LAMOST's rounds of nomination, class after class.
+    """Assign targets as LAMOST does, by rounds of nomination, class after class.
 
     Every free positioner nominates its nearest unassigned target of the class; a target nominated by several
     goes to the one with the fewest unassigned targets in reach, then the nearest, then the lowest index. ``free_reach``
     must be the number of targets in reach of each positioner; candidates may be fewer.
     """
     n = indptr.size - 1
-    for i in range(n):
-        target_of_positioner[i] = -1
-        cursor[i] = indptr[i]
-    for t in range(positioner_of_target.size):
-        positioner_of_target[t] = -1
-        nominee_of[t] = -1
+    cursor[:] = indptr[:-1]
+    target_of_positioner[:] = -1
+    positioner_of_target[:] = -1
+    nominee_of[:] = -1
     c = 0
     while c < n_ranks:
         upcoming = n_ranks
@@ -190,12 +188,12 @@ def nominate(
                     continue
                 nominated = True
                 t = target[k]
-                rival = nominee_of[t]
+                other = nominee_of[t]
                 # a later positioner wins only if it is strictly better: ties go to the lowest index
                 if (
-                    rival < 0
-                    or free_reach[i] < free_reach[rival]
-                    or (free_reach[i] == free_reach[rival] and r2[k] < nominee_r2[t])
+                    other < 0
+                    or free_reach[i] < free_reach[other]
+                    or (free_reach[i] == free_reach[other] and r2[k] < nominee_r2[t])
                 ):
                     nominee_of[t] = i
                     nominee_r2[t] = r2[k]
@@ -210,15 +208,16 @@ def nominate(
                 positioner_of_target[t] = i
                 for m in range(t_indptr[t], t_indptr[t + 1]):
                     free_reach[t_owner[m]] -= 1
-        c = upcoming  # the next class that any free positioner can see
+        c = upcoming  # the next class with a candidate of a free positioner
 
 
 @kernel
 def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
-    """Closest pairs first: candidates sorted by class, then distance; a target keeps the nearest that asks for it.
+    """Assign the closest pairs first, class after class, where candidates are sorted by class, then distance.
 
-    Everybody asks for its next candidate until one keeps it: deferred acceptance, which ends in the plan that takes the
-    closest pair of the top class first, then the closest of those left, and so on.
+    Each positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has
+    proposed to it: deferred acceptance, which ends in the plan that takes the closest pair of the top class first, then
+    the closest of those left, and so on.
     """
     n = indptr.size - 1
     cursor = indptr[:-1].copy()
@@ -242,9 +241,9 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Positioners in the given order take the nearest free target that is ``wanted``, until there are enough.
+    """Let positioners in the given order take the nearest free target that is ``wanted``, until there are enough.
 
-    What they look at is released. Returns how many are still missing.
+    The targets that they had are released. Returns how many are still missing.
     """
     for i in order:
         if need <= 0:
@@ -267,14 +266,14 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
 
 @kernel
 def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
-    """Targets in the given order enter a matching, where an augmenting path lets them; none ever leaves it again.
+    """Match the targets in the given order, each if there is an augmenting path; a matched target remains matched.
 
     The targets that are matched in the end are the best that any matching has, in lexicographic order.
     """
     n = target_of_positioner.size
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
-    # no augmenting path ever leads through what a search without success has seen: it is not looked at again
+    # no augmenting path ever leads through the positioners that a search without success has reached: skip them
     closed = np.zeros(n, np.bool_)
     seen = np.full(n, -1, np.int64)
     came_from = np.empty(n, np.int64)

@@ -1,4 +1,4 @@
-"""Areas of patrol annuli and of what they share."""
+"""Areas of patrol annuli and of their overlaps."""
 
 import math
 
@@ -9,7 +9,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Angle about the direction of a circle's center at distance d within which points at radius r are inside it."""
+    """Return the angle about the direction of a circle's center, at distance d, within which radius r is inside it."""
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:
@@ -19,7 +19,7 @@ def half_angle(r, d, radius):
 
 @kernel
 def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
-    """Part of the patrol area of positioner i that lies in that of at least one of its neighbors.
+    """Return the fraction of the patrol area of positioner i that lies in that of at least one of its neighbors.
 
     On circles about the center, halfway through rings of equal area, the arcs in other annuli are exact.
     """
@@ -57,10 +57,10 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
 
 @kernel
 def covered_parts(indptr, neighbor, cx, cy, inner, outer, n_steps, out):
-    """Fill in the covered part of each patrol area."""
-    room = 1
+    """Fill in the covered fraction of each patrol area."""
+    size = 1
     for i in range(out.size):
-        room = max(room, 4 * (indptr[i + 1] - indptr[i]))
-    begin, end = np.empty(room), np.empty(room)
+        size = max(size, 4 * (indptr[i + 1] - indptr[i]))
+    begin, end = np.empty(size), np.empty(size)
     for i in range(out.size):
         out[i] = covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end)

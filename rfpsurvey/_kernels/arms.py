@@ -19,7 +19,7 @@ ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
 class Geometry(NamedTuple):
-    """What poses depend on: columns of the positioners, and the direction of the home theta."""
+    """Columns of the positioners on which poses depend, and the direction of theta where they are parked."""
 
     cx: np.ndarray
     cy: np.ndarray
@@ -30,7 +30,7 @@ class Geometry(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Which tips a positioner takes: squared radii that just pass, and none if it is not usable."""
+    """Squared radii of the nearest and farthest tip that a positioner reaches, and whether it is usable."""
 
     low: np.ndarray
     high: np.ndarray
@@ -39,18 +39,18 @@ class Bounds(NamedTuple):
 
 @kernel
 def inner_difference(l1, l2):
-    """Signed difference of the arm lengths, 0 for equal arms."""
+    """Return the signed difference of the arm lengths, 0 for equal arms."""
     difference = l1 - l2
     return 0.0 if abs(difference) < EQUAL_ARMS else difference
 
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Elbow (relative to the center), and sine and cosine of phi times a common positive factor.
+    """Return the elbow (relative to the center), and sine and cosine of phi times a common positive factor.
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. A tip outside the annulus gets
     the pose that points to it from the nearest reachable radius. At r = 0 the direction (home_x, home_y) of the
-    home pose counts, for equal arms as that of the central arm. NaN tips give NaN.
+    parked pose is used, for equal arms as that of the central arm. NaN tips give NaN.
     """
     total = l1 + l2
     difference = inner_difference(l1, l2)
@@ -75,7 +75,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Joint angles of each positioner for its own tip, rows of (n, 2); NaN tips give NaN."""
+    """Compute the joint angles of each positioner for its tip, rows of (n, 2); NaN tips give NaN."""
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -86,7 +86,7 @@ def solve(tips, geometry, side, theta, phi):
 
 @kernel
 def pose(theta, phi, geometry, segments):
-    """Elbow and tip of each positioner for given joint angles."""
+    """Compute the elbow and tip of each positioner for given joint angles."""
     g = geometry
     for i in range(g.cx.size):
         segments[0, i] = g.cx[i] + g.l1[i] * math.cos(theta[i])
@@ -97,7 +97,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Elbow and tip of each positioner for its own tip, rows of (n, 2); NaN tips give NaN."""
+    """Compute the elbow of each positioner for its tip, rows of (n, 2); NaN tips give NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
@@ -110,7 +110,7 @@ def place(tips, geometry, side, segments):
 
 @kernel
 def capsule_end(ex, ey, x, y, length, cosine, sine):
-    """End of a segment from the elbow, ``length`` long and turned counter-clockwise from the direction of the tip."""
+    """Return the end of a segment from the elbow, rotated counter-clockwise from the direction of the tip."""
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
     return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
@@ -118,7 +118,7 @@ def capsule_end(ex, ey, x, y, length, cosine, sine):
 
 @kernel
 def shape(segments, model, length, cosine, sine):
-    """Turn elbows and tips into the segments that can collide, in place."""
+    """Convert elbows and tips to the segments that can collide, in place."""
     if model == CAPSULE:
         ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
         for i in range(cosine.size):
@@ -145,7 +145,7 @@ def check(tips, geometry, bounds, assigned, far):
 
 @kernel
 def fill_idle(assigned, idle, segments):
-    """Give positioners without a tip the segment that they have then, NaN if none; in place."""
+    """Copy the segments of idle arms, NaN if there is none, to positioners without a tip; in place."""
     for row in range(4):
         own, other = segments[row], idle[row]
         for i in range(assigned.size):

@@ -1,4 +1,4 @@
-"""Collisions of many configurations of one focal plane, counted; memory for one of them at a time."""
+"""Count the collisions of many configurations of one focal plane, with memory for one of them at a time."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,8 @@ PAIRS, OBSTACLE_PAIRS, COLLIDING, COLLIDING_ASSIGNED, ASSIGNED, COUNTED, BORDERL
 N_COUNTS = 7
 
 
-class Stage(NamedTuple):
-    """What all configurations share: neighbors, limits, the shape of arms, those without a target, obstacles."""
+class CollisionSetup(NamedTuple):
+    """Data that all configurations share: neighbors, limits, the shape of arms, idle arms, and obstacles."""
 
     runs: np.ndarray
     limits: Limits
@@ -23,62 +23,72 @@ class Stage(NamedTuple):
     cosine: np.ndarray
     sine: np.ndarray
     idle: np.ndarray
-    """Elbow and tip of each positioner without a target, NaN if it gives way, shape (4, n)."""
+    """Elbow and tip of each positioner without a target, NaN if it is no obstacle, shape (4, n)."""
     parked: np.ndarray
-    """Does it count then?"""
+    """Whether the positioner counts if it has no target."""
     obstacle_pairs: np.ndarray
     obstacles: np.ndarray
     clearance: float
 
 
-class Desk(NamedTuple):
-    """Scratch of one thread."""
+class Workspace(NamedTuple):
+    """Arrays that one thread writes to."""
 
     segments: np.ndarray
     halves: np.ndarray
     assigned: np.ndarray
     far: np.ndarray
     colliding: np.ndarray
-    mask: np.ndarray
     first: np.ndarray
     second: np.ndarray
     squared: np.ndarray
-    hits: np.ndarray
-    gaps: np.ndarray
 
 
 @kernel
-def count(stage, desk, counts, times):
-    """Count the collisions of the arms on the desk; ``times`` gains one where a positioner collides."""
+def count(setup, workspace, counts, times):
+    """Count the collisions of the arms in the workspace, and add 1 to ``times`` for each positioner that collides."""
     n = borderline = 0
-    if stage.runs.shape[0] > 0:
-        halve(desk.segments, desk.halves)
+    if setup.runs.shape[0] > 0:
+        halve(workspace.segments, workspace.halves)
         n, borderline = colliding_pairs(
-            desk.segments, desk.halves, stage.runs, stage.limits, desk.mask, desk.first, desk.second, desk.squared
+            workspace.segments,
+            workspace.halves,
+            setup.runs,
+            setup.limits,
+            workspace.first,
+            workspace.second,
+            workspace.squared,
         )
-    desk.colliding[:] = False
-    limit = stage.limits.separation**2
+    workspace.colliding[:] = False
+    limit = setup.limits.separation**2
     counts[:] = 0
     counts[BORDERLINE] = borderline
     for k in range(n):
-        if desk.squared[k] < limit:
+        if workspace.squared[k] < limit:
             counts[PAIRS] += 1
-            desk.colliding[desk.first[k]] = desk.colliding[desk.second[k]] = True
-    if stage.obstacle_pairs.shape[0] > 0:
+            workspace.colliding[workspace.first[k]] = workspace.colliding[workspace.second[k]] = True
+    if setup.obstacle_pairs.shape[0] > 0:
+        hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
         m = colliding_obstacles(
-            desk.segments, stage.obstacle_pairs, stage.obstacles, stage.clearance, 0.0, desk.hits, desk.gaps
+            workspace.segments,
+            setup.obstacle_pairs,
+            setup.obstacles,
+            setup.clearance,
+            0.0,
+            hits,
+            gaps,
         )
         counts[OBSTACLE_PAIRS] = m
         for k in range(m):
-            desk.colliding[desk.hits[k, 0]] = True
+            workspace.colliding[hits[k, 0]] = True
     assigned = colliding = both = counted = 0
-    for i in range(desk.assigned.size):
-        counts_too = desk.assigned[i] | stage.parked[i]
-        assigned += desk.assigned[i]
+    for i in range(workspace.assigned.size):
+        counts_too = workspace.assigned[i] | setup.parked[i]
+        assigned += workspace.assigned[i]
         counted += counts_too
-        colliding += desk.colliding[i] & counts_too
-        both += desk.colliding[i] & desk.assigned[i]
-        times[i] += desk.colliding[i]
+        colliding += workspace.colliding[i] & counts_too
+        both += workspace.colliding[i] & workspace.assigned[i]
+        times[i] += workspace.colliding[i]
     counts[ASSIGNED], counts[COUNTED], counts[COLLIDING], counts[COLLIDING_ASSIGNED] = (
         assigned,
         counted,
@@ -88,39 +98,39 @@ def count(stage, desk, counts, times):
 
 
 @kernel
-def count_tips(tips, geometry, bounds, side, stage, desk, counts, times):
+def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
     """Count for configurations given by their tips, (m, n, 2); returns the number of tips that are out of reach.
 
     ``side`` has one row for all configurations, or one for each.
     """
     far = 0
     for c in range(tips.shape[0]):
-        far += check(tips[c], geometry, bounds, desk.assigned, desk.far)
-        if stage.runs.shape[0] > 0 or stage.obstacle_pairs.shape[0] > 0:  # else nothing can collide
-            place(tips[c], geometry, side[min(c, side.shape[0] - 1)], desk.segments)
-            fill_idle(desk.assigned, stage.idle, desk.segments)
-            shape(desk.segments, stage.model, stage.length, stage.cosine, stage.sine)
-        count(stage, desk, counts[c], times)
+        far += check(tips[c], geometry, bounds, workspace.assigned, workspace.far)
+        if setup.runs.shape[0] > 0 or setup.obstacle_pairs.shape[0] > 0:  # else nothing can collide
+            place(tips[c], geometry, side[min(c, side.shape[0] - 1)], workspace.segments)
+            fill_idle(workspace.assigned, setup.idle, workspace.segments)
+            shape(workspace.segments, setup.model, setup.length, setup.cosine, setup.sine)
+        count(setup, workspace, counts[c], times)
     return far
 
 
 @kernel
-def count_draws(uniform, indptr, entries, idle, stage, desk, counts, times):
+def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
     """Count for configurations that take one entry from each queue, by uniform numbers in [0, 1), shape (m, n).
 
     ``entries`` are the segments of all queues, one after the other; ``idle`` those of the positioners without one.
     """
     n = indptr.size - 1
     for i in range(n):
-        desk.assigned[i] = indptr[i + 1] > indptr[i]
-        if not desk.assigned[i]:
+        workspace.assigned[i] = indptr[i + 1] > indptr[i]
+        if not workspace.assigned[i]:
             for row in range(4):
-                desk.segments[row, i] = idle[row, i]
+                workspace.segments[row, i] = idle[row, i]
     for c in range(uniform.shape[0]):
         for i in range(n):
             length = indptr[i + 1] - indptr[i]
             if length > 0:
                 k = indptr[i] + min(int(uniform[c, i] * length), length - 1)
                 for row in range(4):
-                    desk.segments[row, i] = entries[row, k]
-        count(stage, desk, counts[c], times)
+                    workspace.segments[row, i] = entries[row, k]
+        count(setup, workspace, counts[c], times)

@@ -16,11 +16,11 @@ from rfpsurvey._jit import kernel
 UNIT = 2.0**-53
 # The computed distance of a pair differs from the true one by at most this times S.
 DISTANCE_ERROR = 20.0 * UNIT
-# The sign of a turn is certain where it exceeds this times the sum of the magnitudes of its two products.
-TURN_ERROR = 4.0 * UNIT
+# The sign of an orientation is certain where it exceeds this times the sum of the magnitudes of its two products.
+ORIENTATION_ERROR = 4.0 * UNIT
 # The broad phase may err by less than this times (largest coordinate + S): pairs so near to the limit stay in.
 REJECT_ERROR = 64.0 * UNIT
-# Runs of neighbors shorter than this are not worth a loop of their own.
+# Runs of neighbors shorter than this are not vectorized.
 SHORT_RUN = 8
 
 
@@ -29,15 +29,15 @@ class Limits(NamedTuple):
 
     separation: float
     slack: float
-    """What the broad phase adds to the minimum separation."""
+    """Distance that the broad phase adds to the minimum separation."""
     near: float
-    """Farthest middles of a pair that can collide, slack included."""
+    """Largest distance of the midpoints of a pair that can collide, slack included."""
     band: float
-    """Squared distances so near to separation^2 may lie on either side of it."""
+    """Largest difference from separation^2 of squared distances that rounding could put on either side of it."""
 
 
 def limits(separation, length, extent):
-    """Limits for segments no longer than ``length`` with ends no farther than ``extent`` from the origin (mm)."""
+    """Return limits for segments no longer than ``length`` with ends within ``extent`` of the origin (mm)."""
     size = 2.0 * length + separation  # S of a pair at the limit; farther ones are farther from it, too
     slack = REJECT_ERROR * (extent + size)
     error = 1.2 * DISTANCE_ERROR * size  # the rounding of separation^2 and of the comparison included
@@ -46,7 +46,7 @@ def limits(separation, length, extent):
 
 @kernel
 def point_segment_squared(px, py, ax, ay, bx, by):
-    """Squared distance from a point to a segment (which may have no length)."""
+    """Return the squared distance from a point to a segment (which may have no length)."""
     ux, uy = bx - ax, by - ay
     vx, vy = px - ax, py - ay
     length2 = ux * ux + uy * uy
@@ -58,17 +58,17 @@ def point_segment_squared(px, py, ax, ay, bx, by):
 
 
 @kernel
-def turn(ax, ay, bx, by, px, py):
-    """Side of the line a -> b that p is on: 1 left, -1 right, 0 if rounding could decide."""
+def orientation(ax, ay, bx, by, px, py):
+    """Return the side of the line a -> b that p is on: 1 left, -1 right, 0 if rounding could decide."""
     left = (bx - ax) * (py - ay)
     right = (by - ay) * (px - ax)
-    slack = TURN_ERROR * (abs(left) + abs(right))
+    slack = ORIENTATION_ERROR * (abs(left) + abs(right))
     return int(left - right > slack) - int(right - left > slack)
 
 
 @kernel
 def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Least squared distance of an end of one segment to the other one: the distance, unless they cross."""
+    """Return the least squared distance of an end of one segment to the other one: the distance, unless they cross."""
     return min(
         min(point_segment_squared(ax, ay, cx, cy, dx, dy), point_segment_squared(bx, by, cx, cy, dx, dy)),
         min(point_segment_squared(cx, cy, ax, ay, bx, by), point_segment_squared(dx, dy, ax, ay, bx, by)),
@@ -77,12 +77,12 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 
 @kernel
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Squared distance of the segments a-b and c-d, the root of it within DISTANCE_ERROR * S of the true one.
+    """Return the squared distance of the segments a-b and c-d, its root within DISTANCE_ERROR * S of the true one.
 
     0 where they certainly cross; where rounding could decide, an end is as near as the error allows anyway.
     """
-    crossing = (turn(ax, ay, bx, by, cx, cy) * turn(ax, ay, bx, by, dx, dy) < 0) & (
-        turn(cx, cy, dx, dy, ax, ay) * turn(cx, cy, dx, dy, bx, by) < 0
+    crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
+        orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0
     )
     squared = endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy)
     return 0.0 if crossing else squared
@@ -90,7 +90,7 @@ def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
 
 @kernel
 def pair_squared(segments, i, j):
-    """Squared distance of the arms i and j."""
+    """Return the squared distance of the arms i and j."""
     return segments_squared(
         segments[0, i],
         segments[1, i],
@@ -105,13 +105,13 @@ def pair_squared(segments, i, j):
 
 @kernel
 def apart(mx, my, ax, ay, bx, by, squared):
-    """Say whether an axis keeps two segments farther apart than the root of ``squared``.
+    """Return whether an axis separates two segments by more than the root of ``squared``.
 
-    Their middles differ by m, and a and b are their halves. The axes are m and the normals of both segments; along
-    any axis a segment lies within the projection of its half of that of its middle. Normals of segments whose
-    squared length could underflow are not looked at.
+    Their midpoints differ by m, and a and b are their halves. The axes are m and the normals of both segments; along
+    any axis a segment lies within the projection of its half of that of its midpoint. Normals of segments whose
+    squared length could underflow are ignored.
     """
-    # no branches: which axis separates is a toss-up, and a wrong guess costs more than all three
+    # no branches: a mispredicted one takes longer than the tests of all three axes
     m2 = mx * mx + my * my
     along = max(m2 - abs(ax * mx + ay * my) - abs(bx * mx + by * my), 0.0)
     wide = abs(ax * by - ay * bx)
@@ -127,7 +127,7 @@ def apart(mx, my, ax, ay, bx, by, squared):
 
 @kernel
 def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
-    """Squared distance of the segments a-b and c-d; infinity if an axis keeps them apart by the root of ``squared``."""
+    """Return the squared distance of a-b and c-d; infinity if an axis separates them by the root of ``squared``."""
     mx, my = 0.5 * ((cx + dx) - (ax + bx)), 0.5 * ((cy + dy) - (ay + by))
     if apart(mx, my, 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (dx - cx), 0.5 * (dy - cy), squared):
         return math.inf
@@ -136,17 +136,17 @@ def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
 
 @kernel
 def halve(segments, halves):
-    """Middle and half of each segment: rows mx, my, hx, hy."""
+    """Compute the midpoint and half of each segment: rows mx, my, hx, hy."""
     for k in range(2):
-        first, second, middle, half = segments[k], segments[k + 2], halves[k], halves[k + 2]
+        first, second, midpoint, half = segments[k], segments[k + 2], halves[k], halves[k + 2]
         for i in range(first.size):
-            middle[i] = 0.5 * (first[i] + second[i])
+            midpoint[i] = 0.5 * (first[i] + second[i])
             half[i] = 0.5 * (second[i] - first[i])
 
 
 @kernel
 def keep_near(halves, m, squared, first, second):
-    """Of m pairs keep those that no axis keeps apart by the root of ``squared``; returns how many."""
+    """Keep those of m pairs that no axis separates by the root of ``squared``; returns how many."""
     n = 0
     for k in range(m):
         i, j = first[k], second[k]
@@ -157,13 +157,14 @@ def keep_near(halves, m, squared, first, second):
 
 
 @kernel
-def near_pairs(halves, runs, limits, mask, first, second):
-    """Neighbors that may be closer than the minimum separation; returns how many, written to ``first`` and ``second``.
+def near_pairs(halves, runs, limits, first, second):
+    """List neighbors that may be closer than the minimum separation in ``first`` and ``second``; returns how many.
 
-    ``runs`` lists neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, n pairs. Arms with middles too
-    far apart are not looked at, nor are those that an axis separates.
+    ``runs`` lists neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, n pairs. Arms whose midpoints are
+    too far apart are left out, and so are those that an axis separates.
     """
     m = 0
+    marks = np.empty(halves.shape[1], np.bool_)
     near2, limit2 = limits.near**2, (limits.separation + limits.slack) ** 2
     for r in range(runs.shape[0]):
         i, j, n = runs[r, 0], runs[r, 1], runs[r, 2]
@@ -174,7 +175,6 @@ def near_pairs(halves, runs, limits, mask, first, second):
                 m += dx * dx + dy * dy <= near2
             continue
         xi, yi, xj, yj = halves[0, i : i + n], halves[1, i : i + n], halves[0, j : j + n], halves[1, j : j + n]
-        marks = mask[:n]
         for k in range(n):
             dx, dy = xj[k] - xi[k], yj[k] - yi[k]
             marks[k] = dx * dx + dy * dy <= near2  # not for NaN
@@ -185,14 +185,14 @@ def near_pairs(halves, runs, limits, mask, first, second):
 
 
 @kernel
-def colliding_pairs(segments, halves, runs, limits, mask, first, second, squared):
-    """Pairs closer than the minimum separation, and those within the band about it, which rounding may put either way.
+def colliding_pairs(segments, halves, runs, limits, first, second, squared):
+    """List pairs closer than the minimum separation, and those within the band about it, which rounding could decide.
 
     Returns their number and how many of them are within the band.
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
-    for k in range(near_pairs(halves, runs, limits, mask, first, second)):
+    for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
         d2 = pair_squared(segments, i, j)
         if d2 < limit + band:
@@ -204,7 +204,7 @@ def colliding_pairs(segments, halves, runs, limits, mask, first, second, squared
 
 @kernel
 def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, distance):
-    """Pairs (positioner, obstacle) whose arm comes nearer than ``clearance + slack`` to the circle's edge.
+    """List pairs (positioner, obstacle) whose arm is nearer than ``clearance + slack`` to the circle's edge.
 
     Returns their number; ``distance`` is that of the circle's center.
     """
@@ -222,10 +222,10 @@ def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, dista
 
 @kernel
 def nearest_arm(segments, halves, order, out):
-    """Distance of each arm to the nearest other one.
+    """Compute the distance of each arm to the nearest other one; NaN where it is absent, infinity where it is alone.
 
-    ``order`` sorts the arms that are present by the x of their middles; from each arm the search walks
-    left and right until the gap in x alone exceeds the best distance. Absent: NaN; alone: infinity.
+    ``order`` sorts the arms that are present by the x of their midpoints; from each arm the search goes
+    left and right until the gap in x alone exceeds the best distance.
     """
     out[:] = np.nan
     longest = 0.0

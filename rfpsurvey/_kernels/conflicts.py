@@ -1,4 +1,4 @@
-"""Candidates: places where each arm may stand, one of them at a time, and which of them exclude each other.
+"""Candidates, which are the poses that each arm may take, and the pairs of them that exclude each other.
 
 Candidates are sorted by positioner: those of i from ``start[i]`` up to ``start[i + 1]``. Exactly one of them is in use.
 """
@@ -11,12 +11,12 @@ import numpy as np
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.collisions import keep_near, pair_squared
 
-# Candidate pairs that are looked at together.
+# Candidate pairs that are tested together.
 BATCH = 2048
 
 
 class Options(NamedTuple):
-    """Candidates, what they are worth, and what they exclude; -1 is the target of an idle arm."""
+    """Candidates with their classes and costs, and the pairs that exclude each other; an idle arm has the target -1."""
 
     start: np.ndarray
     own: np.ndarray
@@ -24,7 +24,7 @@ class Options(NamedTuple):
     rank: np.ndarray
     """Class, 0 the most important."""
     cost: np.ndarray
-    """Of equal rank, the lower the better."""
+    """Preference among candidates of equal rank: the lower the better."""
     key: np.ndarray
     as_good: np.ndarray
     """``as_good[key[a], key[b]]``: a does for all requirements what b does."""
@@ -38,19 +38,19 @@ class Options(NamedTuple):
 
 @kernel
 def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, second, borderline):
-    """Pairs of candidates of neighbors that collide, from neighbor pair ``p`` on.
+    """List pairs of candidates of neighbors that collide, from neighbor pair ``p`` on.
 
     Returns how many there are, and the neighbor pair at which the lists were full. ``borderline`` marks pairs that
-    rounding may put either way.
+    rounding could decide.
     """
     n = 0
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
-    room, limit, band = limits.separation + limits.slack, limits.separation**2, limits.band
+    touching, limit, band = limits.separation + limits.slack, limits.separation**2, limits.band
     near2 = limits.near**2
     size = start[-1]
     ahead = np.empty(size)
     near = np.empty(size, np.int64)
-    back, middle_x, middle_y = np.empty(size), np.empty(size), np.empty(size)
+    back, mid_x, mid_y = np.empty(size), np.empty(size), np.empty(size)
     marks = np.empty(size, np.bool_)
     one, two = np.empty(BATCH + size, np.int64), np.empty(BATCH + size, np.int64)
     while p < pairs.shape[0]:
@@ -71,27 +71,27 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
         for b in range(b0, b1):
             ahead[b] = min(x0[b] * ux + y0[b] * uy, x1[b] * ux + y1[b] * uy)
             hindmost = min(hindmost, ahead[b])
-        if hindmost - foremost > room:
+        if hindmost - foremost > touching:
             continue
         m = 0
         for b in range(b0, b1):
-            near[m], middle_x[m], middle_y[m], back[m] = b, halves[0, b], halves[1, b], ahead[b]
-            m += ahead[b] - foremost <= room
+            near[m], mid_x[m], mid_y[m], back[m] = b, halves[0, b], halves[1, b], ahead[b]
+            m += ahead[b] - foremost <= touching
         a = a0
         while a < a1:
             found = 0
             while a < a1 and found < BATCH:
-                line = ahead[a] + room
+                line = ahead[a] + touching
                 if hindmost <= line:
                     x, y = halves[0, a], halves[1, a]
                     for k in range(m):
-                        dx, dy = middle_x[k] - x, middle_y[k] - y
+                        dx, dy = mid_x[k] - x, mid_y[k] - y
                         marks[k] = (dx * dx + dy * dy <= near2) & (back[k] <= line)
                     for k in range(m):
                         one[found], two[found] = a, near[k]
                         found += marks[k]
                 a += 1
-            for k in range(keep_near(halves, found, room**2, one, two)):
+            for k in range(keep_near(halves, found, touching**2, one, two)):
                 d2 = pair_squared(segments, one[k], two[k])
                 first[n], second[n], borderline[n] = one[k], two[k], d2 >= limit - band
                 n += d2 < limit + band
@@ -100,7 +100,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 
 @kernel
 def adjacency(first, second, indptr, other):
-    """Both directions of the pairs, as rows of an array."""
+    """List both directions of the pairs, as rows of an array."""
     indptr[:] = 0
     for k in range(first.size):
         indptr[first[k] + 1] += 1

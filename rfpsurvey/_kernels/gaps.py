@@ -30,7 +30,7 @@ def bin_points(x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
-    """Say whether no point is nearer than ``separation``."""
+    """Return whether no point is nearer than ``separation``."""
     left, right = cell_of(px - separation, x0, size, nx), cell_of(px + separation, x0, size, nx)
     for row in range(cell_of(py - separation, y0, size, ny), cell_of(py + separation, y0, size, ny) + 1):
         for k in range(start[row * nx + left], start[row * nx + right + 1]):
@@ -42,7 +42,10 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """Up to ``most`` clear points for each positioner in ``own``, at given fractions of its area; returns how many."""
+    """List up to ``most`` clear points of each positioner in ``own``, at given fractions of its area; returns how many.
+
+    Successive points are rotated by the golden angle about the center.
+    """
     x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))
     n = 0

@@ -1,8 +1,8 @@
 """Collisions of many configurations on a GPU; imported only when asked for.
 
-Poses and the pair test are those of the processor: the same scalar functions, compiled for the device. A thread
-looks after one positioner of one configuration and tests it against all its neighbors on either side, so that it
-knows its own flag without waiting for others.
+Poses and the pair test are those of the processor: the same scalar functions, compiled for the device. Each thread
+tests one positioner of one configuration against all its neighbors, those before it in the list too, so that it
+finds its flag without waiting for other threads.
 """
 
 import math
@@ -21,14 +21,14 @@ from rfpsurvey._kernels.batch import (
 )
 from rfpsurvey._kernels.collisions import near_squared, point_segment_squared
 
-__all__ = ["THREADS", "count", "list_pairs", "stand"]
+__all__ = ["THREADS", "count", "list_pairs", "pose_tips"]
 
 THREADS = 128
 """Threads of a block."""
 
 
 @cuda.jit
-def stand(tips, geometry, side, home_x, home_y, idle, model, length, angles, segments, far):
+def pose_tips(tips, geometry, side, home_x, home_y, idle, model, length, angles, segments, far):
     """Fill the segments (m, 4, n) for tips (m, n, 2), NaN without one; ``far`` counts those out of reach.
 
     ``geometry`` has the rows cx, cy, l1, l2, and the squared radii that just pass; ``angles`` cosine and sine.
@@ -55,11 +55,11 @@ def stand(tips, geometry, side, home_x, home_y, idle, model, length, angles, seg
 
 @cuda.jit
 def count(
-    tips, segments, indptr, neighbor, reject2, limit, band, parked, hurdle_indptr, hurdles, clearance, counts, times
+    tips, segments, indptr, neighbor, reject2, limit, band, parked, circle_indptr, circles, clearance, counts, times
 ):
     """Count the collisions of each configuration, and how often each positioner collides.
 
-    ``indptr`` and ``neighbor`` list all neighbors of each positioner; ``hurdles`` the obstacles (x, y, radius) in
+    ``indptr`` and ``neighbor`` list all neighbors of each positioner; ``circles`` the obstacles (x, y, radius) in
     its way.
     """
     c, i = cuda.blockIdx.y, cuda.grid(1)
@@ -79,9 +79,9 @@ def count(
                 pairs += j > i
             if j > i and abs(d2 - limit) <= band:
                 borderline += 1
-        for k in range(hurdle_indptr[i], hurdle_indptr[i + 1]):
-            d2 = point_segment_squared(hurdles[k, 0], hurdles[k, 1], ax, ay, bx, by)
-            if math.sqrt(d2) < hurdles[k, 2] + clearance:
+        for k in range(circle_indptr[i], circle_indptr[i + 1]):
+            d2 = point_segment_squared(circles[k, 0], circles[k, 1], ax, ay, bx, by)
+            if math.sqrt(d2) < circles[k, 2] + clearance:
                 hit = True
                 touched += 1
         if hit:
@@ -105,7 +105,7 @@ def count(
 
 @cuda.jit
 def list_pairs(segments, first, second, reject2, limit, found, squared, n):
-    """List the pairs (by their place in ``first`` and ``second``) with squared distances below ``limit``."""
+    """List the pairs (by their index in ``first`` and ``second``) with squared distances below ``limit``."""
     k = cuda.grid(1)
     if k >= first.size:
         return

@@ -1,23 +1,23 @@
-"""Which positioner reaches which target: a grid that knows who comes where, then exact annulus tests."""
+"""Pairs of positioners and targets within reach: a grid of the positioners that reach each cell, then annulus tests."""
 
 import math
 
 from rfpsurvey._jit import kernel
 
 OUTSIDE, INSIDE, BORDERLINE = 0, 1, 2
-# Relative error of r^2 - R^2 as computed below is under 5 units of rounding (2^-53); 16 leaves room.
+# Relative error of r^2 - R^2 as computed below is under 5 units of rounding (2^-53); 16 is on the safe side.
 BAND = 16 * 2.0**-53
 
 
 @kernel
 def cell_of(value, origin, size, n):
-    """Index of the grid cell of a coordinate, clipped to the grid."""
+    """Return the index of the grid cell of a coordinate, clipped to the grid."""
     return min(max(math.floor((value - origin) / size), 0), n - 1)
 
 
 @kernel
 def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
-    """List for each cell the positioners whose reach comes into it: ``order[start[c]:start[c + 1]]``, ascending.
+    """List for each cell the positioners that reach into it: ``order[start[c]:start[c + 1]]``, ascending.
 
     With an empty ``order`` only ``start`` is filled in.
     """
@@ -45,7 +45,7 @@ def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def annulus(r2, inner, outer):
-    """Is the squared radius in the closed annulus? BORDERLINE where rounding could decide."""
+    """Return whether the squared radius is in the closed annulus; BORDERLINE where rounding could decide."""
     outer2 = outer * outer
     inner2 = inner * inner
     possible = (r2 <= outer2 * (1.0 + BAND)) & (r2 >= inner2 * (1.0 - BAND))
@@ -57,9 +57,9 @@ def annulus(r2, inner, outer):
 def reachable_pairs(
     tx, ty, accepts, cx, cy, inner, outer, offers, x0, y0, size, nx, ny, start, order, indptr, owner, r2, code
 ):
-    """Pairs (target, positioner), targets ascending, positioners ascending within a target.
+    """List pairs (target, positioner), targets ascending, positioners ascending within a target.
 
-    Returns the number of pairs; where it exceeds the room in ``owner``, the surplus is not stored. ``accepts``
+    Returns the number of pairs; where it exceeds the size of ``owner``, the surplus is not stored. ``accepts``
     and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
     """
     n = 0
@@ -75,10 +75,10 @@ def reachable_pairs(
             dx = x - cx[i]
             dy = y - cy[i]
             d2 = dx * dx + dy * dy
-            verdict = annulus(d2, inner[i], outer[i])
+            place = annulus(d2, inner[i], outer[i])
             if n < owner.size:
-                owner[n], r2[n], code[n] = i, d2, verdict
-            n += (verdict != OUTSIDE) & (accepts[t] & offers[i] != 0)  # a toss-up: no branch
+                owner[n], r2[n], code[n] = i, d2, place
+            n += (place != OUTSIDE) & (accepts[t] & offers[i] != 0)  # no branch: it would be mispredicted
     indptr[tx.size] = n
     return n
 
@@ -98,7 +98,7 @@ def take_pairs(indptr, owner, r2, keep, out_indptr, out_owner, out_r2):
 
 @kernel
 def transpose(indptr, owner, n_owners, out_indptr, out_target, out_source):
-    """Turn rows of targets into rows of owners; ``out_source`` is the position of each pair in the input."""
+    """Convert rows of targets to rows of owners; ``out_source`` is the position of each pair in the input."""
     out_indptr[:] = 0
     for k in range(owner.size):
         out_indptr[owner[k] + 1] += 1

@@ -1,4 +1,4 @@
-"""Candidates that no best plan needs, and positioners that are decided without a search.
+"""Remove candidates that no best plan needs, and assign positioners that have one candidate left.
 
 A candidate excludes those that its arm would collide with, and those of the same target.
 """
@@ -10,7 +10,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def dominates(a, b, i, alive, options, mark):
-    """Say whether a excludes nothing that b does not exclude, too; what collides with b is marked with b."""
+    """Return whether b excludes all that a excludes; ``mark`` is b for candidates that collide with b."""
     own, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
     indptr, other = options.indptr, options.other
     for k in range(indptr[a], indptr[a + 1]):
@@ -25,8 +25,8 @@ def dominates(a, b, i, alive, options, mark):
 
 
 @kernel
-def wake(i, waiting, queue, tail):
-    """Put a positioner into the queue, unless it waits there; returns the end of the queue."""
+def enqueue(i, waiting, queue, tail):
+    """Append a positioner to the queue, unless it is in it; returns the end of the queue."""
     if not waiting[i]:
         waiting[i] = True
         queue[tail % queue.size] = i
@@ -36,10 +36,10 @@ def wake(i, waiting, queue, tail):
 
 @kernel
 def reduce_candidates(options, alive):
-    """Give up candidates that no best plan needs, in ``alive``.
+    """Mark candidates that no best plan needs as not ``alive``.
 
     A candidate b is not needed if another candidate a of its positioner is at least as good and excludes nothing that
-    b does not exclude. A positioner with one candidate left takes it, and what that excludes is given up.
+    b does not exclude. A positioner with one candidate left takes it, and all that this candidate excludes is removed.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
@@ -49,12 +49,12 @@ def reduce_candidates(options, alive):
     queue = np.arange(n)
     head, tail = 0, n
     mark = np.full(own.size, -1, np.int64)
-    losers = np.empty(own.size, np.int64)
+    removed = np.empty(own.size, np.int64)
     while head < tail:
         i = queue[head % n]
         head += 1
         waiting[i] = False
-        lost = left = 0
+        n_removed = left = 0
         last = -1
         for b in range(start[i], start[i + 1]):
             if not alive[b]:
@@ -68,8 +68,8 @@ def reduce_candidates(options, alive):
                     continue
                 if dominates(a, b, i, alive, options, mark):
                     alive[b] = False
-                    losers[lost] = b
-                    lost += 1
+                    removed[n_removed] = b
+                    n_removed += 1
                     break
             if alive[b]:
                 left += 1
@@ -78,21 +78,21 @@ def reduce_candidates(options, alive):
             for k in range(indptr[last], indptr[last + 1]):
                 if alive[other[k]]:
                     alive[other[k]] = False
-                    losers[lost] = other[k]
-                    lost += 1
+                    removed[n_removed] = other[k]
+                    n_removed += 1
             if target[last] >= 0:
                 for k in range(t_indptr[target[last]], t_indptr[target[last] + 1]):
                     c = t_candidate[k]
                     if alive[c] and own[c] != i:
                         alive[c] = False
-                        losers[lost] = c
-                        lost += 1
-        # whoever lost a candidate, or a rival of one, is looked at again
-        for m in range(lost):
-            c = losers[m]
-            tail = wake(own[c], waiting, queue, tail)
+                        removed[n_removed] = c
+                        n_removed += 1
+        # positioners that lost a candidate, or that have one that a removed one excluded, are reduced again
+        for m in range(n_removed):
+            c = removed[m]
+            tail = enqueue(own[c], waiting, queue, tail)
             for k in range(indptr[c], indptr[c + 1]):
-                tail = wake(own[other[k]], waiting, queue, tail)
+                tail = enqueue(own[other[k]], waiting, queue, tail)
             if target[c] >= 0:
                 for k in range(t_indptr[target[c]], t_indptr[target[c] + 1]):
-                    tail = wake(own[t_candidate[k]], waiting, queue, tail)
+                    tail = enqueue(own[t_candidate[k]], waiting, queue, tail)

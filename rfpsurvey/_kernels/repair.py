@@ -1,4 +1,4 @@
-"""Local moves that end collisions: another target, the other elbow, a swap with one neighbor, or none at all."""
+"""Local changes of a plan that end collisions: another target, the other elbow, an exchange with a neighbor, none."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def put(i, c, options, chosen, blocked, holder):
-    """Positioner i takes candidate c, -1 for none; ``blocked`` counts what stands in the way of each candidate."""
+    """Assign candidate c, -1 for none, to positioner i; ``blocked`` counts what collides with each candidate."""
     indptr, other, target = options.indptr, options.other, options.target
     old = chosen[i]
     if old >= 0:
@@ -25,14 +25,14 @@ def put(i, c, options, chosen, blocked, holder):
 
 @kernel
 def put_all(plan, options, chosen, blocked, holder):
-    """All positioners take the candidates of a plan."""
+    """Assign the candidates of a plan to all positioners."""
     for i in range(plan.size):
         put(i, plan[i], options, chosen, blocked, holder)
 
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Best candidate of i that nothing keeps it from and that is as good as the candidate ``least``; -1: none."""
+    """Return the best candidate of i that nothing blocks and that is as good as the candidate ``least``; -1: none."""
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -46,24 +46,24 @@ def best_free(i, least, options, chosen, blocked, holder):
 
 
 @kernel
-def sole_rival(c, i, options, chosen, holder):
-    """Return the one positioner that keeps i from taking c; -1 if nobody does, -2 if there are several."""
-    rival = -1
+def sole_blocker(c, i, options, chosen, holder):
+    """Return the one positioner that keeps i from taking c; -1 if there is none, -2 if there are several."""
+    blocker = -1
     if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
-        rival = holder[options.target[c]]
+        blocker = holder[options.target[c]]
     for k in range(options.indptr[c], options.indptr[c + 1]):
         d = options.other[k]
         j = options.own[d]
-        if chosen[j] == d and j != rival:
-            if rival >= 0:
+        if chosen[j] == d and j != blocker:
+            if blocker >= 0:
                 return -2
-            rival = j
-    return rival
+            blocker = j
+    return blocker
 
 
 @kernel
-def push(i, floor, better, options, chosen, blocked, holder):
-    """Positioner i takes a candidate as good as ``floor``, or better, from a rival that loses nothing by it."""
+def displace(i, floor, better, options, chosen, blocked, holder):
+    """Assign i a candidate as good as ``floor``, or better, if its one blocker has another as good as its own."""
     rank, key, as_good = options.rank, options.key, options.as_good
     mine = chosen[i]
     for c in range(options.start[i], options.start[i + 1]):
@@ -71,7 +71,7 @@ def push(i, floor, better, options, chosen, blocked, holder):
             continue
         if rank[c] > rank[floor] - better or not as_good[key[c], key[floor]]:
             continue
-        j = sole_rival(c, i, options, chosen, holder)
+        j = sole_blocker(c, i, options, chosen, holder)
         if j < 0:
             continue
         theirs = chosen[j]
@@ -87,8 +87,8 @@ def push(i, floor, better, options, chosen, blocked, holder):
 
 
 @kernel
-def make_way(i, options, chosen, blocked, holder, fixed):
-    """Positioner i gives its target up: the best candidate that is free, else the idle arm, from which others move."""
+def give_up_target(i, options, chosen, blocked, holder, fixed):
+    """Assign positioner i the best candidate that is free, else the idle arm, which is then fixed."""
     idle = options.start[i + 1] - 1
     c = best_free(i, idle, options, chosen, blocked, holder)
     if c < 0:
@@ -98,8 +98,8 @@ def make_way(i, options, chosen, blocked, holder, fixed):
 
 
 @kernel
-def claim(order, need, group, held, count, most, options, chosen, blocked, holder):
-    """Positioners in the given order take a candidate of a group, if they can, until there are enough.
+def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
+    """Let positioners in the given order take a candidate of a group, if they can, until there are enough.
 
     ``count[g]`` of the candidates in use belong to group g, ``held[g]``, and ``most[g]`` of them may.
     """
@@ -125,10 +125,10 @@ def claim(order, need, group, held, count, most, options, chosen, blocked, holde
 
 @kernel
 def repair(options, order, chosen, blocked, holder, most_rounds):
-    """End the collisions of a plan, in place; then fill positioners that are idle, or look at less than they could.
+    """End the collisions of a plan, in place; then assign idle positioners, and better targets to others.
 
-    ``order`` lists positioners, those that shall move first at the front. Returns how many found another place without
-    a loss, and how many had to give their target up.
+    ``order`` lists positioners, those that shall move first at the front. Returns how many have another candidate that
+    is as good, and how many lost their target.
     """
     start, rank = options.start, options.rank
     n = order.size
@@ -142,10 +142,10 @@ def repair(options, order, chosen, blocked, holder, most_rounds):
         if c >= 0:
             put(i, c, options, chosen, blocked, holder)
             moved += 1
-        elif push(i, chosen[i], 0, options, chosen, blocked, holder):
+        elif displace(i, chosen[i], 0, options, chosen, blocked, holder):
             moved += 1
     while True:
-        # whoever collides with most goes first
+        # first the positioner that collides with most others
         worst = -1
         for i in order:
             if not fixed[i] and blocked[chosen[i]] > 0 and (worst < 0 or blocked[chosen[i]] > blocked[chosen[worst]]):
@@ -153,7 +153,7 @@ def repair(options, order, chosen, blocked, holder, most_rounds):
         if worst < 0:
             break
         dropped += options.target[chosen[worst]] >= 0
-        make_way(worst, options, chosen, blocked, holder, fixed)
+        give_up_target(worst, options, chosen, blocked, holder, fixed)
     for _ in range(most_rounds):
         changed = False
         for i in order[::-1]:
@@ -163,7 +163,7 @@ def repair(options, order, chosen, blocked, holder, most_rounds):
             if c >= 0 and rank[c] < rank[chosen[i]]:
                 put(i, c, options, chosen, blocked, holder)
                 changed = True
-            elif push(i, chosen[i], 1, options, chosen, blocked, holder):
+            elif displace(i, chosen[i], 1, options, chosen, blocked, holder):
                 changed = True
         if not changed:
             break

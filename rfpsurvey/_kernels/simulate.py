@@ -1,4 +1,4 @@
-"""Realizations of the sky: fresh targets, their queues, and the collisions of what is drawn from them."""
+"""Realizations of the sky: random targets, the queues of positioners, and the collisions of their configurations."""
 
 import math
 from typing import NamedTuple
@@ -9,12 +9,12 @@ from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.allocation import balanced, draw_configuration, fill_queues
 from rfpsurvey._kernels.arms import Geometry, fill_idle, place, shape
 from rfpsurvey._kernels.batch import count
-from rfpsurvey._kernels.queues import expect, line_up, place_queues
+from rfpsurvey._kernels.queues import expect, place_queues, prepare_entries
 from rfpsurvey._kernels.reach import cell_of, reachable_pairs
 
 
 class Sky(NamedTuple):
-    """Targets fall uniformly into a circle, none nearer to another than the separation."""
+    """A circle in which targets are uniform, and their minimum separation."""
 
     x: float
     y: float
@@ -22,8 +22,8 @@ class Sky(NamedTuple):
     separation: float
 
 
-class Array(NamedTuple):
-    """What reach and poses depend on: columns, elbows, the grid of the reach, idle arms as they can collide."""
+class Positioners(NamedTuple):
+    """Data on which reach and poses depend: columns, elbows, the grid of the reach, segments of idle arms."""
 
     geometry: Geometry
     side: np.ndarray
@@ -34,8 +34,8 @@ class Array(NamedTuple):
     idle: np.ndarray
 
 
-class Room(NamedTuple):
-    """Scratch of one thread: targets, who reaches them, queues."""
+class Realization(NamedTuple):
+    """Targets, the positioners that reach them, and queues; arrays that one thread writes to."""
 
     x: np.ndarray
     y: np.ndarray
@@ -48,16 +48,13 @@ class Room(NamedTuple):
     length: np.ndarray
     queues: np.ndarray
     queue: np.ndarray
-    uniform: np.ndarray
-    target_of: np.ndarray
-    tips: np.ndarray
     cells: np.ndarray
-    """Scratch of `scatter_apart`, (2, n)."""
+    """The grid of `scatter_apart`, (2, n)."""
 
 
 @kernel
 def scatter(rng, sky, x, y):
-    """Independent points."""
+    """Draw independent points."""
     for t in range(x.size):
         a = b = 1.0
         while a * a + b * b > 1.0:
@@ -67,11 +64,11 @@ def scatter(rng, sky, x, y):
 
 @kernel
 def scatter_apart(rng, sky, cells, x, y):
-    """Points no nearer than the separation, by random sequential addition; returns how many found room.
+    """Draw points no nearer than the separation, by random sequential addition; returns how many were placed.
 
-    Points beyond the circle take part up to twice the separation, since without neighbors there its edge would be
-    crowded. ``cells`` has the point of each cell of a grid so fine that there is one at most; NaN for none. Gives up
-    after 10,000 misses in a row.
+    Points up to twice the separation beyond the circle are drawn too, since without neighbors there the density would
+    be larger at its edge. ``cells`` has the point of each cell of a grid so fine that there is one at most; NaN for
+    none. Ends after 10,000 points in a row that are too near to others.
     """
     n = int(math.sqrt(cells.shape[1]))
     wide = sky.radius + 2.0 * sky.separation
@@ -99,25 +96,25 @@ def scatter_apart(rng, sky, cells, x, y):
 
 
 @kernel
-def realize(rng, number, sky, array, room):
-    """Let targets fall and queue up as `balanced` has it."""
-    x, y, g = room.x[:number], room.y[:number], array.geometry
+def realize(rng, number, sky, positioners, realization):
+    """Draw targets, and make queues by `balanced`."""
+    x, y, g = realization.x[:number], realization.y[:number], positioners.geometry
     if sky.separation > 0.0:
-        found = scatter_apart(rng, sky, room.cells, x, y)
+        found = scatter_apart(rng, sky, realization.cells, x, y)
         x[found:], y[found:] = np.nan, np.nan
     else:
         scatter(rng, sky, x, y)
-    x0, y0, size, nx, ny, start, order = array.grid
-    indptr = room.indptr[: number + 1]
+    x0, y0, size, nx, ny, start, order = positioners.grid
+    indptr = realization.indptr[: number + 1]
     reachable_pairs(
         x,
         y,
-        room.accepts,
+        realization.accepts,
         g.cx,
         g.cy,
-        array.inner,
-        array.outer,
-        array.offers,
+        positioners.inner,
+        positioners.outer,
+        positioners.offers,
         x0,
         y0,
         size,
@@ -126,17 +123,17 @@ def realize(rng, number, sky, array, room):
         start,
         order,
         indptr,
-        room.owner,
-        room.r2,
-        room.code,
+        realization.owner,
+        realization.r2,
+        realization.code,
     )
-    balanced(indptr, room.owner, room.r2, room.length, room.owner_of[:number])
-    fill_queues(room.owner_of[:number], room.length, room.queues, room.queue)
+    balanced(indptr, realization.owner, realization.r2, realization.length, realization.owner_of[:number])
+    fill_queues(realization.owner_of[:number], realization.length, realization.queues, realization.queue)
 
 
 @kernel
 def thin(rng, most, indptr, queue):
-    """Keep at most so many entries of each queue, drawn without preference; in place."""
+    """Keep at most ``most`` entries of each queue, drawn uniformly; in place."""
     n = begin = 0
     for i in range(indptr.size - 1):
         stop = indptr[i + 1]
@@ -152,40 +149,51 @@ def thin(rng, most, indptr, queue):
 
 
 @kernel
-def draw_and_count(rng, numbers, sky, array, room, stage, desk, counts, times, counted):
-    """Count the collisions of one configuration of each realization; ``counted`` gains one for each that counts."""
-    n = array.side.size
+def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
+    """Count the collisions of one configuration of each realization; add 1 to ``counted`` where a positioner counts."""
+    n = positioners.side.size
+    uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
     for c in range(numbers.size):
-        realize(rng, numbers[c], sky, array, room)
+        realize(rng, numbers[c], sky, positioners, realization)
         for i in range(n):
-            room.uniform[i] = rng.random()
-        draw_configuration(room.queues, room.queue, room.uniform, room.target_of)
+            uniform[i] = rng.random()
+        draw_configuration(realization.queues, realization.queue, uniform, target_of)
         for i in range(n):
-            t = room.target_of[i]
-            desk.assigned[i] = t >= 0
-            room.tips[i, 0], room.tips[i, 1] = (room.x[t], room.y[t]) if t >= 0 else (np.nan, np.nan)
-            counted[i] += desk.assigned[i] | stage.parked[i]
-        place(room.tips, array.geometry, array.side, desk.segments)
-        shape(desk.segments, stage.model, stage.length, stage.cosine, stage.sine)
-        fill_idle(desk.assigned, array.idle, desk.segments)
-        count(stage, desk, counts[c], times)
+            t = target_of[i]
+            workspace.assigned[i] = t >= 0
+            tips[i, 0], tips[i, 1] = (realization.x[t], realization.y[t]) if t >= 0 else (np.nan, np.nan)
+            counted[i] += workspace.assigned[i] | setup.parked[i]
+        place(tips, positioners.geometry, positioners.side, workspace.segments)
+        shape(workspace.segments, setup.model, setup.length, setup.cosine, setup.sine)
+        fill_idle(workspace.assigned, positioners.idle, workspace.segments)
+        count(setup, workspace, counts[c], times)
 
 
 @kernel
-def sum_up(indptr, pairs, geometry, stage, hall, risk, chance_of, sums, times, counted):
-    """Sum up one realization: expected collisions of all and of assigned positioners, pairs; and who counts how often.
+def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_probability, sums, times, counted):
+    """Sum the expected collisions of one realization, and how often each positioner counts.
 
     ``sums`` has the columns expected colliding, counted, expected colliding assigned, assigned, pairs.
     """
-    expect(pairs, geometry, stage.limits, stage.obstacle_pairs, stage.obstacles, stage.clearance, hall, risk, chance_of)
+    expect(
+        pairs,
+        geometry,
+        setup.limits,
+        setup.obstacle_pairs,
+        setup.obstacles,
+        setup.clearance,
+        entries,
+        probability,
+        pair_probability,
+    )
     for k in range(5):
         sums[k] = 0.0
     for p in range(pairs.shape[0]):
-        sums[4] += chance_of[p]
-    for i in range(risk.size):
+        sums[4] += pair_probability[p]
+    for i in range(probability.size):
         assigned = indptr[i + 1] > indptr[i]
-        counts_too = assigned | stage.parked[i]
-        own = risk[i] if counts_too else 0.0
+        counts_too = assigned | setup.parked[i]
+        own = probability[i] if counts_too else 0.0
         sums[0] += own
         sums[1] += counts_too
         sums[2] += own if assigned else 0.0
@@ -195,30 +203,57 @@ def sum_up(indptr, pairs, geometry, stage, hall, risk, chance_of, sums, times, c
 
 
 @kernel
-def queue_and_expect(rng, numbers, most, sky, array, room, pairs, stage, hall, risk, chance_of, sums, times, counted):
-    """Take expectations over all entries of the queues, or so many at most, of each realization."""
+def queue_and_expect(
+    rng,
+    numbers,
+    most,
+    sky,
+    positioners,
+    realization,
+    pairs,
+    setup,
+    entries,
+    probability,
+    pair_probability,
+    sums,
+    times,
+    counted,
+):
+    """Compute expectations over the entries of the queues, at most ``most`` of each, of each realization."""
     for c in range(numbers.size):
-        realize(rng, numbers[c], sky, array, room)
-        thin(rng, most, room.queues, room.queue)
+        realize(rng, numbers[c], sky, positioners, realization)
+        thin(rng, most, realization.queues, realization.queue)
         place_queues(
-            room.x,
-            room.y,
-            room.queues,
-            room.queue,
-            array.geometry,
-            array.side,
-            stage.model,
-            stage.length,
-            stage.cosine,
-            stage.sine,
-            hall.segments,
+            realization.x,
+            realization.y,
+            realization.queues,
+            realization.queue,
+            positioners.geometry,
+            positioners.side,
+            setup.model,
+            setup.length,
+            setup.cosine,
+            setup.sine,
+            entries.segments,
         )
-        line_up(room.queues, array.idle, hall)
-        sum_up(room.queues, pairs, array.geometry, stage, hall, risk, chance_of, sums[c], times, counted)
+        expect_given(
+            realization.queues,
+            pairs,
+            positioners,
+            setup,
+            entries,
+            probability,
+            pair_probability,
+            sums[c],
+            times,
+            counted,
+        )
 
 
 @kernel
-def expect_given(indptr, pairs, array, stage, hall, risk, chance_of, sums, times, counted):
-    """Take expectations over all entries of given queues, which are in the hall."""
-    line_up(indptr, array.idle, hall)
-    sum_up(indptr, pairs, array.geometry, stage, hall, risk, chance_of, sums, times, counted)
+def expect_given(indptr, pairs, positioners, setup, entries, probability, pair_probability, sums, times, counted):
+    """Compute expectations over all entries of given queues, whose segments are in ``entries``."""
+    prepare_entries(indptr, positioners.idle, entries)
+    sum_realization(
+        indptr, pairs, positioners.geometry, setup, entries, probability, pair_probability, sums, times, counted
+    )

@@ -14,22 +14,18 @@ HORIZON = 1e-15
 
 @kernel
 def project(vectors, basis, focal_length, out):
-    """Gnomonic projection; ``basis`` has the rows +x, +y and center. No image: NaN."""
+    """Project unit vectors gnomonically; ``basis`` has the rows +x, +y and center. No image: NaN."""
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
-        if along > HORIZON:
-            scale = focal_length / along
-            out[i, 0] = scale * (a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2])
-            out[i, 1] = scale * (a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2])
-        else:
-            out[i, 0] = np.nan
-            out[i, 1] = np.nan
+        scale = focal_length / along if along > HORIZON else np.nan
+        out[i, 0] = scale * (a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2])
+        out[i, 1] = scale * (a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2])
 
 
 @kernel
 def unproject(xy, basis, focal_length, out):
-    """Inverse of `project`."""
+    """Compute the unit vectors of points, the inverse of `project`."""
     for i in range(xy.shape[0]):
         x, y = xy[i, 0] / focal_length, xy[i, 1] / focal_length
         norm = 1.0 / math.sqrt(1.0 + x * x + y * y)
@@ -39,7 +35,7 @@ def unproject(xy, basis, focal_length, out):
 
 @kernel
 def radius_and_slope(theta, form, coefficients, argument, inner, output):
-    """Radius r(theta) of a radial map and its derivative.
+    """Return the radius r(theta) of a radial map and its derivative.
 
     ``t = argument * theta`` (or ``argument * tan(theta)``); ``r = output * p(t)`` or
     ``output * sin(inner * p(t))``.
@@ -52,8 +48,7 @@ def radius_and_slope(theta, form, coefficients, argument, inner, output):
         t = argument * theta
         t_slope = argument
     t2 = t * t
-    value = 0.0
-    slope = 0.0
+    value = slope = 0.0
     for k in range(coefficients.size - 1, -1, -1):
         value = value * t2 + coefficients[k]
         slope = slope * t2 + (2 * k + 1) * coefficients[k]
@@ -66,17 +61,15 @@ def radius_and_slope(theta, form, coefficients, argument, inner, output):
 
 @kernel
 def radii(theta, form, coefficients, argument, inner, output, limit, out):
-    """Radius of each field angle; NaN beyond ``limit``."""
+    """Compute the radius of each field angle; NaN beyond ``limit``."""
     for i in range(theta.size):
-        if 0.0 <= theta[i] <= limit:
-            out[i] = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
-        else:
-            out[i] = np.nan
+        r = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
+        out[i] = r if 0.0 <= theta[i] <= limit else np.nan
 
 
 @kernel
 def invert_radius(r, form, coefficients, argument, inner, output, limit):
-    """Field angle at radius ``r`` by Newton steps kept inside a shrinking bracket; NaN outside the map."""
+    """Return the field angle at radius ``r``, by Newton steps inside a shrinking bracket; NaN outside the map."""
     low, high = 0.0, limit
     edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
     if not 0.0 <= r <= edge:
@@ -99,20 +92,19 @@ def invert_radius(r, form, coefficients, argument, inner, output, limit):
 
 @kernel
 def angles(r, form, coefficients, argument, inner, output, limit, out):
-    """Field angle of each radius; NaN outside the map."""
+    """Compute the field angle of each radius; NaN outside the map."""
     for i in range(r.size):
         out[i] = invert_radius(r[i], form, coefficients, argument, inner, output, limit)
 
 
 @kernel
 def project_radial(vectors, basis, form, coefficients, argument, inner, output, limit, out):
-    """Projection through a radial map. No image (beyond ``limit``): NaN."""
+    """Project unit vectors by a radial map. No image (beyond ``limit``): NaN."""
     cosine_limit = math.cos(limit) - 1e-12
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
-        out[i, 0] = np.nan
-        out[i, 1] = np.nan
+        out[i, 0] = out[i, 1] = np.nan
         if along >= cosine_limit:
             x = a * basis[0, 0] + b * basis[0, 1] + c * basis[0, 2]
             y = a * basis[1, 0] + b * basis[1, 1] + c * basis[1, 2]
@@ -127,7 +119,7 @@ def project_radial(vectors, basis, form, coefficients, argument, inner, output, 
 
 @kernel
 def unproject_radial(xy, basis, form, coefficients, argument, inner, output, limit, out):
-    """Inverse of `project_radial`."""
+    """Compute the unit vectors of points, the inverse of `project_radial`."""
     for i in range(xy.shape[0]):
         r = math.hypot(xy[i, 0], xy[i, 1])
         theta = invert_radius(r, form, coefficients, argument, inner, output, limit)
@@ -140,7 +132,5 @@ def unproject_radial(xy, basis, form, coefficients, argument, inner, output, lim
 def within(vectors, center, half_chord_squared, out):
     """Mark the directions whose squared half chord to ``center`` is at most the given one."""
     for i in range(vectors.shape[0]):
-        a = vectors[i, 0] - center[0]
-        b = vectors[i, 1] - center[1]
-        c = vectors[i, 2] - center[2]
+        a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
         out[i] = 0.25 * (a * a + b * b + c * c) <= half_chord_squared

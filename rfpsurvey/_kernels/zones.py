@@ -10,26 +10,26 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# What rounding may move a run by, as a part of the circle of right ascension.
+# Largest error by rounding of the ends of a run, as a fraction of the circle of right ascension.
 SLACK = 1e-12
 
 
 @kernel
 def make_keys(vectors, n_zones, key):
-    """Key of each direction."""
+    """Compute the key of each direction."""
     for i in range(vectors.shape[0]):
-        turn = math.atan2(vectors[i, 1], vectors[i, 0]) / (2.0 * math.pi)
-        turn += turn < 0.0
+        phase = math.atan2(vectors[i, 1], vectors[i, 0]) / (2.0 * math.pi)
+        phase += phase < 0.0
         dec = math.atan2(vectors[i, 2], math.hypot(vectors[i, 0], vectors[i, 1]))
         zone = min(max(int((dec / math.pi + 0.5) * n_zones), 0), n_zones - 1)
-        key[i] = zone + min(turn, 1.0 - SLACK)
+        key[i] = zone + min(phase, 1.0 - SLACK)
 
 
 @kernel
 def list_runs(key, n_zones, center, radius, runs):
     """List the runs of the index that hold a circle, rows (first, last + 1), and return their number."""
     dec = math.atan2(center[2], math.hypot(center[0], center[1]))
-    turn = math.atan2(center[1], center[0]) / (2.0 * math.pi)
+    phase = math.atan2(center[1], center[0]) / (2.0 * math.pi)
     low, high = dec - radius - 1e-9, dec + radius + 1e-9
     half = 0.5
     if low > -0.5 * math.pi and high < 0.5 * math.pi:
@@ -42,7 +42,7 @@ def list_runs(key, n_zones, center, radius, runs):
             runs[n, 0], runs[n, 1] = np.searchsorted(key, zone), np.searchsorted(key, zone + 1)
             n += 1
             continue
-        begin = turn - half - math.floor(turn - half)
+        begin = phase - half - math.floor(phase - half)
         end = begin + 2.0 * half
         runs[n, 0] = np.searchsorted(key, zone + begin)
         runs[n, 1] = np.searchsorted(key, zone + min(end, 1.0), side="right")
@@ -58,9 +58,9 @@ def list_runs(key, n_zones, center, radius, runs):
 
 @kernel
 def find_near(vectors, key, n_zones, center, radius, limit, left, out):
-    """Positions of the directions with ``left`` above 0 whose squared half chord to the center is at most ``limit``.
+    """List the directions with ``left`` above 0 whose squared half chord to the center is at most ``limit``.
 
-    Returns their number, also where ``out`` is too short to hold them all.
+    ``out`` has their positions. Returns their number, also where ``out`` is too short to hold them all.
     """
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     n = 0
@@ -77,15 +77,14 @@ def find_near(vectors, key, n_zones, center, radius, limit, left, out):
 
 @kernel
 def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
-    """Sum of the weights of the directions near each center."""
+    """Sum the weights of the directions near each center."""
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     for m in range(centers.shape[0]):
+        center = centers[m]
         total = 0.0
-        for k in range(list_runs(key, n_zones, centers[m], radius, runs)):
+        for k in range(list_runs(key, n_zones, center, radius, runs)):
             for i in range(runs[k, 0], runs[k, 1]):
-                a = vectors[i, 0] - centers[m, 0]
-                b = vectors[i, 1] - centers[m, 1]
-                c = vectors[i, 2] - centers[m, 2]
+                a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
                 if 0.25 * (a * a + b * b + c * c) <= limit:
                     total += weight[i]
         out[m] = total
@@ -93,7 +92,7 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
 
 @kernel
 def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
-    """Give numbers to directions so that no two near each other have the same number, in the order of their rows.
+    """Assign numbers to directions so that no two near each other have the same number, in the order of their rows.
 
     Each takes the number after the largest of those before it that are near; or, with ``smallest``, the smallest that
     none of those in its group has taken. ``order`` has the row of each position in the index.

@@ -77,7 +77,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
         first = order()
         first = first[~held[low][:, now].any(axis=0)[first]]
         need = group.requirement.minimum - count[g]
-        moves.claim(first, need, g, held, count, most, options, now, *state)
+        moves.fill_group(first, need, g, held, count, most, options, now, *state)
     return now, int(moved), int(dropped)
 
 

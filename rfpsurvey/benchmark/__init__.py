@@ -1,4 +1,4 @@
-"""Methods side by side: how fast each of them is, and how far it errs."""
+"""Comparison of the speed and the errors of methods."""
 
 from rfpsurvey.benchmark._batches import benchmark_batches
 from rfpsurvey.benchmark._collisions import benchmark_collisions

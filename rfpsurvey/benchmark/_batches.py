@@ -9,9 +9,9 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
+from rfpsurvey.benchmark._common import has_gpu, provenance, random_tips
 from rfpsurvey.collision import count_collisions
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 
@@ -64,8 +64,9 @@ def benchmark_batches(
     for name, values in (("sizes", sizes), ("workers", workers)):
         if not isinstance(values, Sequence) or len(values) == 0:
             raise InputError(f"{name} must be a list of whole numbers, got {values!r}")
-        check_positive(**{f"{name}[{k}]": n for k, n in enumerate(values)})
-    check_positive(repeats=repeats)
+        for k, n in enumerate(values):
+            check_whole(n, f"{name}[{k}]")
+    check_whole(repeats, "repeats")
     rng = to_generator(rng)
     some = np.array([random_tips(plane, rng) for _ in range(min(256, max(sizes)))])
     ways = [("CPU", n) for n in workers] + [("GPU", 1)] * has_gpu()

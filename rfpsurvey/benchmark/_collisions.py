@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from rfpsurvey._kernels import reference
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
-from rfpsurvey.benchmark._common import check_positive, has_gpu, provenance, random_tips
+from rfpsurvey.benchmark._common import has_gpu, provenance, random_tips
 from rfpsurvey.collision import (
     METHODS,
     Configuration,
@@ -24,7 +24,7 @@ from rfpsurvey.collision import (
     near_pairs,
     place_arms,
 )
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 
@@ -119,7 +119,8 @@ def benchmark_collisions(
     """
     plane = as_focal_plane(instrument)
     names = _check_methods(methods)
-    check_positive(n_configurations=n_configurations, repeats=repeats)
+    check_whole(n_configurations, "n_configurations")
+    check_whole(repeats, "repeats")
     if not (isinstance(seconds, int | float) and seconds >= 0):
         raise InputError(f"seconds must be a number of at least 0, got {seconds!r}")
     rng = to_generator(rng)
@@ -147,7 +148,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return what each run finds in each case, and all its times; the first turn compiles and hardly counts."""
+    """Return the pairs that each run finds in each case, and all its times; the first round is to compile."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -170,7 +171,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
 
 
 def _true_pairs(case):
-    """Colliding pairs and their distances in rational arithmetic on the floats as they are; all pairs are looked at."""
+    """Return all colliding pairs and their distances, in rational arithmetic and without a broad phase."""
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]
@@ -184,7 +185,7 @@ def _true_pairs(case):
 
 
 def _errors(truth, found):
-    """Pairs missed and spurious, and errors of the distances of the others, over all configurations."""
+    """Return the numbers of pairs missed and spurious, and errors of the distances of the others."""
     n = missed = spurious = 0
     errors = []
     for true, got in zip(truth, found, strict=True):
@@ -204,13 +205,13 @@ def _errors(truth, found):
 
 
 def _case(plane, tips) -> Configuration:
-    """Arms that stand."""
+    """Return the configuration of arms at their tips."""
     posed = place_arms(plane, tips * u.mm)
     return Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
 
 
 def _check_methods(methods):
-    """Return the names asked for, or all that can run here."""
+    """Return the names that are given, or those of all methods that can run here."""
     if isinstance(methods, str):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()

@@ -1,4 +1,4 @@
-"""What all benchmarks share."""
+"""Functions that all benchmarks share."""
 
 import os
 import platform
@@ -9,13 +9,12 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.collision import place_arms
-from rfpsurvey.errors import InputError
 
-__all__ = ["check_positive", "has_gpu", "processor", "provenance", "random_tips"]
+__all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
-    """One target a positioner, uniform in what it reaches, in mm; NaN if nothing was found in a hundred attempts."""
+    """Return one target per positioner, uniform within its reach, in mm; NaN if a hundred attempts found none."""
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
     for _ in range(100):
@@ -31,7 +30,7 @@ def random_tips(plane, rng):
 
 
 def has_gpu():
-    """Say whether there is a GPU, not a simulated one."""
+    """Return whether there is a GPU, not a simulated one."""
     try:
         from numba import config, cuda
     except ImportError:
@@ -39,15 +38,8 @@ def has_gpu():
     return bool(not config.ENABLE_CUDASIM and cuda.is_available())
 
 
-def check_positive(**numbers):
-    """Refuse what is no whole number of at least 1."""
-    for name, value in numbers.items():
-        if not (isinstance(value, int | np.integer) and value >= 1):
-            raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
-
-
 def provenance(instrument, plane):
-    """Say what a table was measured on."""
+    """Return the instrument, the versions and the machine of a measurement."""
     name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
     return {
         "instrument": name,

@@ -1,4 +1,4 @@
-"""Methods of collision probability side by side, within one estimand."""
+"""Comparison of methods of collision probability with the same estimand."""
 
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
@@ -11,8 +11,8 @@ from rfpsurvey._plugins import name_of
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import allocate
-from rfpsurvey.benchmark._common import check_positive, provenance
-from rfpsurvey.errors import InputError
+from rfpsurvey.benchmark._common import provenance
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability import METHODS, Precision, collision_probability, find_method, make_source
@@ -87,7 +87,7 @@ def benchmark_probability(
         raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
     estimands = {method: find_method(method, METHODS)[1] for method in efforts}
     runs = [(method, n) for method, numbers in efforts.items() for n in numbers]
-    check_positive(repeats=repeats)
+    check_whole(repeats, "repeats")
     rng = to_generator(rng)
     truth = {
         kind: collision_probability(
@@ -147,7 +147,7 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Say how far independent targets are from those of balanced queues, for each density that could stand in.
+    """Compare the collision probability of independent targets, for each density, with that of balanced queues.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def benchmark_densities(
     ['allocated', 'uniform', 'shared', 'voronoi', 'empirical']
     """
     plane = as_focal_plane(instrument)
-    check_positive(n_allocations=n_allocations)
+    check_whole(n_allocations, "n_allocations")
     rng = to_generator(rng)
     model = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
     found = {"allocated": collision_probability(instrument, method="auto", precision=precision, rng=rng)}

@@ -1,7 +1,7 @@
-"""Static collisions: where the arms stand, and which of them are closer than the minimum separation."""
+"""Static collisions: the poses of the arms, and which of them are closer than the minimum separation."""
 
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
-from rfpsurvey.collision._count import CollisionCounts, count_collisions, lay_out, make_desk, make_stage
+from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_setup, make_workspace, queue_segments
 from rfpsurvey.collision._exact_arithmetic import closer_exactly, distance_exactly
 from rfpsurvey.collision._find import find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
@@ -20,11 +20,11 @@ __all__ = [
     "distance_exactly",
     "find_collisions",
     "keep_closer",
-    "lay_out",
-    "make_desk",
-    "make_stage",
+    "make_setup",
+    "make_workspace",
     "near_pairs",
     "nearest_distance",
     "place_arms",
+    "queue_segments",
     "touching",
 ]

@@ -1,4 +1,4 @@
-"""Where the arms stand."""
+"""Poses of the arms."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ __all__ = [
     "joints_free",
     "nearest_distance",
     "place_arms",
-    "stand",
+    "pose_tips",
     "to_sides",
     "to_tips",
 ]
@@ -27,24 +27,24 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Poses of all positioners, in mm and radians; NaN for arms that are not there."""
+    """Poses of all positioners, in mm and radians; NaN for arms that are absent."""
 
     theta: np.ndarray
     phi: np.ndarray
     elbow: np.ndarray
     tip: np.ndarray
     segments: np.ndarray
-    """What can collide, rows (x0, y0, x1, y1)."""
+    """Segments that can collide, rows (x0, y0, x1, y1)."""
     assigned: np.ndarray
-    """Positioners that look at a target."""
+    """Positioners that have a target."""
     parked: np.ndarray
-    """Usable positioners without a target that stand at home and count."""
+    """Usable positioners without a target that are parked and count."""
     clipped: np.ndarray
     """Positioners whose target is out of reach: stretched toward it, or bent as the joint limits forbid."""
 
     @property
     def present(self) -> np.ndarray:
-        """Positioners whose arm is there."""
+        """Positioners whose arm is not absent."""
         return np.isfinite(self.segments[:, 0])
 
 
@@ -70,7 +70,7 @@ def place_arms(
         raise InputError("give either tips, or both theta and phi")
     if tips is None:
         if handedness is not None:
-            raise InputError("handedness belongs to tips; theta and phi say themselves where the elbow is")
+            raise InputError("handedness belongs to tips; theta and phi already determine the elbow")
         angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
         segments = np.empty((4, n))
         arms.pose(*angles, columns.geometry, segments)
@@ -80,7 +80,7 @@ def place_arms(
     else:
         points = to_tips(tips, n)
         side = to_sides(focal_plane, points, handedness)
-        segments, assigned, clipped = stand(focal_plane, points, side, parked_obstacles, clip=clip)
+        segments, assigned, clipped = pose_tips(focal_plane, points, side, parked_obstacles, clip=clip)
         angles = np.empty((2, n))
         arms.solve(points, columns.geometry, side, *angles)
     for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
@@ -90,8 +90,8 @@ def place_arms(
     return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped)
 
 
-def stand(plane, points, side, parked_obstacles, *, clip=False):
-    """Elbows and tips (4, n), idle arms where they stand, with flags: assigned, and short of the target (clipped)."""
+def pose_tips(plane, points, side, parked_obstacles, *, clip=False):
+    """Return elbows and tips (4, n), those of idle arms too, with flags: assigned, and clipped short of the target."""
     assigned, clipped = check_tips(plane, points, side, clip=clip)
     segments = place_tips(plane, points, side, clipped)
     arms.fill_idle(assigned, plane.arrays.idle(parked_obstacles).segments, segments)
@@ -99,14 +99,14 @@ def stand(plane, points, side, parked_obstacles, *, clip=False):
 
 
 def check_plane(focal_plane):
-    """Refuse what is no focal plane."""
+    """Raise an error for anything but a focal plane."""
     if not isinstance(focal_plane, FocalPlane):
         hint = "; an Instrument has one, its focal_plane" if hasattr(focal_plane, "focal_plane") else ""
         raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
 
 
 def check_arms(plane, posed):
-    """Refuse arms that do not stand at these positioners."""
+    """Raise an error for arms that are not those of these positioners."""
     if len(posed.segments) != len(plane):
         raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
     away = np.hypot(*(posed.elbow - plane.arrays.xy).T) > plane.arrays.central_arm * (1 + 1e-9) + arms.EQUAL_ARMS
@@ -126,7 +126,7 @@ def to_tips(tips, n):
 
 
 def check_tips(plane, points, side, *, clip=False):
-    """Mark positioners that take a target, and those that cannot get there; the latter are errors unless ``clip``."""
+    """Mark positioners that have a target, and those that cannot reach it; the latter are errors unless ``clip``."""
     n = len(plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
     if arms.check(points, plane.arrays.geometry, plane.arrays.bounds, assigned, far) and not clip:
@@ -150,12 +150,12 @@ def check_tips(plane, points, side, *, clip=False):
 
 
 def joints_free(plane, side):
-    """Say whether the joint limits leave the whole patrol areas in reach with these elbows."""
+    """Return whether the joint limits leave the whole patrol areas in reach with these elbows."""
     return all(plane.positioner.numbers.joints_free_for(s) for s in {side.min(), side.max()})
 
 
 def place_tips(plane, points, side, clipped):
-    """Elbows and tips, shape (4, n); those that are out of reach stretch toward their point."""
+    """Return elbows and tips, shape (4, n); arms whose point is out of reach stretch toward it."""
     geometry, bounds = plane.arrays.geometry, plane.arrays.bounds
     segments = np.empty((4, len(plane)))
     arms.place(points, geometry, side, segments)
@@ -171,7 +171,7 @@ def place_tips(plane, points, side, clipped):
 
 
 def to_sides(plane, points, handedness):
-    """Turn elbow names into +1 (right) and -1 (left); None: those of the focal plane."""
+    """Return +1 for the elbow name right and -1 for left; for None the elbows of the focal plane."""
     if handedness is None:
         return plane.arrays.sides(points)
     n = len(plane)
@@ -185,7 +185,7 @@ def to_sides(plane, points, handedness):
 
 
 def arm_angles(plane, fiber_type):
-    """Cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
+    """Return cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
     if fiber_type is None:
         return plane.arrays.angles
     types = to_plain(fiber_type, "fiber_type").astype(str)
@@ -200,12 +200,12 @@ def arm_angles(plane, fiber_type):
 
 
 def nearest_distance(posed: Arms) -> np.ndarray:
-    """Distance (mm) of each arm to the nearest other one; NaN: absent, infinity: alone."""
+    """Return the distance (mm) of each arm to the nearest other one; NaN: absent, infinity: alone."""
     segments = np.ascontiguousarray(posed.segments.T)
     halves, out = np.empty_like(segments), np.empty(len(posed.segments))
     collisions.halve(segments, halves)
-    there = np.flatnonzero(posed.present)
-    order = there[np.argsort(halves[0, there], kind="stable")]
+    present = np.flatnonzero(posed.present)
+    order = present[np.argsort(halves[0, present], kind="stable")]
     collisions.nearest_arm(segments, halves, order, out)
     return out
 

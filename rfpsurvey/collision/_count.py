@@ -11,15 +11,15 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_whole, short
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["CollisionCounts", "count_collisions", "lay_out", "make_desk", "make_stage"]
+__all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
 
 CHUNK = 64
-"""Configurations that one task scores; draws do not depend on the number of workers, but on this."""
+"""Configurations per task. Draws depend on it, and do not depend on the number of workers."""
 GPU_CHUNK = 2048
-"""The same for a GPU: 256 MB for 4000 positioners."""
+"""Configurations per task on a GPU: 256 MB for 4000 positioners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +62,12 @@ class CollisionCounts:
 
     @property
     def rate(self) -> np.ndarray:
-        """Part of the counted positioners that is in collision, for each configuration; NaN if none counts."""
+        """Fraction of the counted positioners in collision, for each configuration; NaN if none counts."""
         return _ratio(self.n_in_collision, self.n_counted)
 
     @property
     def rate_assigned(self) -> np.ndarray:
-        """Part of the assigned positioners that is in collision, for each configuration; NaN if none is assigned."""
+        """Fraction of the assigned positioners in collision, for each configuration; NaN if none is assigned."""
         return _ratio(self.n_in_collision_assigned, self.n_assigned)
 
     def __len__(self):
@@ -147,11 +147,11 @@ def count_collisions(
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
-            raise InputError("an Allocation brings its own poses; give no handedness or fiber_type")
+            raise InputError("an Allocation has its own poses; give no handedness or fiber_type")
         score, chunks = _of_draws(focal_plane, tips, n_configurations, method, rng)
     else:
         if n_configurations is not None:
-            raise InputError("n_configurations belongs to an Allocation; tips say themselves how many they are")
+            raise InputError("n_configurations belongs to an Allocation; the number of tips is that of their rows")
         score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, method)
     parts, times = [np.empty((0, batch.N_COUNTS), dtype=np.int64)], np.zeros(len(focal_plane), dtype=np.int64)
     for part, hits in map_in_order(executor, score, *chunks):
@@ -176,13 +176,13 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
         raise InputError(f"tips must be an Allocation or a Quantity of shape (m, {len(plane)}, 2), got {kind}")
-    stage = make_stage(plane, arm_angles(plane, fiber_type), parked_obstacles)
+    setup = make_setup(plane, arm_angles(plane, fiber_type), parked_obstacles)
     side = None
     if handedness is not None or plane.positioner.numbers.joints_free:
         side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
     step, make_scorer = SCORERS[method]
     starts = range(0, len(tips), step)
-    score = partial(_score_tips, plane, side, make_scorer(plane, stage))
+    score = partial(_score_tips, plane, side, make_scorer(plane, setup))
     return score, ((tips[k : k + step] for k in starts), starts)
 
 
@@ -196,22 +196,22 @@ def _score_tips(plane, side, scorer, tips, start):
     return counts, times
 
 
-def _processor(plane, stage):
-    return partial(_on_processor, plane, stage)
+def _processor(plane, setup):
+    return partial(_on_processor, plane, setup)
 
 
-def _on_processor(plane, stage, points, side):
+def _on_processor(plane, setup, points, side):
     """Return counts, times, and the number of tips that are out of reach."""
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     columns = plane.arrays
-    far = batch.count_tips(points, columns.geometry, columns.bounds, side, stage, make_desk(plane), counts, times)
+    far = batch.count_tips(points, columns.geometry, columns.bounds, side, setup, make_workspace(plane), counts, times)
     return counts, times, far
 
 
-def _device(plane, stage):
+def _device(plane, setup):
     from rfpsurvey.collision import _gpu
 
-    return _gpu.make_scorer(plane, stage)
+    return _gpu.make_scorer(plane, setup)
 
 
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
@@ -227,26 +227,25 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
             f"the allocation is for {len(allocation.target_of_positioner)} positioners, not for {len(plane)}"
         )
     n = n_configurations
-    if not (isinstance(n, int | np.integer) and n >= 0):
-        raise InputError(f"n_configurations must say how many to draw, a whole number of at least 0, got {n!r}")
+    check_whole(n, "n_configurations", 0)
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
-    indptr, entries = lay_out(plane, allocation)
-    stage = make_stage(plane, plane.arrays.angles, allocation.parked_obstacles)
+    indptr, entries = queue_segments(plane, allocation)
+    setup = make_setup(plane, plane.arrays.angles, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
-    idle = stage.idle.copy()
-    arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
-    return partial(_score_draws, plane, stage, idle, indptr, entries), (sizes, to_spawner(rng).spawn(len(sizes)))
+    idle = setup.idle.copy()
+    arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
+    return partial(_score_draws, plane, setup, idle, indptr, entries), (sizes, to_spawner(rng).spawn(len(sizes)))
 
 
-def _score_draws(plane, stage, idle, indptr, entries, size, rng):
+def _score_draws(plane, setup, idle, indptr, entries, size, rng):
     counts, times = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     uniform = rng.random((size, len(plane)))
-    batch.count_draws(uniform, indptr, entries, idle, stage, make_desk(plane), counts, times)
+    batch.count_draws(uniform, indptr, entries, idle, setup, make_workspace(plane), counts, times)
     return counts, times
 
 
-def lay_out(plane, allocation):
+def queue_segments(plane, allocation):
     """Return where the queues begin, and the segments of their entries, one queue after the other, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
@@ -264,11 +263,11 @@ def lay_out(plane, allocation):
     return indptr, segments
 
 
-def make_stage(plane, angles, parked_obstacles) -> batch.Stage:
-    """Return what all configurations share."""
+def make_setup(plane, angles, parked_obstacles) -> batch.CollisionSetup:
+    """Return the data that all configurations share."""
     columns = plane.arrays
     idle = columns.idle(parked_obstacles)
-    return batch.Stage(
+    return batch.CollisionSetup(
         columns.runs,
         columns.limits,
         columns.model,
@@ -282,19 +281,16 @@ def make_stage(plane, angles, parked_obstacles) -> batch.Stage:
     )
 
 
-def make_desk(plane) -> batch.Desk:
-    """Scratch for one configuration."""
-    n, room, m = len(plane), len(plane.arrays.neighbors), len(plane.arrays.obstacle_pairs)
+def make_workspace(plane) -> batch.Workspace:
+    """Return arrays that the count of one configuration writes to."""
+    n, size = len(plane), len(plane.arrays.neighbors)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
-    mask = np.empty(plane.arrays.longest_run, dtype=np.bool_)
-    pairs = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
-    return batch.Desk(
-        np.empty((4, n)), np.empty((4, n)), *flags, mask, *pairs, np.empty((m, 2), dtype=np.int64), np.empty(m)
-    )
+    pairs = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64), np.empty(size)
+    return batch.Workspace(np.empty((4, n)), np.empty((4, n)), *flags, *pairs)
 
 
 def _sides_of_chunk(plane, points, side, start):
-    """Elbows of a chunk: one row for all configurations, unless the joint limits have a say."""
+    """Return the elbows of a chunk: one row for all configurations, unless they depend on the joint limits."""
     if side is not None and joints_free(plane, side):
         return side
     rows = [plane.arrays.sides(p) if side is None else side[0] for p in points]

@@ -1,7 +1,6 @@
 """Which arms of one configuration are closer than the minimum separation."""
 
 from fractions import Fraction
-from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -14,14 +13,14 @@ from rfpsurvey.collision._arms import (
     check_plane,
     check_tips,
     place_arms,
-    stand,
+    pose_tips,
     to_sides,
     to_tips,
 )
 from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
-from rfpsurvey.errors import InputError, check_choice, check_switch, refusal
+from rfpsurvey.errors import InputError, check_choice, check_switch, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["find_collisions", "touching"]
@@ -53,24 +52,23 @@ def find_collisions(
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (n, 2), or Allocation, or Arms, optional
-        Where the fiber of each positioner is, NaN for those without a target; or an allocation, whose elbows and
-        options are then used; or poses that are already there.
+        Position of the fiber of each positioner, NaN for those without a target; or an allocation, whose elbows and
+        options are then used; or poses that are known already.
     theta, phi : Quantity, shape (n,), optional
-        Joint angles instead of ``tips``, taken as they are, within the joint limits or not; NaN for positioners
-        without a target.
+        Joint angles instead of ``tips``, within the joint limits or not; NaN for positioners without a target.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
         Elbow of each arm at its tip, where it is not the positioner's own; not with ``theta`` and ``phi``.
     fiber_type : array_like of str, shape (n,), optional
         Fiber in use, for arm models that depend on it.
     parked_obstacles : bool, optional
-        Do equal-arm positioners without a target stand at home, as obstacles that count? Those with unequal arms
-        are followers that give way, and are ignored. An allocation has an option of its own, which is then used.
+        Whether equal-arm positioners without a target are parked, as obstacles that count. Those with unequal arms
+        avoid all other arms, and are ignored. An allocation has an option of its own, which is then used.
     method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
         ``exact``: distances with a proven error, and rational arithmetic where that could matter.
         ``sampled``: the least distance of ``n_points`` points on either arm; misses grazing pairs, and crossings
         too if n_points <= 1 + length of the arm / (sqrt(2) D).
-        ``sweep``: the areas that the two arms sweep on the way from home, both joints moving together the short
-        way round (hard stops or not), as ``n_points`` poses each; finds every collision, and many that are none.
+        ``sweep``: the areas that the two arms sweep from their parked poses, both joints moving together in the
+        shorter direction (hard stops or not), as ``n_points`` poses each; no false negatives, many false positives.
         ``scipy``: minimization by SciPy, slow. ``cuda``: the exact distances on a GPU (``rfpsurvey[cuda]``).
     n_points : int, optional
         Points on an arm (sampled) or poses on its way (sweep), 2 to 10,000.
@@ -106,20 +104,19 @@ def find_collisions(
     """
     find = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)
-    if not (isinstance(n_points, int | np.integer) and 2 <= n_points <= MOST_POINTS):
-        raise refusal(f"n_points must be a whole number of at least 2 and at most {MOST_POINTS}", n_points, Number)
+    check_whole(n_points, "n_points", 2, MOST_POINTS)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
     if ready and any(value is not None for value in given.values()):
-        raise InputError(f"an Allocation or Arms bring their own poses; give no {', '.join(given)}")
+        raise InputError(f"an Allocation or Arms have their own poses; give no {', '.join(given)}")
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles
     check_switch(parked_obstacles, "parked_obstacles")
-    segments, assigned, parked, poses = _stand(focal_plane, tips, given, parked_obstacles)
-    quiet = len(focal_plane.arrays.runs) == 0
+    segments, assigned, parked, poses = _posed_segments(focal_plane, tips, given, parked_obstacles)
+    nothing_can_touch = len(focal_plane.arrays.runs) == 0
     first, second, distances, n_borderline = (
-        NOTHING if quiet else find(Configuration(focal_plane, segments, int(n_points), poses))
+        NOTHING if nothing_can_touch else find(Configuration(focal_plane, segments, int(n_points), poses))
     )
     order = np.argsort(first * len(focal_plane) + second)
     pairs = np.column_stack([first[order], second[order]])
@@ -133,8 +130,8 @@ def find_collisions(
     )
 
 
-def _stand(plane, tips, given, parked_obstacles):
-    """Segments (4, n), flags, and a function that gives all poses; without joint angles, which few need."""
+def _posed_segments(plane, tips, given, parked_obstacles):
+    """Return segments (4, n), flags, and a function that returns all poses, which few methods need."""
 
     def poses():
         return place_arms(plane, tips, **given, parked_obstacles=parked_obstacles)
@@ -148,15 +145,15 @@ def _stand(plane, tips, given, parked_obstacles):
     points = to_tips(tips, len(plane))
     side, angles = to_sides(plane, points, given["handedness"]), arm_angles(plane, given["fiber_type"])
     if len(columns.runs) or len(plane.arrays.obstacle_pairs):
-        segments, assigned, _ = stand(plane, points, side, parked_obstacles)
+        segments, assigned, _ = pose_tips(plane, points, side, parked_obstacles)
         arms.shape(segments, columns.model, columns.length, *angles)
-    else:  # nothing can collide, wherever the arms stand
+    else:  # nothing can collide, whatever the poses are
         segments, (assigned, _) = None, check_tips(plane, points, side)
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 
 def touching(plane, segments, pairs):
-    """Which of the pairs (segment, obstacle) touch, distances to the edge, and how many were borderline."""
+    """Return the pairs (segment, obstacle) that touch, distances to the edge, and how many were borderline."""
     circles, clearance = plane.arrays.obstacles, plane.arrays.clearance
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:

@@ -1,4 +1,4 @@
-"""The GPU's side of `find_collisions` and `count_collisions`."""
+"""Run `find_collisions` and `count_collisions` on a GPU."""
 
 import numpy as np
 
@@ -31,16 +31,16 @@ def find_pairs(segments, pairs, limits):
     return pairs[rows, 0], pairs[rows, 1], squared.copy_to_host()[:n]
 
 
-def make_scorer(plane, stage):
-    """Return a function (points, side) -> (counts, times, tips out of reach), with all that stays on the device."""
+def make_scorer(plane, setup):
+    """Return a function (points, side) -> (counts, times, tips out of reach); the device keeps the shared data."""
     _require_device()
-    n, limits, columns = len(plane), stage.limits, plane.arrays
+    n, limits, columns = len(plane), setup.limits, plane.arrays
     g, bounds = columns.geometry, columns.bounds
     geometry = cuda.to_device(np.array([g.cx, g.cy, g.l1, g.l2, bounds.low, bounds.high]))
-    idle, angles = cuda.to_device(stage.idle), cuda.to_device(np.array([stage.cosine, stage.sine]))
-    indptr, neighbor, parked = (cuda.to_device(v) for v in (*columns.both_ways, stage.parked))
-    hurdle_indptr = cuda.to_device(np.searchsorted(stage.obstacle_pairs[:, 0], np.arange(n + 1)))
-    hurdles = cuda.to_device(np.vstack([stage.obstacles[stage.obstacle_pairs[:, 1]], np.zeros((1, 3))]))  # never empty
+    idle, angles = cuda.to_device(setup.idle), cuda.to_device(np.array([setup.cosine, setup.sine]))
+    indptr, neighbor, parked = (cuda.to_device(v) for v in (*columns.both_ways, setup.parked))
+    circle_indptr = cuda.to_device(np.searchsorted(setup.obstacle_pairs[:, 0], np.arange(n + 1)))
+    circles = cuda.to_device(np.vstack([setup.obstacles[setup.obstacle_pairs[:, 1]], np.zeros((1, 3))]))  # never empty
     reject2, limit = (limits.separation + limits.slack) ** 2, limits.separation**2
 
     def score(points, side):
@@ -49,15 +49,15 @@ def make_scorer(plane, stage):
         segments, far = cuda.device_array((m, 4, n)), cuda.to_device(np.zeros(1, dtype=np.int64))
         counts, times = cuda.to_device(np.zeros((m, N_COUNTS), np.int64)), cuda.to_device(np.zeros(n, np.int64))
         launch = (-(-n // gpu.THREADS), m), gpu.THREADS
-        gpu.stand[launch](
+        gpu.pose_tips[launch](
             tips,
             geometry,
             cuda.to_device(side),
             g.home_x,
             g.home_y,
             idle,
-            stage.model,
-            stage.length,
+            setup.model,
+            setup.length,
             angles,
             segments,
             far,
@@ -71,9 +71,9 @@ def make_scorer(plane, stage):
             limit,
             limits.band,
             parked,
-            hurdle_indptr,
-            hurdles,
-            stage.clearance,
+            circle_indptr,
+            circles,
+            setup.clearance,
             counts,
             times,
         )

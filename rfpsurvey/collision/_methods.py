@@ -1,4 +1,4 @@
-"""The ways to find colliding pairs: one fast and exact, the others to compare with."""
+"""Methods of finding colliding pairs: one fast and exact, and others for comparison."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ __all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """One configuration, as a method sees it."""
+    """One configuration, the input of a method."""
 
     plane: FocalPlane
     segments: np.ndarray
-    """What can collide, columns (4, n)."""
+    """Segments that can collide, columns (4, n)."""
     n_points: int
     poses: Callable[[], Arms]
-    """All poses; made only if a method asks for them."""
+    """Function that returns all poses, which few methods need."""
 
 
 class Found(NamedTuple):
@@ -36,16 +36,16 @@ class Found(NamedTuple):
 
 
 def exact(case: Configuration) -> Found:
-    """Distances with a proven error; pairs within it of the limit are settled in rational arithmetic."""
+    """Find pairs by distances with a proven error; pairs within it of the limit are decided in rational arithmetic."""
     columns = case.plane.arrays
-    halves, mask, first, second = _scratch(case)
+    halves, first, second = _scratch(case)
     squared = np.empty(len(first))
-    n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, mask, first, second, squared)
+    n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, first, second, squared)
     return _settle(case, first[:n], second[:n], squared[:n])
 
 
 def sampled(case: Configuration) -> Found:
-    """Least distance of ``n_points`` points on either arm: never too small but for rounding, blind between them."""
+    """Find pairs by the least distance of ``n_points`` points on either arm, never too small but for rounding."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -53,12 +53,12 @@ def sampled(case: Configuration) -> Found:
 
 
 def sweep(case: Configuration) -> Found:
-    """Least distance of the areas that the arms sweep from home to their poses, joints moving together."""
+    """Find pairs by the least distance of the areas that arms sweep from their parked poses, joints moving together."""
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
     first, second = pairs.T.copy()
     poses = np.empty((case.n_points, *case.segments.shape))
-    # the joints turn the short way round; idle arms stand at home all the time
+    # the joints rotate in the shorter direction; idle arms remain parked
     start = np.repeat(plane.positioner.numbers.home[:, None], len(plane), axis=1)
     move = np.array([posed.theta - start[0], posed.phi - start[1]])
     move -= 2 * np.pi * np.round(move / (2 * np.pi))
@@ -75,21 +75,21 @@ def sweep(case: Configuration) -> Found:
 
 
 def scipy(case: Configuration) -> Found:
-    """Bounded least squares over the positions along both arms, by SciPy."""
+    """Find pairs by bounded least squares over the positions along both arms, by SciPy."""
     from scipy.optimize import lsq_linear
 
     first, second = near_pairs(case)
     distances = np.empty(len(first))
     for k in range(len(first)):
         p, q = case.segments[:, first[k]].reshape(2, 2), case.segments[:, second[k]].reshape(2, 2)
-        matrix, aim = np.column_stack([p[1] - p[0], q[0] - q[1]]), q[0] - p[0]
-        found = lsq_linear(matrix, aim, bounds=(0, 1), method="bvls", tol=1e-14)
-        distances[k] = np.hypot(*(matrix @ found.x - aim))
+        matrix, offset = np.column_stack([p[1] - p[0], q[0] - q[1]]), q[0] - p[0]
+        found = lsq_linear(matrix, offset, bounds=(0, 1), method="bvls", tol=1e-14)
+        distances[k] = np.hypot(*(matrix @ found.x - offset))
     return keep_closer(case, first, second, distances)
 
 
 def cuda(case: Configuration) -> Found:
-    """Distances as in ``exact``, made by a GPU."""
+    """Find pairs by the distances of ``exact``, computed by a GPU."""
     from rfpsurvey.collision import _gpu
 
     return _settle(case, *_gpu.find_pairs(case.segments, case.plane.arrays.neighbors, case.plane.arrays.limits))
@@ -101,8 +101,8 @@ METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
     """Return the neighbors that the broad phase does not reject."""
-    halves, mask, first, second = _scratch(case)
-    n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, mask, first, second)
+    halves, first, second = _scratch(case)
+    n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, first, second)
     return first[:n], second[:n]
 
 
@@ -113,16 +113,15 @@ def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, dist
 
 
 def _scratch(case):
-    """Halves of the segments, and room for marks and for all pairs."""
-    room = len(case.plane.arrays.neighbors)
+    """Return the halves of the segments, and arrays for all pairs."""
+    size = len(case.plane.arrays.neighbors)
     halves = np.empty_like(case.segments)
     collisions.halve(case.segments, halves)
-    mask = np.empty(case.plane.arrays.longest_run, dtype=np.bool_)
-    return halves, mask, np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    return halves, np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
 
 
 def _settle(case, first, second, squared):
-    """Decide about the pairs within the band about the limit."""
+    """Return the pairs that collide; those within the band about the limit are decided in exact arithmetic."""
     limits = case.plane.arrays.limits
     edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
     if len(edge):
@@ -135,7 +134,7 @@ def _settle(case, first, second, squared):
 
 
 def _capsule_angles(posed):
-    """Cosine and sine of the angle from each fiber to the end of its segment."""
+    """Return cosine and sine of the angle from each fiber to the end of its segment."""
     (ux, uy), (vx, vy) = (posed.tip - posed.elbow).T, (posed.segments[:, 2:] - posed.elbow).T
     scale = np.hypot(ux, uy) * np.hypot(vx, vy)
     scale[scale == 0] = 1  # a capsule without a length

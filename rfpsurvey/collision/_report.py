@@ -1,4 +1,4 @@
-"""What `find_collisions` returns."""
+"""The result of `find_collisions`."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,12 +28,12 @@ class CollisionReport:
     in_collision : ndarray of bool, shape (n,)
         Positioners that occur in either list.
     assigned : ndarray of bool, shape (n,)
-        Positioners that look at a target.
+        Positioners that have a target.
     counted : ndarray of bool, shape (n,)
         Positioners that the rate refers to: assigned ones and parked equal-arm ones.
     n_borderline : int or None, optional
         Pairs so near to the minimum separation (or arms to the clearance from an obstacle) that rounding could put
-        them on either side; ``exact`` and ``cuda`` settle them in rational arithmetic, as obstacles always are.
+        them on either side; ``exact`` and ``cuda`` decide them in rational arithmetic, as obstacles always are.
         None: the method has no proven error. 0 where no two arms can touch.
 
     Examples
@@ -58,12 +58,12 @@ class CollisionReport:
 
     @property
     def rate(self) -> float:
-        """Part of the counted positioners (assigned and parked) that is in collision; NaN if none counts."""
+        """Fraction of the counted positioners (assigned and parked) in collision; NaN if none counts."""
         return _ratio(self.in_collision, self.counted)
 
     @property
     def rate_assigned(self) -> float:
-        """Part of the assigned positioners that is in collision; NaN if none is assigned."""
+        """Fraction of the assigned positioners in collision; NaN if none is assigned."""
         return _ratio(self.in_collision, self.assigned)
 
     @cached_property

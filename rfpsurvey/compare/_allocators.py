@@ -33,7 +33,7 @@ def compare_allocators(
     options: AllocationOptions | None = None,
     **others: object,
 ) -> QTable:
-    """Plan the same field by several methods, and say what each costs.
+    """Plan the same field by several allocators, and return the fibers, collisions and times of each.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ def compare_allocators(
     -------
     QTable
         A row for each method. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (fibers on each kind); fibers
-        on each priority class, where there are from two to eight; ``missing`` (what the requirements
-        lack); ``colliding`` (positioners), ``pairs`` and ``at_obstacles``; ``usable`` (science fibers without a
-        collision); ``loss`` (``usable`` against the science fibers of the best plan that does not look at
-        collisions, as a part of these; it can be negative for methods that do not look at requirements);
+        on each priority class, where there are from two to eight; ``missing`` (fibers missing for
+        requirements); ``colliding`` (positioners), ``pairs`` and ``at_obstacles``; ``usable`` (science fibers without a
+        collision); ``loss`` (fraction by which ``usable`` is smaller than the science fibers of the best plan that
+        ignores collisions; it can be negative for allocators that ignore requirements);
         ``gap`` (NaN where nothing is proven); ``seconds`` (reach and allocation, once compiled). ``meta`` holds the
-        unmet requirements of each method, and the provenance.
+        unmet requirements of each allocator, and the provenance.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def compare_allocators(
             continue
         with warnings.catch_warnings():
             if tiles:
-                warnings.simplefilter("ignore", RfpsurveyWarning)  # what holds of the field was said once
+                warnings.simplefilter("ignore", RfpsurveyWarning)  # a warning about the field is issued once
             plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)
@@ -111,7 +111,7 @@ def compare_allocators(
 
 
 def _row(name, tile, blind):
-    """Figures of one plan."""
+    """Return the row of one plan."""
     summary, table = tile.summary, tile.table
     values = {level: value for level, value, _ in summary["objectives"]}
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))

@@ -1,4 +1,4 @@
-"""The fields of a comparison, and what each method makes of them."""
+"""The fields of a comparison, and their plans by each allocator."""
 
 import warnings
 from collections.abc import Sequence
@@ -12,12 +12,11 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._executors import map_in_order
-from rfpsurvey._progress import Progress
+from rfpsurvey._executors import map_with_progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, refusal, short
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_whole, refusal, short
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -28,7 +27,7 @@ __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind
 
 SAMPLE = 100_000
 BLIND = "sdss"
-"""The method whose arms pass through each other, and which assigns as many as that allows."""
+"""The allocator that ignores collisions, and assigns the largest number of targets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +42,13 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What one method made of a field."""
+    """Numbers of one allocator's plan of a field."""
 
     n_targets: int
     n_science: int
     n_usable: int
     n_pairs: int
-    risk: np.ndarray
+    probability: np.ndarray
     """1 for each positioner in collision, 0 for others, NaN for those that do not count."""
     gap: float
     seconds: float
@@ -71,9 +70,8 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
-    """Return random skies for each instrument: so many targets a positioner, or of one density."""
-    if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-        raise refusal("n_realizations must be a whole number of at least 1", number, Number)
+    """Return random skies for each instrument: with a number of targets per positioner, or of one density."""
+    check_whole(number, "n_realizations")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise refusal("targets_per_positioner must be a positive number", each, Number)
     center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
@@ -92,7 +90,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
 
 
 def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
-    """Return the part of a uniform sky, as wide as the field, whose image is on the footprint."""
+    """Return the fraction of a uniform sky, as wide as the field, whose image is on the footprint."""
     sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
     xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
     return float(on_footprint(model.focal_plane, xy).mean())
@@ -113,14 +111,10 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
 def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
-    """Plan every field by the allocator whose arms pass through each other, and by every other one, in this order."""
-    plans, work = [], partial(plan_field, others=others)
+    """Plan every field by the allocator that ignores collisions, then by each of ``allocators``."""
     options = _for_instruments((replace(allocators[0], allocator=BLIND), *allocators), fields)
-    with Progress(progress, len(fields), "fields") as bar:
-        for plan in map_in_order(executor, work, fields, [options[field.instrument.name] for field in fields]):
-            plans.append(plan)
-            bar(len(plans))
-    return plans
+    asked = [options[field.instrument.name] for field in fields]
+    return map_with_progress(executor, progress, "fields", partial(plan_field, others=others), fields, asked)
 
 
 def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[AllocationOptions]]:

@@ -26,22 +26,23 @@ CONFIDENCE = 0.95
 WITHOUT_COLLISIONS = ("optimal", "repair")
 COMPARABLE = {
     "same targets per positioner": (
-        "Every instrument has its own sky, with as many targets for each positioner's share of its footprint. Parts of "
-        "the positioners, probabilities, pairs per positioner and losses can be compared; numbers of targets and "
-        "figures per field or solid angle cannot."
+        "Every instrument has its own sky, with as many targets for each positioner's share of its footprint. "
+        "Fractions of the positioners, probabilities, pairs per positioner and losses can be compared; numbers of "
+        "targets and values per field or solid angle cannot."
     ),
     "same density": (
-        "Every instrument sees all of its field of a sky of the same density. Fibers per field and per solid angle can "
-        "be compared; parts of the positioners depend on how many targets each has for itself."
+        "Every instrument has a whole field of a sky of the same density. Fibers per field and per solid angle can be "
+        "compared; fractions of the positioners depend on the number of targets of each."
     ),
     "same catalog": (
-        "Every instrument sees all of its field of the same catalog, as far as that reaches. Fibers per field and per "
-        "solid angle can be compared; parts of the positioners depend on how many targets each has for itself."
+        "Every instrument has a whole field of the same catalog, as far as that reaches. Fibers per field and per "
+        "solid angle can be compared; fractions of the positioners depend on the number of targets of each."
     ),
 }
 CAUTION = (
-    "Telescopes, exposure times and spectrographs do not enter. Layouts are those of the descriptions, most of them "
-    "nominal lattices; idle arms stand in the way where the arms are equal, and give way elsewhere."
+    "Telescopes, exposure times and spectrographs are not part of the comparison. Layouts are those of the "
+    "descriptions, most of them nominal lattices; idle arms are obstacles where the arms are equal, and avoid others "
+    "elsewhere."
 )
 PARTS = {
     "instruments": (
@@ -92,7 +93,7 @@ def compare_instruments(
     progress: bool | Callable = False,
     **others: object,
 ) -> QTable:
-    """Let several instruments look at the same sky, or at skies as crowded for each of them, and say what each gets.
+    """Compare instruments on the same sky, or on skies with as many targets per positioner for each of them.
 
     Parameters
     ----------
@@ -116,7 +117,7 @@ def compare_instruments(
     rng : int, Generator or None, optional
         Seed or source of random numbers.
     executor : concurrent.futures.Executor, optional
-        Plans fields at the same time; the figures do not depend on it, but for the seconds.
+        Plans fields at the same time; only the column ``seconds`` depends on it.
     progress : bool or callable, optional
         Show a line on the standard error, or call a function with (fields done, all fields).
     **others
@@ -128,17 +129,17 @@ def compare_instruments(
         A row for each instrument and allocator. What the instrument is: ``instrument``; ``positioners`` (that can take
         a target); ``field`` (diameter); ``footprint`` (area of the hull of the centers); ``type`` (1: no arms can
         collide, 2: those of first neighbors, 3: further ones too); ``multiplicity`` (positioners that reach a point of
-        the footprint, on average); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (part of the footprint in reach
-        of none, one, two, three or more). What a field gets, on average over fields: ``allocator``; ``targets``
+        the footprint, on average); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of it in reach
+        of none, one, two, three or more). Of a field, on average over fields: ``allocator``; ``targets``
         (science targets in reach); ``targets_per_positioner`` (of these, a positioner that can take one); ``assigned``
         (fibers on science targets); ``assigned_part`` (of the positioners); ``probability``, ``low``, ``high`` (of a
-        positioner to be in collision, of those with a target and those parked in the way, with its 95 % interval);
+        positioner to be in collision, of those with a target and parked obstacles, with its 95 % interval);
         ``pairs_per_positioner`` (colliding pairs over the number of the same); ``usable`` (fibers on science targets
         without a collision); ``usable_per_area`` (of the footprint); ``usable_per_solid_angle`` (of the field);
-        ``loss`` (``usable`` against the fibers of the best plan whose arms could pass through each other, as a part of
-        these: for ``optimal`` what collisions really cost; it can be negative for methods that do not look at
+        ``loss`` (fraction by which ``usable`` is smaller than the fibers of the best plan that ignores collisions: for
+        ``optimal`` the targets that are lost to collisions; it can be negative for allocators that ignore
         requirements); ``gap`` (the largest; NaN where nothing is proven); ``seconds`` (reach and allocation of a field,
-        median, once compiled). ``meta`` says what of this can be compared, and the provenance.
+        median, once compiled). ``meta`` states which columns can be compared, and the provenance.
 
     Raises
     ------
@@ -152,8 +153,8 @@ def compare_instruments(
 
     Notes
     -----
-    The interval is Wilson's with the effective number of independent trials that the scatter between positioners and
-    that between neighbors stand for: it says how far other fields of a sky of the same kind may differ.
+    The interval is Wilson's with the effective number of independent trials, from the scatter between positioners and
+    the correlation of neighbors: it states how far other fields of a sky of the same kind may differ.
 
     Examples
     --------
@@ -183,7 +184,7 @@ def compare_instruments(
     else:
         if any(value is not None for value in (n_realizations, density, targets_per_positioner)):
             what = "n_realizations, density and targets_per_positioner"
-            raise InputError(f"{what} are for synthetic skies: a catalog is seen once a center")
+            raise InputError(f"{what} are for synthetic skies: a catalog is planned once per center")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, others, executor, progress)
@@ -195,6 +196,7 @@ def compare_instruments(
         rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, own, strict=True)]
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
+    shared = {name: value for name, value in methods[0].record.items() if name != "allocator"}
     software = dict(versions())
     for method in methods:
         software.update(packages(method))
@@ -207,7 +209,7 @@ def compare_instruments(
         sky=catalog if isinstance(catalog, str) else dict(fields[0].catalog.meta),
         software=software,
         instruments={model.name: model.provenance for model in models},
-        parameters={"rng": str(rng), **_record(methods), **{name: str(value) for name, value in others.items()}},
+        parameters={"rng": str(rng), **shared, **{name: str(value) for name, value in others.items()}},
     )
     if way == "same targets per positioner":
         table.meta["targets_per_positioner"] = float(each)
@@ -216,13 +218,8 @@ def compare_instruments(
     return table
 
 
-def _record(methods: list[AllocationOptions]) -> dict:
-    """Return the options that all plans share."""
-    return {name: value for name, value in methods[0].record.items() if name != "allocator"}
-
-
 def parts_of(table: QTable) -> dict[str, QTable]:
-    """Return a comparison as tables that fit a page: what instruments are, their fibers, their collisions."""
+    """Return a comparison as tables that fit a page: the instruments, their fibers, their collisions."""
     parts = {title: table[["instrument", *columns]] for title, columns in PARTS.items()}
     rows = np.unique(np.asarray(table["instrument"]), return_index=True)[1]
     return parts | {"instruments": parts["instruments"][np.sort(rows)]}
@@ -245,7 +242,7 @@ def _models(instruments) -> list[Instrument]:
 
 
 def _describe(model: Instrument) -> dict:
-    """Return what an instrument is, whatever it looks at."""
+    """Return the columns of an instrument that do not depend on the sky."""
     plane = model.focal_plane
     try:
         parts = plane.coverage()
@@ -265,16 +262,16 @@ def _describe(model: Instrument) -> dict:
 
 
 def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
-    """Return what a method makes of the fields of an instrument, on average."""
+    """Return the columns of an allocator's plans of the fields of an instrument, on average."""
     n, most = len(own), sum(plan.n_science for plan in blind)
     targets, science, usable, pairs = (
         sum(getattr(plan, name) for plan in own) for name in ("n_targets", "n_science", "n_usable", "n_pairs")
     )
-    risks = [plan.risk for plan in own]
-    value, low, high = rate_interval(model.focal_plane, risks, CONFIDENCE)
+    probabilities = [plan.probability for plan in own]
+    value, low, high = rate_interval(model.focal_plane, probabilities, CONFIDENCE)
     if value == 0 and allocator.name in WITHOUT_COLLISIONS:
         high = 0.0  # by construction
-    counted = np.count_nonzero(~np.isnan(risks))
+    counted = np.count_nonzero(~np.isnan(probabilities))
     number = int(model.focal_plane.arrays.usable.sum())
     half = model.field_radius.to_value(u.rad) / 2
     return {

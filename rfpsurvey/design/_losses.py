@@ -8,7 +8,14 @@ import numpy as np
 from rfpsurvey.allocation import AllocationOptions, allocate
 from rfpsurvey.design._lattice import Lattice
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.probability import AXES, Source, collision_probability, interior_risk, outside_box, surrogate_probability
+from rfpsurvey.probability import (
+    AXES,
+    Source,
+    collision_probability,
+    interior_probability,
+    outside_box,
+    surrogate_probability,
+)
 
 __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 
@@ -55,7 +62,7 @@ def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
 
 def quadrature(lattice: Lattice, skies: Skies) -> Loss:
     """Integrate over the targets of a positioner and all its neighbors."""
-    return Loss(1.0, *interior_risk(lattice.shape, N_POINTS, skies.rng))
+    return Loss(1.0, *interior_probability(lattice.shape, N_POINTS, skies.rng))
 
 
 def conditional(lattice: Lattice, skies: Skies) -> Loss:
@@ -65,8 +72,8 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
         assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
         if not assigned.any():
             return 0, 0, 0
-        risk = collision_probability(plane, targets=points, method="conditional").per_positioner
-        return assigned.sum(), risk[assigned].sum(), 0
+        probability = collision_probability(plane, targets=points, method="conditional").per_positioner
+        return assigned.sum(), probability[assigned].sum(), 0
 
     return _over_skies(lattice, skies, look)
 

@@ -1,4 +1,4 @@
-"""A focal plane in plain numbers: locked columns in mm and radians, and what the collision kernels read, made once."""
+"""A focal plane in plain numbers: read-only columns in mm and radians, and the input of the collision kernels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,14 +15,14 @@ __all__ = ["FocalPlaneArrays"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Arms without a target: NaN where there is none, because it gives way."""
+    """Arms without a target: NaN where they are no obstacle, because they avoid all others."""
 
     theta: np.ndarray
     phi: np.ndarray
     segments: np.ndarray
     """Elbow and tip, shape (4, n)."""
     parked: np.ndarray
-    """Usable positioners that then stand at home, in the way."""
+    """Usable positioners that are then parked, as obstacles."""
 
 
 class FocalPlaneArrays:
@@ -56,11 +56,11 @@ class FocalPlaneArrays:
     obstacles : ndarray of float, shape (m, 3)
         Circles (x, y, radius) that no arm may touch, mm.
     first_type : ndarray of str, shape (n,)
-        Fiber that each positioner uses where none is asked for.
+        Fiber that each positioner uses by default.
     first_index : ndarray of int, shape (n,)
         The same as an index of ``fiber_types``.
     neighbors : ndarray of int, shape (k, 2)
-        Pairs to test; those that only rounding could let collide are among them.
+        Pairs to test, including those that collide only by rounding.
     obstacle_pairs : ndarray of int, shape (k, 2)
         Pairs (positioner, obstacle) that can touch.
     n_sharing : ndarray of int, shape (n,)
@@ -196,7 +196,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def geometry(self) -> arms.Geometry:
-        """What poses depend on."""
+        """Data on which poses depend."""
         plane = self.plane
         cx, cy = self.xy.T.copy()
         home = plane.positioner.numbers.home[0]
@@ -209,7 +209,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def bounds(self) -> arms.Bounds:
-        """Which tips are taken."""
+        """Range of the tips in reach of each positioner."""
         low = np.maximum(self.inner_radius - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (self.outer_radius + self.reach_slack) ** 2, self.usable.copy())
 
@@ -219,12 +219,12 @@ class FocalPlaneArrays:
 
     @cached_property
     def reach_slack(self) -> float:
-        """What rounding may do to the distance of a tip from its center."""
+        """Largest error by rounding of the distance of a tip from its center."""
         return 1e-12 * float(self.outer_radius.max() + np.abs(self.xy).max())
 
     @cached_property
     def touch_slack(self) -> float:
-        """What rounding, and arms that count as equal, may do to the gap of two arms stretched toward each other."""
+        """Largest error by rounding, and by arms that count as equal, of the gap of two arms stretched together."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
@@ -237,7 +237,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def longest(self) -> float:
-        """No segment is longer."""
+        """Upper limit of the length of a segment."""
         length = {arms.ELBOW_TO_TIP: self.eccentric_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[
             self.model
         ]
@@ -246,7 +246,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def obstacle_slack(self) -> float:
-        """What rounding may do to the distance of an arm from an obstacle that it just touches."""
+        """Largest error by rounding of the distance of an arm from an obstacle that it just touches."""
         size = self.obstacles[:, 2].max(initial=0.0) + self.clearance + self.longest
         return 1.2 * collisions.DISTANCE_ERROR * float(size)
 
@@ -254,7 +254,7 @@ class FocalPlaneArrays:
     def runs(self) -> np.ndarray:
         """Neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, in the order of the first.
 
-        On a lattice whose rows are numbered through, a few rows stand for thousands of pairs.
+        On a lattice that is numbered row by row, thousands of pairs are a few runs.
         """
         pairs = self.neighbors
         if len(pairs) == 0:
@@ -274,17 +274,12 @@ class FocalPlaneArrays:
         return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)
 
     @cached_property
-    def longest_run(self) -> int:
-        """Length of the mask that the broad phase needs."""
-        return int(self.runs[:, 2].max(initial=0))
-
-    @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Cosine and sine of the capsule's angle where every positioner uses its first fiber."""
         return self.angles_of(self.first_type)
 
     def angles_of(self, fiber_type: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine and sine of the capsule's angle for given fibers."""
+        """Return cosine and sine of the capsule's angle for given fibers."""
         names = self.plane.fiber_types
         values = self.plane.positioner.numbers.arm_angles(names)
         angle = np.empty(len(fiber_type))
@@ -311,5 +306,5 @@ class FocalPlaneArrays:
         return states
 
     def idle(self, parked_obstacles: bool) -> Idle:
-        """Arms without a target: those that cannot move, and idle equal arms if they are obstacles."""
+        """Return the arms without a target: those that cannot move, and idle equal arms if they are obstacles."""
         return self._idle[bool(parked_obstacles)]

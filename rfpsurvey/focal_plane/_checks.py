@@ -1,4 +1,4 @@
-"""What the columns of a focal plane must be."""
+"""Checks of the columns of a focal plane."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ __all__ = ["check_columns"]
 
 
 def check_columns(plane) -> None:
-    """Check the columns of a focal plane, and put them into one form."""
+    """Check the columns of a focal plane, and convert them to plain arrays."""
     if not isinstance(plane.positioner, Positioner):
         raise InputTypeError(f"positioner must be a Positioner, got {type(plane.positioner).__name__}")
     xy = to_points_mm(plane.xy, "xy")
@@ -30,7 +30,7 @@ def check_columns(plane) -> None:
     }
     for name, value in columns.items():
         if np.ndim(value) == 0 or len(value) != n or (value.ndim != 1 and name != "spectrograph"):
-            raise InputError(f"{name} must have one value a positioner, shape ({n},), got {value.shape}")
+            raise InputError(f"{name} must have one value per positioner, shape ({n},), got {value.shape}")
         object.__setattr__(plane, name, value)
     if len(np.unique(columns["id"])) < n:
         names, counts = np.unique(columns["id"], return_counts=True)

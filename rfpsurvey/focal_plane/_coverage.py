@@ -1,12 +1,11 @@
-"""How much of a focal plane is in reach, and of how many positioners."""
+"""Fractions of a focal plane in reach of each number of positioners."""
 
-from numbers import Number
 
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.errors import InputError, refusal
+from rfpsurvey.errors import InputError, check_whole
 
 __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
@@ -28,12 +27,12 @@ def on_footprint(plane, points: np.ndarray) -> np.ndarray:
 
 
 def find_coverage(plane, n_points, rng) -> np.ndarray:
-    """Return the parts of the footprint that exactly 0, 1, 2, ... positioners reach.
+    """Return the fractions of the footprint that exactly 0, 1, 2, ... positioners reach.
 
-    A random point in each cell of a square grid: regular points would beat with the lattice of the positioners.
+    There is a random point in each cell of a square grid, since the result of regular points would depend on how their
+    grid lies on the lattice of the positioners.
     """
-    if isinstance(n_points, bool) or not isinstance(n_points, int | np.integer) or not 1 <= n_points <= 2**26:
-        raise refusal(f"n_points must be a whole number from 1 to {2**26}", n_points, Number)
+    check_whole(n_points, "n_points", 1, 2**26)
     hull = footprint_of(plane)
     corners = hull.points[hull.vertices]
     n = int(np.ceil(np.sqrt(n_points)))

@@ -1,4 +1,4 @@
-"""All positioners of an instrument as columns: where they are, who is near whom, who reaches what."""
+"""All positioners of an instrument as columns: their positions, their neighbors, and the targets in reach."""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -39,7 +39,7 @@ class FocalPlane:
     central_arm, eccentric_arm : Quantity, shape (n,), optional
         Arm lengths of each unit, where they differ from the common ones.
     disabled : array_like of bool, shape (n,), optional
-        Units that take no target and stand at home.
+        Units that take no target and are parked.
     stuck : Quantity, shape (n, 2), optional
         theta and phi of units that cannot move; NaN for those that can.
     obstacles : Quantity, shape (m, 3), optional
@@ -116,7 +116,7 @@ class FocalPlane:
         return self.arrays.neighbors[self.arrays.can_touch(self.arrays.neighbors)]
 
     def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
-        """Return which positioner reaches which target.
+        """Return the pairs of positioners and targets within reach as a sparse matrix.
 
         A target on the edge of a patrol area is in reach: patrol areas are closed, and ties are settled in
         exact arithmetic.
@@ -168,12 +168,12 @@ class FocalPlane:
         return footprint_of(self).volume * u.mm**2
 
     def coverage(self, *, n_points: int = 2**20, rng: int | np.random.Generator | None = 0) -> np.ndarray:
-        """Return the parts of the footprint that no positioner, one, two and more reach.
+        """Return the fractions of the footprint that no positioner, one, two and more reach.
 
         Parameters
         ----------
         n_points : int, optional
-            Points to look at in the rectangle around the footprint: a random one in each cell of a square grid.
+            Points in the rectangle around the footprint: a random one in each cell of a square grid.
             With 2**20 of them the standard error is below 0.0005.
         rng : int or Generator, optional
             Seed of the points.
@@ -181,7 +181,7 @@ class FocalPlane:
         Returns
         -------
         ndarray of float, shape (k,)
-            Part within reach of exactly 0, 1, ..., k - 1 positioners; the sum is 1.
+            Fraction within reach of exactly 0, 1, ..., k - 1 positioners; the sum is 1.
 
         Raises
         ------
@@ -211,7 +211,7 @@ class FocalPlane:
         rows_along: str = "x",
         **columns,
     ) -> "FocalPlane":
-        """Lay positioners out on a hexagonal lattice about the origin.
+        """Return a focal plane of positioners on a hexagonal lattice about the origin.
 
         Cell (q, k) has its center at pitch (q + k / 2, sqrt(3) k / 2), with x and y exchanged for
         ``rows_along="y"``. Cells are ordered by k, then q.
@@ -260,7 +260,7 @@ class FocalPlane:
 
     @classmethod
     def from_table(cls, table: Table, positioner: Positioner | None = None) -> "FocalPlane":
-        """Make a focal plane from an instrument team's own table.
+        """Return a focal plane from a table, such as an instrument team has.
 
         Parameters
         ----------

@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "joints_allow", "make_grid", "sides"]
 
-# Targets that are looked at together, so that little memory is used besides the pairs.
+# Targets that are tested together, so that little memory is used besides the pairs.
 BLOCK = 1 << 18
 
 
@@ -60,7 +60,7 @@ class Reach:
 
     @property
     def covered(self) -> np.ndarray:
-        """Which targets any positioner reaches."""
+        """Whether any positioner reaches each target."""
         return np.diff(self.indptr) > 0
 
     @property
@@ -99,10 +99,10 @@ class Reach:
 
 
 def make_grid(xy, outer):
-    """Square cells with the positioners that reach into each: x0, y0, size, nx, ny, start, order."""
+    """Return square cells with the positioners that reach into each: x0, y0, size, nx, ny, start, order."""
     reaches = outer * (1 + 1e-6)
     low, high = (xy - reaches[:, None]).min(axis=0), (xy + reaches[:, None]).max(axis=0)
-    # no more than a few cells a positioner, however far apart they stand
+    # no more than a few cells per positioner, however far apart they are
     size = max(outer.max() / 2, np.sqrt(np.prod(high - low) / (16 * len(xy))), (high - low).max() / 4096)
     nx, ny = (int(n) for n in (high - low) // size + 1)
     grid = float(low[0]), float(low[1]), float(size), nx, ny, np.zeros(nx * ny + 1, dtype=np.int64)
@@ -139,10 +139,10 @@ def find_reach(plane, points, accepts) -> Reach:
         x, y = points[begin : begin + BLOCK].T.copy()
         rows, types = indptr[begin : begin + len(x) + 1], np.ascontiguousarray(accepts[begin : begin + BLOCK])
         while True:
-            room = min(len(owner) - n, len(code))
-            out = owner[n : n + room], r2[n : n + room], code[:room]
+            size = min(len(owner) - n, len(code))
+            out = owner[n : n + size], r2[n : n + size], code[:size]
             m = reach.reachable_pairs(x, y, types, *positioners, *plane.arrays.grid, rows, *out)
-            if m <= room:
+            if m <= size:
                 break
             code = np.empty(m, dtype=np.int8)
             if n + m > len(owner):
@@ -185,7 +185,7 @@ def elbow_names(side: np.ndarray) -> np.ndarray:
 
 
 def _in_annulus_exactly(plane, i, point):
-    """Rational arithmetic on the floats as they are."""
+    """Return whether a point is in a patrol area, by rational arithmetic."""
     r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, plane.arrays.xy[i], strict=True))
     l1, l2 = Fraction(plane.arrays.central_arm[i]), Fraction(plane.arrays.eccentric_arm[i])
     inner = 0 if plane.arrays.equal_arms[i] else abs(l1 - l2)

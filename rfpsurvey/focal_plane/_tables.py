@@ -1,4 +1,4 @@
-"""A focal plane as a table: what an instrument team keeps, a row a positioner or obstacle."""
+"""A focal plane as a table with a row for each positioner and each obstacle."""
 
 from dataclasses import fields
 
@@ -80,7 +80,7 @@ def _quantity(table, name, unit):
 
 
 def _spare_names(ids, m):
-    """Names for obstacles that no positioner has."""
+    """Return names for obstacles that no positioner has."""
     if ids.dtype.kind == "i":
         return ids.max() + 1 + np.arange(m)
     taken, prefix = set(ids.tolist()), "obstacle-"
@@ -90,7 +90,7 @@ def _spare_names(ids, m):
 
 
 def _positioner_to_meta(positioner) -> dict:
-    """Arguments of a Positioner as plain text, exact to the last bit."""
+    """Return the arguments of a Positioner as plain text, exact to the last bit."""
 
     def text(value):
         if isinstance(value, u.Quantity):

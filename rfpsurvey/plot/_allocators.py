@@ -1,4 +1,4 @@
-"""Allocators side by side."""
+"""Comparison of allocators."""
 
 from typing import TYPE_CHECKING
 
@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.plot._axes import check_columns, legend_below, new_axes
+from rfpsurvey.plot._axes import check_columns, legend_below, legend_line, new_axes
 from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OUTLINE
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Draw what each allocator gives: usable science fibers, those lost to collisions, what requirements lack.
+    """Draw the usable science fibers of each allocator, those lost to collisions, and those missing for requirements.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     -------
     matplotlib.axes.Axes
         The axes, a bar for each allocator in the order of the table, with the seconds it took. The dashed line is the
-        number of science fibers of the best plan that does not look at collisions.
+        number of science fibers of the best plan that ignores collisions.
 
     Raises
     ------
@@ -49,8 +49,6 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     >>> [text.get_text() for text in ax.get_yticklabels()]
     ['lamost', 'repair']
     """
-    from matplotlib.lines import Line2D
-
     needed = {"allocator", "science", "usable", "missing", "seconds"}
     check_columns(table, needed, "compare_allocators")
     n = len(table)
@@ -74,12 +72,10 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     blind = table.meta.get("blind_science")
     if blind:
         ax.axvline(blind, color=OUTLINE, linestyle="--", linewidth=1)
-        handles.append(Line2D([], [], color=OUTLINE, linestyle="--", label="science fibers, collisions ignored"))
+        handles.append(legend_line(color=OUTLINE, linestyle="--", label="science fibers, collisions ignored"))
     ax.set_yticks(rows, list(table["allocator"]))
     ax.invert_yaxis()
-    ax.set_xlim(0, 1.16 * max(left.max(), blind or 0, 1))
-    ax.set_xlabel("fibers")
-    ax.set_title(table.meta.get("instrument", ""))
+    ax.set(xlim=(0, 1.16 * max(left.max(), blind or 0, 1)), xlabel="fibers", title=table.meta.get("instrument", ""))
     legend_below(ax, handles, columns=2)
     return ax
 

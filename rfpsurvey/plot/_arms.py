@@ -4,22 +4,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rfpsurvey.plot._axes import add_circles
+from rfpsurvey.plot._axes import add_circles, legend_line
 from rfpsurvey.plot._scene import Scene
-from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OUTLINE, PATROL
+from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OPEN_CIRCLE, OUTLINE, PATROL
 
 __all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
-"""Status to the marker and the words that stand for it."""
+"""Status to its marker and label."""
 
 
 def draw_patrol_areas(ax, scene: Scene, color, kwargs) -> Iterator:
     """Draw both edges of each patrol area, and yield legend entries."""
-    from matplotlib.lines import Line2D
-
     free = scene.with_target | (scene.status == "usable")
-    entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
     usual = IDLE if color else PATROL  # a blue edge would tint what is filled
     for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
         if not rows.any():
@@ -29,22 +26,20 @@ def draw_patrol_areas(ax, scene: Scene, color, kwargs) -> Iterator:
         add_circles(ax, scene.centers[rows], scene.outer[rows], **style)
         if scene.inner[rows].any():
             add_circles(ax, scene.centers[rows], scene.inner[rows], **{**style, "linestyles": ":"})
-        yield Line2D([], [], color=edge, label=label, **entry)
+        yield legend_line(color=edge, label=label, **OPEN_CIRCLE)
 
 
 def draw_obstacles(ax, scene: Scene) -> Iterator:
-    from matplotlib.lines import Line2D
 
     if len(scene.obstacles):
         add_circles(ax, scene.obstacles[:, :2], scene.obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
-        yield Line2D([], [], color=OBSTACLE, marker="o", linestyle="none", label="obstacle")
+        yield legend_line(color=OBSTACLE, marker="o", linestyle="none", label="obstacle")
 
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
     """Draw both arms of each positioner and the space around the one that can collide, and yield legend entries."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_rgba
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     present, target = np.isfinite(scene.tips).all(axis=1), scene.with_target
@@ -68,7 +63,7 @@ def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
         if color is COLLISION:
             yield Patch(facecolor=to_rgba(color, 0.2), edgecolor=color, hatch=HATCH, label=label)
         else:
-            yield Line2D([], [], color=color, linestyle=style.get("linestyles", "-"), label=label)
+            yield legend_line(color=color, linestyle=style.get("linestyles", "-"), label=label)
 
 
 def draw_marks(ax, scene: Scene) -> Iterator:

@@ -1,4 +1,4 @@
-"""What the plots share: axes, axes of focal planes in mm, legends below the axes, and collections of circles."""
+"""Functions that plots share: axes, axes of focal planes in mm, legends below the axes, and collections of circles."""
 
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,8 @@ from rfpsurvey.plot._compass import ORIENTATIONS
 if TYPE_CHECKING:
     import astropy.units as u
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 __all__ = [
     "add_circles",
@@ -21,9 +23,11 @@ __all__ = [
     "focal_plane_axes",
     "labeled",
     "legend_below",
+    "legend_line",
     "limits_of",
     "named_plane",
     "new_axes",
+    "new_grid",
     "points_per_unit",
     "spacing_of",
     "values_of",
@@ -41,6 +45,14 @@ def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> "Axe
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=PAD, h_pad=PAD)
     return figure.add_subplot(**options)
+
+
+def new_grid(rows: int, columns: int, size: tuple[float, float], **options: object) -> "tuple[Figure, np.ndarray]":
+    """Return a figure and its axes, shape (rows, columns)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
 def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
@@ -61,7 +73,7 @@ def focal_plane_axes(
 ) -> "Axes":
     """Return axes that show a part of a focal plane to scale, in mm; all of it by default.
 
-    ``beside`` is the room for a color bar in inches.
+    ``beside`` is the width of a color bar in inches.
     """
     if orientation not in ORIENTATIONS:
         raise InputError(f"orientation must be {' or '.join(map(repr, ORIENTATIONS))}, got {orientation!r}")
@@ -77,13 +89,8 @@ def focal_plane_axes(
         wide, tall = high - low
         inside = WIDTH - LEFT - beside
         ax = new_axes(WIDTH, float(np.clip(inside * tall / wide, inside / 3, 1.5 * inside)) + ABOVE_AND_BELOW)
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
-    if orientation == "sky":
-        ax.set_xlim(high[0], low[0])
-    ax.set_aspect("equal")
-    ax.set_xlabel("x [mm]")
-    ax.set_ylabel("y [mm]")
+    across = (high[0], low[0]) if orientation == "sky" else (low[0], high[0])
+    ax.set(xlim=across, ylim=(low[1], high[1]), aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     return ax
 
 
@@ -94,7 +101,7 @@ def limits_of(ax: "Axes") -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_per_unit(ax: "Axes") -> float:
-    """Return about how many points (1/72 inch) a unit of the data takes on axes of equal scales."""
+    """Return the approximate length of a unit of the data in points (1/72 inch), on axes of equal scales."""
     low, high = limits_of(ax)
     size = ax.get_window_extent()
     return 72 / ax.figure.dpi * float(np.min(np.array([size.width, size.height]) / (high - low)))
@@ -140,8 +147,15 @@ def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: obje
     )
 
 
+def legend_line(label: str, **style: object) -> "Line2D":
+    """Return a legend entry that is a line, or a marker."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
+
+
 def check_columns(table: QTable, columns: set[str], maker: str | None = None) -> None:
-    """Refuse what is no table with these columns; ``maker`` is the function that makes one."""
+    """Raise an error for anything but a table with these columns; ``maker`` is the function that returns one."""
     if not isinstance(table, QTable):
         raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
     missing = ", ".join(sorted(columns - set(table.colnames)))

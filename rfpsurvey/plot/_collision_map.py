@@ -1,4 +1,4 @@
-"""Where on the focal plane arms collide, and how often."""
+"""Map of collisions on the focal plane."""
 
 from typing import TYPE_CHECKING
 
@@ -10,9 +10,9 @@ from rfpsurvey.collision import CollisionCounts, CollisionReport
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
-from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, legend_line, points_per_unit, spacing_of
 from rfpsurvey.plot._compass import add_compass, position_angle_of
-from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OUTLINE, RISK
+from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OPEN_CIRCLE, OUTLINE, PROBABILITY_COLORS
 from rfpsurvey.probability import Estimate
 from rfpsurvey.tile import Tile
 
@@ -45,7 +45,7 @@ def plot_collision_map(
     Parameters
     ----------
     collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
-        What to draw; of an array, a probability (NaN: it is not counted) or a truth value for each positioner.
+        Result to draw; of an array, a probability (NaN: it is not counted) or a truth value for each positioner.
     focal_plane : FocalPlane, Instrument or str, optional
         The positioners; a str is the name of a preset. A Tile has its own.
     ax : matplotlib.axes.Axes, optional
@@ -102,7 +102,7 @@ def _places(collisions, focal_plane):
     """Return centers and outer radii in mm."""
     if isinstance(collisions, Tile):
         if focal_plane is not None:
-            raise InputError("a Tile brings its own positioners; give no focal_plane")
+            raise InputError("a Tile has its own positioners; give no focal_plane")
         table = collisions.table
         centers = np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
         return centers, np.asarray(table.meta["geometry"]["outer_radius_mm"])
@@ -113,7 +113,7 @@ def _places(collisions, focal_plane):
 
 
 def _values(collisions):
-    """Return a value for each positioner, colliding pairs, what the values are, and a title."""
+    """Return a value for each positioner, colliding pairs, the name of the values, and a title."""
     none = np.empty((0, 2), dtype=int)
     if isinstance(collisions, Estimate):
         e = collisions
@@ -149,36 +149,31 @@ def _flags(flags, pairs):
 
 def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     """Color disks by value, between the smallest and the largest one, with a color bar."""
-    from matplotlib.lines import Line2D
-
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
     # a little below the smallest value, whose color would else be that of the background
     limits = (max(low - 0.15 * (high - low), 0.0), high) if low < high else (0.0, high or 1.0)
     small = radius * points_per_unit(ax) < SMALL
     edges = {"edgecolors": "none"} if small else {"edgecolors": "0.6", "linewidths": 0.2}
-    style = {"cmap": RISK, "clim": limits, **edges, **kwargs}
+    style = {"cmap": PROBABILITY_COLORS, "clim": limits, **edges, **kwargs}
     drawn = add_circles(ax, centers[known], radius / 0.96 if small else radius, array=values[known], **style)
     ax.figure.colorbar(drawn, cax=ax.inset_axes([1.02, 0, 0.03, 1]), label=label)
     if not known.all():
         add_circles(ax, centers[~known], radius, facecolors="none", edgecolors=IDLE, linestyles="--", linewidths=0.8)
-        entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-        legend_below(ax, [Line2D([], [], color=IDLE, label="not counted", **entry)])
+        legend_below(ax, [legend_line(color=IDLE, label="not counted", **OPEN_CIRCLE)])
 
 
 def _draw_flags(ax, centers, radius, flags, pairs, kwargs):
     from matplotlib.collections import LineCollection
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     add_circles(ax, centers[~flags], radius, facecolors="none", edgecolors=IDLE, linewidths=0.5)
-    entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-    handles = [Line2D([], [], color=IDLE, label="no collision", **entry)]
+    handles = [legend_line(color=IDLE, label="no collision", **OPEN_CIRCLE)]
     if flags.any():
         style = {"facecolors": COLLISION, "edgecolors": "white", "hatch": HATCH, "linewidths": 0, **kwargs}
         add_circles(ax, centers[flags], radius, **style)
         handles.append(Patch(facecolor=COLLISION, edgecolor="white", hatch=HATCH, linewidth=0, label="in collision"))
     if len(pairs):
         ax.add_collection(LineCollection(centers[pairs], colors=OUTLINE, linewidths=1.5, zorder=3))
-        handles.append(Line2D([], [], color=OUTLINE, linewidth=1.5, label="colliding pair"))
+        handles.append(legend_line(color=OUTLINE, linewidth=1.5, label="colliding pair"))
     legend_below(ax, handles)

@@ -1,4 +1,4 @@
-"""How complete a survey is, tile after tile."""
+"""Completeness of a survey against the number of tiles."""
 
 from typing import TYPE_CHECKING
 
@@ -73,10 +73,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
         ax.annotate(
             f"pass {number}", (end, 0.01), rotation=90, ha="right", va="bottom", fontsize="x-small", color="0.4"
         )
-    ax.set_xlim(0, 1.03 * len(tiles))
-    ax.set_ylim(0, 1.02)
-    ax.set_xlabel("tiles")
-    ax.set_ylabel("completeness")
+    ax.set(xlim=(0, 1.03 * len(tiles)), ylim=(0, 1.02), xlabel="tiles", ylabel="completeness")
     ax.legend(fontsize="small", loc="best")
     return ax
 

@@ -1,11 +1,11 @@
-"""How many positioners reach each point."""
+"""Map of the number of positioners that reach each point."""
 
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, named_plane
@@ -73,9 +73,8 @@ def plot_coverage(
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
 
-    whole = isinstance(n_pixels, int | np.integer) and not isinstance(n_pixels, bool)
-    if n_pixels is not None and not (whole and 1 <= n_pixels <= 5000):
-        raise InputError(f"n_pixels must be a whole number from 1 to 5000, got {n_pixels!r}")
+    if n_pixels is not None:
+        check_whole(n_pixels, "n_pixels", 1, 5000)
     name, plane = named_plane(focal_plane)
     ax = focal_plane_axes(ax, plane.arrays.xy, plane.arrays.outer_radius, region, orientation)
     low, high = limits_of(ax)
@@ -136,6 +135,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Two digits, and no more than the sample can tell."""
+    """Return a percentage with two digits, as far as the sample allows."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

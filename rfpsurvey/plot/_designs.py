@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.plot._axes import legend_below, new_axes, values_of
+from rfpsurvey.plot._axes import legend_below, legend_line, new_axes, values_of
 from rfpsurvey.plot._style import COLLISION, MARKERS, light_scale
 
 if TYPE_CHECKING:
@@ -81,7 +81,6 @@ def plot_designs(
     'fraction of fibers lost to collisions (independent)'
     """
     from matplotlib.cm import ScalarMappable
-    from matplotlib.lines import Line2D
 
     mark = {**_instruments(table), **(mark or {})}
     for one in (table, *mark.values()):
@@ -111,9 +110,7 @@ def plot_designs(
         if few:
             face = points.cmap(points.norm(level))
             handles.append(
-                Line2D(
-                    [],
-                    [],
+                legend_line(
                     linestyle="none",
                     color=face,
                     markeredgecolor="0.35",
@@ -125,11 +122,10 @@ def plot_designs(
         order = np.flatnonzero(front)[np.argsort(across[front], kind="stable")]
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
         better = f"front: no other design is better in both ({front.sum()} of {len(table)})"
-        handles.append(Line2D([], [], color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
+        handles.append(legend_line(color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
     for name, one in mark.items():
         _mark(ax, name, values_of(one, x), values_of(one, y))
-    ax.set_xlabel(_label(table, x))
-    ax.set_ylabel(_label(table, y))
+    ax.set(xlabel=_label(table, x), ylabel=_label(table, y))
     if not few:
         ax.figure.colorbar(ScalarMappable(points.norm, points.cmap), ax=ax, label=_label(table, color))
     legend_below(ax, handles, columns=3 if few else 1)
@@ -161,9 +157,9 @@ def _instruments(table):
 
 
 def _question(table):
-    """Return what the losses of a table are, in words."""
+    """Return the estimand of the losses of a table, with the number of targets."""
     asked = table.meta["request"]
-    targets = f", {asked['targets']:g} targets a {'mm^2' if asked['by_area'] else 'positioner'}"
+    targets = f", {asked['targets']:g} targets per {'mm^2' if asked['by_area'] else 'positioner'}"
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)
 
 
@@ -174,7 +170,7 @@ def _parameter(table):
 
 
 def _label(table, name, *, short=False):
-    """Return what a column is, with its unit; ``short`` for an entry of a legend."""
+    """Return the label of a column, with its unit; ``short`` for an entry of a legend."""
     text, unit = LABELS.get(name, name.replace("_", " ")), getattr(table[name], "unit", None)
     if short:
         return f"{'arm ratio' if name == 'ratio' else text}" + (f" [{unit:unicode}]" if unit else "")

@@ -4,18 +4,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rfpsurvey.plot._axes import add_circles, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import add_circles, legend_line, points_per_unit, spacing_of
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 
-__all__ = ["SHORTEST", "arms_are_visible", "draw_dots"]
+__all__ = ["arms_are_visible", "draw_dots"]
 
 SHORTEST = 5.0
 """Points (1/72 inch): arms that would be shorter are not drawn."""
 
 
 def arms_are_visible(ax, scene: Scene) -> bool:
-    """Tell whether the axes are large enough for arms."""
+    """Return whether the axes are large enough for arms."""
     present = np.isfinite(scene.bodies).all(axis=1)
     if not present.any():
         length = np.max(scene.outer, initial=0.0) / 2
@@ -27,11 +27,9 @@ def arms_are_visible(ax, scene: Scene) -> bool:
 def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     """Draw a dot for each positioner, colored by its state, and yield legend entries.
 
-    A dot stands on the fiber, which is on its target, or on the center of a positioner without a target. Those in
+    A dot is at the fiber, which is on its target, or at the center of a positioner without a target. Those in
     collision are diamonds, larger and on top of the others.
     """
-    from matplotlib.lines import Line2D
-
     spacing = spacing_of(scene.centers, scene.outer)
     add_circles(ax, scene.centers, 0.5 * spacing, facecolors=FAINT, zorder=0.8)
     moving = ~np.isin(scene.status, ("disabled", "stuck"))
@@ -49,4 +47,4 @@ def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
         style = {"s": size**2, "marker": marker, "facecolor": face, "edgecolor": edge, "linewidths": width}
         ax.scatter(*points[rows].T, label=label, zorder=zorder, **{**style, **kwargs})
         look = {"markersize": max(size, 4), "markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": width}
-        yield Line2D([], [], linestyle="none", marker=marker, label=label, **look)
+        yield legend_line(linestyle="none", marker=marker, label=label, **look)

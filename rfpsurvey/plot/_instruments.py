@@ -1,4 +1,4 @@
-"""Instruments side by side."""
+"""Comparison of instruments."""
 
 from typing import TYPE_CHECKING
 
@@ -71,9 +71,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     header = {"fontsize": "small", "fontstyle": "italic", "linespacing": 1.0}
     ax.annotate("fraction\nlost", (1, 1), (5, 3), "axes fraction", "offset points", **header)
     ax.set_yticks(y, labels)
-    ax.set_ylim(y.min() - 0.6, 0.6)
-    ax.set_xlim(0, 1)
-    ax.set_xlabel("fraction of the positioners")
+    ax.set(ylim=(y.min() - 0.6, 0.6), xlim=(0, 1), xlabel="fraction of the positioners")
     legend_below(ax, handles)
     return ax
 
@@ -106,8 +104,7 @@ def _draw_reach(table, ax):
         handles.append(ax.barh(y, part, left=left, **style))
         left += part
     ax.set_yticks(y, [str(table["instrument"][row]) for row in rows])
-    ax.set_xlim(0, 1)
-    ax.set_xlabel("fraction of the footprint")
+    ax.set(xlim=(0, 1), xlabel="fraction of the footprint")
     title = {"title": "positioners that reach it", "title_fontsize": "small"}
     legend_below(ax, handles, columns=4, columnspacing=1.0, handlelength=1.2, **title)
 
@@ -127,7 +124,7 @@ def _draw_probability(table, ax):
 
 
 def _places(table):
-    """Return the height of each row, with room between instruments, and its label."""
+    """Return the height of each row, with a gap between instruments, and its label."""
     names = np.asarray(table["instrument"])
     changes = np.concatenate([[False], names[1:] != names[:-1]])
     y = -np.arange(len(names)) - 0.5 * np.cumsum(changes)

@@ -97,8 +97,7 @@ def plot_probability(
                 shaded = True
                 ax.fill_between(values_of(part, x), low, high, color=line.get_color(), alpha=0.25, linewidth=0)
             k += 1
-    ax.set_xlabel(labeled(table, x))
-    ax.set_ylabel("collision probability")
+    ax.set(xlabel=labeled(table, x), ylabel="collision probability")
     handles, _ = ax.get_legend_handles_labels()
     if shaded:
         handles.append(Patch(facecolor="0.5", alpha=0.35, label="interval"))
@@ -169,8 +168,7 @@ def plot_residuals(
         points = ax.scatter(across[rows], up[rows], c=away[rows], marker=marker, **style)
     label = f"{value} - {reference}".replace("_", " ")
     ax.figure.colorbar(points, ax=ax, label=label)
-    ax.set_xlabel(labeled(table, x))
-    ax.set_ylabel(labeled(table, y))
+    ax.set(xlabel=labeled(table, x), ylabel=labeled(table, y))
     return ax
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey.plot._axes import new_grid
 from rfpsurvey.plot._probability import plot_probability, plot_residuals
 from rfpsurvey.plot._speed_accuracy import plot_speed_accuracy
 from rfpsurvey.plot._style import ARM, MARKERS, SERIES
@@ -24,18 +25,11 @@ def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, 
     return {name: draw(tables) for name, draw in FIGURES[experiment].items()}
 
 
-def _figure(*shape, size):
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    return figure, np.atleast_1d(figure.subplots(*shape))
-
-
 def _small(tables):
     """Draw probability against arm ratio and pitch, formula and simulation each scaled to 0 and 1 as in the paper."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
-    figure, axes = _figure(2, len(scans), size=(4 * len(scans), 6.5))
+    figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))
     for above, below, scan in zip(*axes, scans, strict=True):
         part, x = table[table["scan"] == scan], "ratio" if scan == "ratio" else "pitch"
         columns = {"simulation": "value", "simulation_low": "low", "simulation_high": "high", "formula": "closed_form"}
@@ -61,14 +55,13 @@ def _scaled(values, like=None):
 def _large(tables):
     """Draw formula against simulation, and their normalized difference over ratio and pitch."""
     table = tables["large"]
-    figure, axes = _figure(1, 2, size=(10, 4.5))
+    figure, (axes,) = new_grid(1, 2, (10, 4.5))
     for k, way in enumerate(("range_200", "covered")):
         label = way.replace("_", " ")
         axes[0].plot(table[way], table["closed_form_corrected"], MARKERS[k], color=SERIES[k], label=label)
     most = 1.05 * max(table["range_200"].max(), table["covered"].max())
     axes[0].plot([0, most], [0, most], color="0.6", lw=0.8)
-    axes[0].set_xlabel("simulation (conditional)")
-    axes[0].set_ylabel("formula")
+    axes[0].set(xlabel="simulation (conditional)", ylabel="formula")
     axes[0].legend()
     scaled = table["ratio", "pitch"]
     scaled["formula"], scaled["simulation"] = _scaled(table["closed_form_corrected"]), _scaled(table["covered"])
@@ -81,7 +74,7 @@ def _poisson(tables):
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)
-    figure, axes = _figure(rows, 3, size=(14, 4.2 * rows))
+    figure, axes = new_grid(rows, 3, (14, 4.2 * rows))
     for ax in axes.flat[len(readings) :]:
         ax.remove()
     for ax, reading in zip(axes.flat, readings, strict=False):
@@ -92,7 +85,7 @@ def _poisson(tables):
 def _surrogate(tables):
     """Draw the error of the surrogate at designs it never saw."""
     table = tables["surrogate"]
-    figure, (ax,) = _figure(size=(6, 4))
+    figure, ((ax,),) = new_grid(1, 1, (6, 4))
     ax.errorbar(
         table["quadrature"],
         np.asarray(table["surrogate"] - table["quadrature"]),
@@ -103,15 +96,14 @@ def _surrogate(tables):
         lw=0.6,
     )
     ax.axhline(0, color="0.6", lw=0.8)
-    ax.set_xlabel("collision probability (quadrature)")
-    ax.set_ylabel("surrogate - quadrature")
+    ax.set(xlabel="collision probability (quadrature)", ylabel="surrogate - quadrature")
     return figure
 
 
 def _intervals(tables):
     """Draw the coverage of each interval, with its own error."""
     table = tables["intervals"]
-    figure, (ax,) = _figure(size=(8, 4.5))
+    figure, ((ax,),) = new_grid(1, 1, (8, 4.5))
     labels = [f"{r['scene']}, {r['method']}\n{r['interval']}, {r['stop']}" for r in table]
     ax.errorbar(table["coverage"], np.arange(len(table)), xerr=_within_one(table), fmt="o", color=ARM)
     ax.set_yticks(np.arange(len(table)), labels, fontsize="x-small")
@@ -130,7 +122,7 @@ def _within_one(table):
 def _one_sky(tables):
     """Draw the coverage of the interval of given targets against the number of positioners."""
     table = tables["one_sky"]
-    figure, (ax,) = _figure(size=(7.5, 6))
+    figure, ((ax,),) = new_grid(1, 1, (7.5, 6))
     groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))
     for k, group in enumerate(groups):
         rows = np.all([np.asarray(table[c]) == value for c, value in zip(GROUPS, group, strict=True)], axis=0)
@@ -145,8 +137,7 @@ def _one_sky(tables):
     ax.set_xscale("log")
     ax.set_xticks(numbers, [str(n) for n in numbers])
     ax.set_xticks([], minor=True)
-    ax.set_xlabel("number of positioners")
-    ax.set_ylabel("fraction of skies whose interval contains the expectation")
+    ax.set(xlabel="number of positioners", ylabel="fraction of skies whose interval contains the expectation")
     figure.legend(fontsize="small", ncols=2, loc="outside lower center")
     return figure
 
@@ -154,7 +145,7 @@ def _one_sky(tables):
 def _poisson_disc(tables):
     """Draw by how much uniform targets collide more than Poisson-disc ones, against the ratio of the arms."""
     table, summary = tables["poisson"], tables["poisson_disc"]
-    figure, (ax,) = _figure(size=(7, 4.8))
+    figure, ((ax,),) = new_grid(1, 1, (7, 4.8))
     for k, separation in enumerate(summary["min_separation"].to_value("mm")):
         name = f"disc, separation {separation:.2f} mm"
         some = table[np.isfinite(table[name])]
@@ -171,16 +162,15 @@ def _poisson_disc(tables):
     ax.axhline(2.6, color="0.4", lw=0.8, ls="--")
     ax.text(0.99, 2.6, "paper: 2.6 %", transform=ax.get_yaxis_transform(), ha="right", va="bottom", fontsize="small")
     ax.axhline(0, color="0.6", lw=0.8)
-    ax.set_xlabel("eccentric over central arm")
-    ax.set_ylabel("uniform targets collide more often by [%]")
+    ax.set(xlabel="eccentric over central arm", ylabel="uniform targets collide more often by [%]")
     ax.legend(title="minimum separation", fontsize="small")
     return figure
 
 
 def _speed(tables):
     """Draw the time of methods against their errors."""
-    figure, axes = _figure(2, size=(7.5, 7))
-    plot_speed_accuracy(tables["speed"], axes=tuple(axes))
+    figure, axes = new_grid(2, 1, (7.5, 7))
+    plot_speed_accuracy(tables["speed"], axes=tuple(axes.flat))
     return figure
 
 

@@ -1,4 +1,4 @@
-"""What a plot of a focal plane shows: positioners, arms, obstacles and their states, in mm."""
+"""The content of a plot of a focal plane: positioners, arms, obstacles and their states, in mm."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ GROUPS = ("spectrograph", "fiber_type")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Positioners of a focal plane in mm; arms that are not there are NaN."""
+    """Positioners of a focal plane in mm; absent arms are NaN."""
 
     title: str
     centers: np.ndarray
@@ -28,7 +28,7 @@ class Scene:
     elbows: np.ndarray
     tips: np.ndarray
     bodies: np.ndarray
-    """The segments that can collide, rows (x0, y0, x1, y1)."""
+    """Segments that can collide, rows (x0, y0, x1, y1)."""
     half: float
     status: np.ndarray
     colliding: np.ndarray
@@ -37,7 +37,7 @@ class Scene:
 
     @property
     def with_target(self) -> np.ndarray:
-        """Which positioners have a target."""
+        """Whether each positioner has a target."""
         return np.isin(self.status, ("assigned", "out_of_reach"))
 
     @property

@@ -9,9 +9,9 @@ from astropy.coordinates import SkyCoord
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, InputTypeError
-from rfpsurvey.plot._axes import legend_below, new_axes
+from rfpsurvey.plot._axes import legend_below, legend_line, new_axes
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
-from rfpsurvey.plot._style import COLLISION, light_scale
+from rfpsurvey.plot._style import COLLISION, OPEN_CIRCLE, light_scale
 from rfpsurvey.region import Region
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
@@ -112,7 +112,10 @@ def plot_tiling(
         polygons, row_of = list(sky_map.to_xy(rims_of(centers[order], inner[order]))), np.arange(len(centers))
     _draw_tiles(ax, polygons, rims, values[order][row_of], levels, color, kwargs)
     handles = list(_draw_field(ax, sky_map, targets, region))
-    legend_below(ax, [*_entry_of_fields(), *handles] if several else handles)
+    if several:
+        style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
+        handles.insert(0, legend_line(label="field (fill is smaller in later passes)", **style))
+    legend_below(ax, handles)
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
     ax.set_title(f"{len(table)} tiles{only}", pad=14 if whole else None)
     return ax
@@ -176,27 +179,17 @@ def _draw_tiles(ax, polygons, rims, values, levels, name, kwargs):
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
 
 
-def _entry_of_fields():
-    """Yield the legend entry of fields whose fills differ in size."""
-    from matplotlib.lines import Line2D
-
-    style = {"linestyle": "none", "marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgecolor": "0.3"}
-    yield Line2D([], [], label="field (fill is smaller in later passes)", **style)
-
-
 def _draw_field(ax, sky_map: SkyMap, targets, region):
     """Draw targets and the border of a region, and yield legend entries."""
-    from matplotlib.lines import Line2D
-
     lines = [] if region is None else outline_of_region(region, sky_map)
     for line in lines:
         ax.plot(*line.T, color=COLLISION, linewidth=1.6, zorder=3)
     if lines:
-        yield Line2D([], [], color=COLLISION, linewidth=1.6, label="region")
+        yield legend_line(color=COLLISION, linewidth=1.6, label="region")
     if targets is not None and len(targets):
         limits = ax.get_xlim(), ax.get_ylim()
         size = float(np.clip(60 / np.sqrt(len(targets)), 0.5, 2.5))
         style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": "black"}
         ax.plot(*sky_map.to_xy(targets).T, markersize=size, alpha=0.6, zorder=2.5, **style)
         ax.set(xlim=limits[0], ylim=limits[1])
-        yield Line2D([], [], markersize=3, label=f"{len(targets)} targets", **style)
+        yield legend_line(markersize=3, label=f"{len(targets)} targets", **style)

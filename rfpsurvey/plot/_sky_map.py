@@ -22,51 +22,47 @@ class SkyMap:
     """A map about a direction: ``region`` (deg), ``offsets`` (deg) or ``whole`` (radians on an Aitoff map)."""
 
     kind: str
-    middle: SkyCoord
+    center: SkyCoord
 
     def to_xy(self, coord: SkyCoord) -> np.ndarray:
         """Return places on the map, shape (..., 2)."""
         if self.kind == "whole":  # 180 deg in the middle
             return np.stack([-(coord.ra - 180 * u.deg).wrap_at(180 * u.deg).rad, coord.dec.rad], axis=-1)
         if self.kind == "region":
-            lon = (coord.ra - self.middle.ra).wrap_at(180 * u.deg).deg + self.middle.ra.deg
+            lon = (coord.ra - self.center.ra).wrap_at(180 * u.deg).deg + self.center.ra.deg
             return np.stack([lon, coord.dec.deg], axis=-1)
-        distance, angle = self.middle.separation(coord).deg, self.middle.position_angle(coord).rad
+        distance, angle = self.center.separation(coord).deg, self.center.position_angle(coord).rad
         return np.stack([distance * np.sin(angle), distance * np.cos(angle)], axis=-1)
 
     @property
     def aspect(self) -> float:
         """Length of a unit of y over that of x."""
-        return 1 / np.cos(self.middle.dec.rad) if self.kind == "region" else 1.0
+        return 1 / np.cos(self.center.dec.rad) if self.kind == "region" else 1.0
 
     def label(self, ax) -> None:
         """Label axes, and set the ratio of their scales."""
         if self.kind == "whole":
-            return _label_whole_sky(ax)
-        ax.set_aspect(self.aspect)
-        if self.kind == "region":
+            _label_whole_sky(ax)
+        elif self.kind == "region":
             ax.xaxis.set_major_formatter(lambda lon, _: f"{lon % 360:g}")
-            ax.set_xlabel("right ascension [deg]")
-            ax.set_ylabel("declination [deg]")
-            return None
-        where = f"{self.middle.ra.deg:.1f} {self.middle.dec.deg:+.1f}"
-        ax.set_xlabel(f"east of {where} [deg]")
-        ax.set_ylabel(f"north of {where} [deg]")
-        return None
+            ax.set(aspect=self.aspect, xlabel="right ascension [deg]", ylabel="declination [deg]")
+        else:
+            where = f"{self.center.ra.deg:.1f} {self.center.dec.deg:+.1f}"
+            ax.set(aspect=self.aspect, xlabel=f"east of {where} [deg]", ylabel=f"north of {where} [deg]")
 
 
 def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:
     """Return the map that suits fields (radius in deg)."""
-    middle, _ = _mean_direction(centers)
+    center, _ = _mean_direction(centers)
     if whole:
-        return SkyMap("whole", middle)
-    return SkyMap("offsets" if np.abs(centers.dec.deg).max() + radius > POLAR else "region", middle)
+        return SkyMap("whole", center)
+    return SkyMap("offsets" if np.abs(centers.dec.deg).max() + radius > POLAR else "region", center)
 
 
 def is_wide(centers: SkyCoord, radius: float) -> bool:
-    """Tell whether fields (radius in deg) need a map of the whole sky."""
-    middle, known = _mean_direction(centers)
-    return not known or bool(centers.separation(middle).max().deg + radius > WIDE)
+    """Return whether fields (radius in deg) need a map of the whole sky."""
+    center, known = _mean_direction(centers)
+    return not known or bool(centers.separation(center).max().deg + radius > WIDE)
 
 
 def _mean_direction(centers):
@@ -91,14 +87,14 @@ def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tupl
     """Return outlines of fields on a map of the whole sky, cut at its edge, and the row of the field of each."""
     rims = rims_of(centers, radius)
     # x on the map, to the left with right ascension, unwrapped about the center of each field
-    middle = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
+    center = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
     away = (centers.ra[:, None] - rims.ra).wrap_at(180 * u.deg).rad
     # units come off before the loop: astropy converts all fields each time that it is asked
     height, side = rims.dec.rad, np.copysign(np.pi / 2, centers.dec.rad)
     polar = np.abs(centers.dec.deg) + radius >= 90
     polygons, row_of = [], []
     for k in range(len(centers)):
-        x, y = middle[k] + away[k], height[k]
+        x, y = center[k] + away[k], height[k]
         if polar[k]:  # a field with a pole in it spans all right ascensions
             x = (x + np.pi) % (2 * np.pi) - np.pi
             order, pole = np.argsort(x), side[k]
@@ -124,14 +120,12 @@ def outline_of_region(region: Region, sky_map: SkyMap) -> list[np.ndarray]:
         center = SkyCoord(x, y, z, representation_type="cartesian").spherical
         angles = np.linspace(0, 360, 401) * u.deg
         lines = [SkyCoord(center.lon, center.lat).directional_offset_by(angles, region.values[3] * u.rad)]
+    elif region.kind == "box":
+        sides = np.split(border_of(region), 4)
+        lines = [_to_coord(side) for side in (sides[:2] if region.values[1] == 2 * np.pi else sides)]
     else:
         border = border_of(region)
-        if region.kind == "box":
-            parts = np.split(border, 4)
-            parts = parts[:2] if region.values[1] == 2 * np.pi else parts
-        else:
-            parts = [np.vstack([border, border[:1]])]
-        lines = [_to_coord(part) for part in parts]
+        lines = [_to_coord(np.vstack([border, border[:1]]))]
     return [_unjoined(sky_map.to_xy(line), sky_map) for line in lines]
 
 
@@ -152,7 +146,7 @@ def _contours(region, sky_map):
     from matplotlib.figure import Figure
 
     vector, radius = circle_around(region)
-    middle = _to_coord(vector[None])[0]
+    center = _to_coord(vector[None])[0]
     if sky_map.kind == "whole":
         x, y = np.meshgrid(np.linspace(-np.pi, np.pi, 2 * GRID), np.linspace(-np.pi / 2, np.pi / 2, GRID))
         coord = SkyCoord(np.pi - x, y, unit="rad")
@@ -160,7 +154,7 @@ def _contours(region, sky_map):
         reach = np.rad2deg(radius) * 1.05
         away = np.linspace(-reach, reach, GRID)
         x, y = np.meshgrid(away, away)
-        coord = middle.directional_offset_by(np.arctan2(x, y) * u.rad, np.hypot(x, y) * u.deg)
+        coord = center.directional_offset_by(np.arctan2(x, y) * u.rad, np.hypot(x, y) * u.deg)
         x, y = np.moveaxis(sky_map.to_xy(coord), -1, 0)
     inside = region.contains(coord.ravel()).reshape(x.shape).astype(float)
     return [line for lines in Figure().add_subplot().contour(x, y, inside, [0.5]).allsegs for line in lines]

@@ -1,4 +1,4 @@
-"""Time against error."""
+"""Plots of time against error."""
 
 from typing import TYPE_CHECKING
 
@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._axes import check_columns
+from rfpsurvey.plot._axes import check_columns, new_grid
 from rfpsurvey.plot._style import MARKERS, SERIES
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def plot_speed_accuracy(
     """
     columns = {"method", "n_points", "time", "n_colliding_true", "misclassified", "max_error"}
     check_columns(table, columns, "benchmark_collisions")
-    axes = _new_axes(2, vertical=True) if axes is None else axes
+    axes = tuple(new_grid(2, 1, (7.5, 7), sharex=True)[1].flat) if axes is None else axes
     if len(axes) != 2:
         raise InputError(f"axes must be two Axes, got {len(axes)}")
     limit = 1 / np.maximum(np.asarray(table["n_colliding_true"], float), 1)
@@ -104,8 +104,7 @@ def _draw_methods(ax, table, values, limits, uncertain, style):
         for row in rows[values[rows] == 0]:
             arrow = {"arrowstyle": "<-", "color": own["color"], "shrinkA": 0, "shrinkB": 3}
             ax.annotate("", (time[row], heights[row]), (0, -22), textcoords="offset points", arrowprops=arrow)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    ax.set(xscale="log", yscale="log")
     known = heights[np.isfinite(heights) & (heights > 0)]
     low, high = known.min(initial=1e-3), known.max(initial=1e-3)
     stretch = max(np.log10(high / low), 1.0)
@@ -156,9 +155,10 @@ def plot_probability_accuracy(
     columns = {"method", "effort", "time", "error", "error_error", "estimand", "truth_error"}
     check_columns(table, columns, "benchmark_probability")
     estimands = sorted(set(np.asarray(table["estimand"]).tolist()))
-    axes = _new_axes(len(estimands), vertical=False) if axes is None else axes
-    if len(axes) != len(estimands):
-        raise InputError(f"axes must be {len(estimands)} Axes, one for each estimand, got {len(axes)}")
+    n = len(estimands)
+    axes = tuple(new_grid(1, n, (5.2 * n + 0.6, 4.8))[1].flat) if axes is None else axes
+    if len(axes) != n:
+        raise InputError(f"axes must be {n} Axes, one for each estimand, got {len(axes)}")
     methods = list(dict.fromkeys(table["method"]))
     for ax, estimand in zip(axes, estimands, strict=True):
         rows = table[table["estimand"] == estimand]
@@ -166,14 +166,12 @@ def plot_probability_accuracy(
             part = rows[rows["method"] == method]
             if len(part):
                 _draw_errors(ax, part, method, {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8]}, kwargs)
-        ax.set_xscale("log")
-        ax.set_yscale("log")
+        ax.set(xscale="log", yscale="log")
         ax.axhline(rows["truth_error"][0], color="0.6", lw=0.8, zorder=0)
         ax.margins(x=0.12, y=0.08)
         _set_ticks(ax)
         ax.set_title(f"{estimand} targets", fontsize="medium")
-        ax.set_xlabel("time [ms]")
-        ax.set_ylabel("root mean square error of the probability")
+        ax.set(xlabel="time [ms]", ylabel="root mean square error of the probability")
         ax.legend(fontsize="small")
     repeats = table.meta.get("repeats", "?")
     words = f"{repeats} runs per point", "labels: iterations, realizations or points; gray: standard error of the truth"
@@ -181,7 +179,7 @@ def plot_probability_accuracy(
     for ax, estimand in zip(axes, estimands, strict=True):
         rows = table[table["estimand"] == estimand]
         efforts = [str(n) if n else "" for n in rows["effort"]]
-        _label(ax, list(zip(_ms(rows), rows["error"], efforts, strict=True)))
+        _label(ax, list(zip(rows["time"].to_value(u.ms), rows["error"], efforts, strict=True)))
     return axes
 
 
@@ -192,7 +190,7 @@ def _draw_errors(ax, part, method, style, options):
     bars = _bars(error, uncertain)
     style = {**style, "linestyle": ":", "capsize": 2, "elinewidth": 0.9, "label": method}
     style["markerfacecolor"] = "none" if formula else style["color"]
-    ax.errorbar(_ms(part), error, yerr=None if formula else bars, **{**style, **options})
+    ax.errorbar(part["time"].to_value(u.ms), error, yerr=None if formula else bars, **{**style, **options})
 
 
 def _bars(values, uncertain):
@@ -211,20 +209,6 @@ def _set_ticks(ax):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _ms(table):
-    return table["time"].to_value(u.ms)
-
-
-def _new_axes(n, *, vertical):
-    """Return axes in a figure of their own, above or beside each other."""
-    from matplotlib.figure import Figure
-
-    size = (7.5, 7) if vertical else (5.2 * n + 0.6, 4.8)
-    figure = Figure(figsize=size, layout="constrained")
-    shape = {"nrows": n, "sharex": True} if vertical else {"ncols": n}
-    return tuple(figure.subplots(squeeze=False, **shape).ravel())
-
-
 def _state(ax, table, number, legend, *, figure=False):
     """Put above a chart what was measured on which machine, and which corner is better."""
     meta = table.meta
@@ -236,7 +220,7 @@ def _state(ax, table, number, legend, *, figure=False):
 
 
 def _label(ax, points):
-    """Write labels (x, y, text) beside their points, where they overlap no marker and no label if there is room.
+    """Write labels (x, y, text) beside their points, where they overlap no marker and no label if possible.
 
     This comes last, since all other text changes the size of the axes.
     """

@@ -14,10 +14,10 @@ __all__ = [
     "LEVELS",
     "MARKERS",
     "OBSTACLE",
+    "OPEN_CIRCLE",
     "OUTLINE",
     "PATROL",
-    "RISK",
-    "SEQUENTIAL",
+    "PROBABILITY_COLORS",
     "SERIES",
     "light_scale",
 ]
@@ -56,11 +56,13 @@ FADED, FAINT = "#A8A8A8", "#8A8A8A26"
 """Dots of positioners without a target, and the ground below dots: a translucent gray, faint on any page."""
 OUTLINE = "#222222"
 MARKERS = "osD^vP*X"
+OPEN_CIRCLE = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+"""Legend entries of circles that are not filled."""
 HATCH = "//////"
 """On everything that collides or is lost to collisions."""
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
 """Counts 0, 1, 2, ...: steps of lightness, which print in gray as well."""
-SEQUENTIAL, DIVERGING, RISK = "viridis", "RdBu_r", "YlOrBr"
+SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 
 def light_scale():

@@ -1,4 +1,4 @@
-"""How likely collisions are: a table of methods behind `collision_probability`."""
+"""Collision probabilities: a table of methods, which `collision_probability` calls."""
 
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate
@@ -10,7 +10,13 @@ from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import rate_interval, run, summarize
 from rfpsurvey.probability._simulate import Simulation
-from rfpsurvey.probability._surrogate import AXES, interior_risk, make_surrogate, outside_box, surrogate_probability
+from rfpsurvey.probability._surrogate import (
+    AXES,
+    interior_probability,
+    make_surrogate,
+    outside_box,
+    surrogate_probability,
+)
 from rfpsurvey.probability._targets import Source, make_source
 
 __all__ = [
@@ -29,9 +35,10 @@ __all__ = [
     "collision_probability",
     "find_method",
     "fit_polynomial",
-    "interior_risk",
+    "interior_probability",
     "make_source",
     "make_surrogate",
+    "map_with_progress",
     "outside_box",
     "quantile",
     "rate_interval",

@@ -1,4 +1,4 @@
-"""Formulas without an error: overlap of patrol areas, the closed form of Chen et al. (2024), close pairs of targets."""
+"""Formulas without an error estimate: overlap of patrol areas, closed form of Chen et al. (2024), close targets."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -7,14 +7,14 @@ from rfpsurvey._kernels import areas
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["VARIANTS", "close_pair", "closed_form", "overlap_ratio"]
+__all__ = ["close_pair", "closed_form", "overlap_ratio"]
 
 VARIANTS = ("corrected", "pitch", "printed")
 N_CIRCLES = 400
 
 
 def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the part of each patrol area that others reach, too."""
+    """Return the fraction of each patrol area that other positioners reach, too."""
     return _covered(plane, _overlapping(plane, both_ways=True)), {}
 
 
@@ -43,15 +43,15 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     )
     reach = distance if variant == "corrected" else _pitch(plane)
     swept = d * (l2[i] + d) * np.maximum(0.0, (l1[i] + l2[i] - reach / 2) / (l2[i] / 2))
-    risk = np.zeros(len(plane))
-    np.add.at(risk, i, shared / cover[i] * swept / cover[i])
-    return risk, {"variant": variant}
+    probability = np.zeros(len(plane))
+    np.add.at(probability, i, shared / cover[i] * swept / cover[i])
+    return probability, {"variant": variant}
 
 
 def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the chance that one of the other observed targets lies within the minimum separation, one a positioner.
+    """Return the probability that another observed target lies within the minimum separation, with one per positioner.
 
-    They are as if uniform in the area that positioners reach, which makes their number near one of them binomial.
+    Targets are assumed to be uniform in the area that positioners reach, so that the number near one is binomial.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
     # each point counts for the last positioner that reaches it
@@ -63,14 +63,14 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def _pairs_within(plane, radius):
-    """Pairs of usable positioners with circles that overlap."""
+    """Return pairs of usable positioners with circles that overlap."""
     pairs = cKDTree(plane.arrays.xy).query_pairs(2 * radius.max(), output_type="ndarray")
     distance = np.hypot(*(plane.arrays.xy[pairs[:, 0]] - plane.arrays.xy[pairs[:, 1]]).T)
     return pairs[(distance < radius[pairs].sum(axis=1)) & plane.arrays.usable[pairs].all(axis=1)]
 
 
 def _overlapping(plane, *, both_ways):
-    """Rows of positioners whose patrol areas may overlap (CSR); without ``both_ways`` the later ones alone."""
+    """Return rows of positioners whose patrol areas may overlap (CSR); without ``both_ways`` the later ones alone."""
     pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
@@ -86,12 +86,12 @@ def _covered(plane, rows):
 
 
 def _pitch(plane):
-    """Distance of nearest neighbors."""
+    """Return the median distance to the nearest neighbor."""
     return float(np.median(cKDTree(plane.arrays.xy).query(plane.arrays.xy, k=2)[0][:, 1])) if len(plane) > 1 else np.inf
 
 
 def _lens(a, b, d):
-    """Area common to circles of the radii a and b at distance d."""
+    """Return the area common to circles of the radii a and b at distance d."""
     small, large = np.minimum(a, b), np.maximum(a, b)
     apart, within = d >= a + b, d <= large - small
     partly = ~apart & ~within

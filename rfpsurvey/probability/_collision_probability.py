@@ -14,7 +14,7 @@ from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
 from rfpsurvey.allocation import Allocation, AllocationOptions, as_options, packages
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, refusal, short
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_whole, refusal, short
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
@@ -225,9 +225,8 @@ def _check_numbers(*, dynamic, most_entries):
     """Refuse numbers out of range."""
     if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
         raise refusal("dynamic must be a number of at least 0 and below 1", dynamic, Number)
-    whole = isinstance(most_entries, int | np.integer) and not isinstance(most_entries, bool)
-    if most_entries is not None and not (whole and most_entries >= 1):
-        raise refusal("most_entries must be a whole number of at least 1", most_entries, Number)
+    if most_entries is not None:
+        check_whole(most_entries, "most_entries")
 
 
 def _check_density(density):

@@ -4,11 +4,11 @@ import numpy as np
 
 from rfpsurvey._kernels import simulate
 from rfpsurvey.allocation import Allocation
-from rfpsurvey.collision import lay_out, make_stage
+from rfpsurvey.collision import make_setup, queue_segments
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._simulate import Tally
-from rfpsurvey.probability._workspace import make_array, make_hall
+from rfpsurvey.probability._workspace import make_entries, make_positioners
 
 __all__ = ["as_allocations", "pool"]
 
@@ -27,17 +27,26 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
 
 
 def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
-    """Return the expectations where each positioner draws from its queues in all allocations, put together."""
-    parts = [lay_out(plane, allocation) for allocation in allocations]
+    """Return the expectations where each positioner draws from its combined queues in all allocations."""
+    parts = [queue_segments(plane, allocation) for allocation in allocations]
     own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
     order = np.argsort(own, kind="stable")
     indptr = np.searchsorted(own[order], np.arange(len(plane) + 1))
-    hall = make_hall(len(plane), len(own))
-    hall.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
-    stage = make_stage(plane, plane.arrays.angles, parked_obstacles)
+    entries = make_entries(len(plane), len(own))
+    entries.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
+    setup = make_setup(plane, plane.arrays.angles, parked_obstacles)
     sums, times, counted = np.empty((1, 5)), np.zeros(len(plane)), np.zeros(len(plane), dtype=np.int64)
-    array, chance_of = make_array(plane, stage), np.empty(len(plane.arrays.neighbors))
+    positioners, pair_probability = make_positioners(plane, setup), np.empty(len(plane.arrays.neighbors))
     simulate.expect_given(
-        indptr, plane.arrays.neighbors, array, stage, hall, np.empty(len(plane)), chance_of, sums[0], times, counted
+        indptr,
+        plane.arrays.neighbors,
+        positioners,
+        setup,
+        entries,
+        np.empty(len(plane)),
+        pair_probability,
+        sums[0],
+        times,
+        counted,
     )
     return Tally(sums[:, :4], sums[:, 4], times, counted)

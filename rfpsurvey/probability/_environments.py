@@ -1,4 +1,4 @@
-"""Which positioners see the same neighbors: on a lattice a few environments stand for all."""
+"""Groups of positioners with the same neighbors: on a lattice there are few of them."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,9 +14,9 @@ RESOLUTION = 1e-6
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a positioner for each distinct environment, and the number of the environment of each positioner.
 
-    Two are the same if everything within the radius (mm) is, after a turn by a multiple of 60 deg where no joint limit
-    singles out a direction. A positioner is known by a sum of hashes of what it sees, which does not depend on the
-    order; what a turn might change is hashed for all six.
+    Two are the same if everything within the radius (mm) is, after a rotation by a multiple of 60 deg where no joint
+    limit depends on the direction. The key of a positioner is the sum of hashes of its neighbors, which does not depend
+    on their order; it is computed for all six rotations.
     """
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
@@ -25,8 +25,8 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         [_codes(plane.arrays.central_arm), _codes(plane.arrays.eccentric_arm), _codes(plane.arrays.first_type)]
     )
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
-    # who does not move is alone of its kind, and its pose does not turn with its surroundings: it is of another kind
-    # after each turn
+    # a positioner that does not move is a kind of its own, and its pose does not rotate with its surroundings: it is
+    # of another kind after each rotation
     kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
     away, what = xy[j] - xy[i], kinds[j]
     circles = plane.arrays.obstacles
@@ -36,9 +36,9 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
         i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
         what = np.append(what, 2 * n + k)  # obstacles differ by their radius, and are few: each is its own kind
-    turns = range(6) if plane.positioner.numbers.joints_free else range(1)
+    rotations = range(6) if plane.positioner.numbers.joints_free else range(1)
     still = (what >= n) & (what < 2 * n)
-    keys = np.array([_hash(n, i, away, what + still * (turn * 1_000_000_007), turn * np.pi / 3) for turn in turns])
+    keys = np.array([_hash(n, i, away, what + still * (k * 1_000_000_007), k * np.pi / 3) for k in rotations])
     _, first, number = np.unique(keys.min(axis=0), return_index=True, return_inverse=True)
     return first, number.reshape(-1)
 
@@ -48,10 +48,10 @@ def _codes(values):
 
 
 def _hash(n, i, away, what, angle):
-    """Sum over what each positioner sees of a hash of where and what it is."""
+    """Return the sum of hashes of the offsets and kinds of all neighbors of each positioner."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]
-    # a broken offset keeps multiples of the resolution off the edges of rounding
+    # with this offset, multiples of the resolution are not at the edges of rounding
     cells = (np.floor(v / RESOLUTION + 0.37) for v in (x, y))
     value = _mix(what.astype(np.uint64))
     for cell in cells:
@@ -62,7 +62,7 @@ def _hash(n, i, away, what, angle):
 
 
 def _mix(value):
-    """Scatter 64 bits (the finalizer of splitmix64)."""
+    """Return a hash of 64 bits (the finalizer of splitmix64)."""
     value = (value + np.uint64(0x9E3779B97F4A7C15)).astype(np.uint64)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

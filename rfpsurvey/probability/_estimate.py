@@ -1,4 +1,4 @@
-"""What every method returns."""
+"""The estimate that every method returns."""
 
 from dataclasses import dataclass, field, replace
 
@@ -16,31 +16,31 @@ class Estimate:
     Parameters
     ----------
     value : float
-        Expected part of the positioners that are in collision: of the assigned ones and, with equal arms, those parked.
+        Expected fraction of positioners in collision, of the assigned ones and, with equal arms, those parked.
     value_assigned : float
-        The same of the assigned ones alone.
+        Expected fraction of the assigned positioners alone.
     low, high : float
         Interval about ``value`` at the confidence in ``meta``; NaN for methods without an error, and for given targets
         on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
     standard_error : float
-        Of ``value``; NaN where there is no interval.
+        Standard error of ``value``; NaN where there is no interval.
     n : int
-        Iterations (``monte_carlo``), realizations (``conditional``) or points a positioner and scramble
+        Iterations (``monte_carlo``), realizations (``conditional``) or points per positioner and scramble
         (``quadrature``); 0 if nothing had to be computed.
     n_effective : float
-        Independent trials that would be as informative.
+        Number of independent trials with the same standard error.
     pairs_per_positioner : float
         Expected number of colliding pairs over the number of positioners that count.
     per_positioner : ndarray of float, shape (n_positioners,)
-        Probability of each positioner to be in collision where it counts, NaN where it never does.
+        Probability of each positioner to be in collision where it counts, NaN if it never counts.
     method : str
         The method that was used.
     estimand : str
         ``allocated`` or ``independent``: what is estimated.
     seconds : float
-        Time it took.
+        Duration of the computation.
     meta : dict
-        How it was made.
+        Options, targets and software.
 
     Examples
     --------
@@ -77,7 +77,7 @@ class Estimate:
 
 
 def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
-    """Return the estimate with an independent dynamic failure of each positioner on top."""
+    """Return the estimate with an additional, independent dynamic failure of each positioner."""
     if rate == 0:
         return estimate
 

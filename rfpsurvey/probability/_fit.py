@@ -11,7 +11,6 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["PolynomialFit", "fit_polynomial"]
 
-TERMS = ("1", "x", "y", "z", "x^2", "y^2", "z^2", "xy", "xz", "yz")
 PENALTIES = np.logspace(-8, 2, 21)
 FOLDS = 5
 
@@ -27,11 +26,11 @@ class PolynomialFit:
     mean, scale : ndarray of float, shape (3,)
         Of the designs it was fitted to: central arm (mm), ratio, pitch (mm).
     penalty : float
-        Of the ridge regularization; the constant goes free.
+        Penalty of the ridge regularization, which does not apply to the constant.
     r2 : float
         Coefficient of determination on the designs it was fitted to.
     r2_held_back : float
-        The same on designs that it never saw.
+        Coefficient of determination on the designs that were held back from the fit.
 
     Examples
     --------
@@ -52,7 +51,7 @@ class PolynomialFit:
     r2_held_back: float
 
     def predict(self, central_arm: u.Quantity, ratio: np.ndarray, pitch: u.Quantity) -> np.ndarray:
-        """Return the polynomial's value for designs; nothing keeps it between 0 and 1.
+        """Return the polynomial's value for designs, which is not limited to the range from 0 to 1.
 
         Parameters
         ----------
@@ -99,7 +98,7 @@ def fit_polynomial(
     probability : array_like of float, shape (n,)
         Collision probability of each design.
     held_back : float, optional
-        Part of the designs to keep back for the test. The penalty is chosen by cross-validation on the others.
+        Fraction of the designs held back for the test. The penalty is chosen by cross-validation on the others.
     rng : int, Generator or None, optional
         Which ones.
 

@@ -7,32 +7,35 @@ __all__ = ["INTERVALS", "converged", "effective_number", "wilson"]
 
 
 def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
-    """Wilson's interval for ``n`` independent trials, of which the part ``p`` succeeded; ``n`` may be broken."""
+    """Return Wilson's interval for ``n`` independent trials with the fraction ``p`` of successes.
+
+    ``n`` need not be a whole number.
+    """
     if not n > 0:
         return 0.0, 1.0
     q2 = quantile**2 / n if n < np.inf else 0.0
-    middle = (p + q2 / 2) / (1 + q2)
+    center = (p + q2 / 2) / (1 + q2)
     half = np.sqrt(q2 * p * (1 - p) + q2**2 / 4) / (1 + q2)
-    return float(max(0.0, middle - half)) if p > 0 else 0.0, float(min(1.0, middle + half)) if p < 1 else 1.0
+    return float(max(0.0, center - half)) if p > 0 else 0.0, float(min(1.0, center + half)) if p < 1 else 1.0
 
 
 def effective_number(p: float, standard_error: float, n: float) -> float:
-    """Independent trials that would have this standard error; ``n`` where nothing scatters."""
+    """Return the number of independent trials with this standard error; ``n`` if it is 0."""
     return p * (1 - p) / standard_error**2 if standard_error > 0 and 0 < p < 1 else n
 
 
 def _effective(rates, p, number, trials, quantile, confidence, rng):
-    """Wilson's interval with the effective number of trials."""
+    """Return Wilson's interval with the effective number of trials."""
     return wilson(p, number, quantile)
 
 
 def _naive(rates, p, number, trials, quantile, confidence, rng):
-    """Wilson's interval with every positioner of every iteration as a trial of its own, as if they were independent."""
+    """Return Wilson's interval with every positioner of every iteration as an independent trial."""
     return wilson(p, trials, float(ndtri((1 + confidence) / 2)))
 
 
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
-    """Percentiles of the mean of rates drawn with replacement."""
+    """Return percentiles of the mean of rates drawn with replacement."""
     n = len(rates)
     rows = max(1, 1_000_000 // n)  # at a time, for the sake of memory
     sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
@@ -45,15 +48,15 @@ INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstr
 
 
 def quantile(confidence: float, freedom: float) -> float:
-    """Two-sided quantile of Student's distribution; that of the normal one for infinitely many degrees of freedom."""
+    """Return the two-sided quantile of Student's distribution; of the normal one for infinite degrees of freedom."""
     level = (1 + confidence) / 2
     return float(ndtri(level) if freedom == np.inf else stdtrit(max(freedom, 1), level))
 
 
 def converged(means: list[float], tolerance: float, looks: int = 3) -> bool:
-    """Say whether the running mean has moved by less than ``tolerance`` in each of the last looks.
+    """Return whether the running mean has changed by less than ``tolerance`` in each of the last ``looks`` checks.
 
-    This says nothing about the error that is left: it is here for comparison.
+    This does not limit the error, and is provided for comparison.
     """
     steps = np.abs(np.diff(means[-looks - 1 :]))
     return len(steps) == looks and bool((steps < tolerance).all())

@@ -1,4 +1,4 @@
-"""The table of methods: each takes a question and returns the fields of an estimate."""
+"""The table of methods: functions from a question to the fields of an estimate."""
 
 from functools import partial
 
@@ -14,16 +14,16 @@ from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "QUEUEING", "cheapest", "check_usable"]
+__all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Realizations of one task. Results depend on this, not on the number of workers."""
+"""Realizations per task. Results depend on it, and do not depend on the number of workers."""
 QUEUEING = ("balanced",)
 """Allocators that make queues, over which `conditional` averages."""
 
 
 def check_usable(plane: FocalPlane) -> None:
-    """Refuse a focal plane on which no unit takes a target."""
+    """Raise an error for a focal plane on which no positioner takes a target."""
     if not plane.arrays.usable.any():
         raise InputError("every positioner is disabled or stuck: there is nothing to score")
 
@@ -131,13 +131,13 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""With fewer targets per positioner, an average over queues is not worth its time."""
+"""With fewer targets per positioner, an average over queues takes longer than it saves."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
-    """Return why a method was used; ``chosen`` says that `cheapest` chose it."""
+    """Return why a method was used; ``chosen`` states whether `cheapest` chose it."""
     if not chosen:
-        return f"{name}, as asked for"
+        return f"{name}, as requested"
     if name == "quadrature":
         return "quadrature, the cheapest method with an error estimate for independent targets"
     if name == "conditional":
@@ -150,8 +150,8 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
     """Return the cheapest method of an estimand that has an error.
 
-    Averaging over the queues costs time in proportion to their length beyond what a realization costs anyway, and saves
-    variance in the same proportion, with a factor that is far in its favor; queues of one cost and save nothing.
+    Averaging over queues takes additional time in proportion to their length. It reduces the variance in the same
+    proportion, but by a much larger factor. With queues of one target it changes neither.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

@@ -22,7 +22,7 @@ as given, since a small plane is too small to measure it: for SDSS-V and MOONS i
 per positioner, and 0 to -0.01 with one."""
 
 
-def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
+def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, float]:
     """Return the variance of the mean over positioners, estimated from one sky, and its degrees of freedom.
 
     Positioners share targets with their neighbors, so that their collisions are correlated. The estimate is unbiased
@@ -34,7 +34,7 @@ def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
     ----------
     plane : FocalPlane
         The positioners.
-    risk : ndarray of float, shape (n_positioners,)
+    probability : ndarray of float, shape (n_positioners,)
         Collision probability of each positioner, or whether it collides; NaN where it does not count.
 
     Returns
@@ -59,7 +59,7 @@ def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
     >>> bool(variance > 0), round(degrees)
     (True, 8)
     """
-    counts = ~np.isnan(risk)
+    counts = ~np.isnan(probability)
     n = int(np.count_nonzero(counts))
     if n < 3:
         return np.nan, 0.0
@@ -72,11 +72,11 @@ def sky_variance(plane: FocalPlane, risk: np.ndarray) -> tuple[float, float]:
     found = _Quadratic(all_of, basis, typical) if beyond.nnz else None
     if found is None or found.degrees < ENOUGH_DEGREES:
         found = _Quadratic(ring_of, basis, CORRELATION, BEYOND * beyond)
-    return found.variance(risk[counts]), found.degrees
+    return found.variance(probability[counts]), found.degrees
 
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
-    """Say which pairs of neighbors are about as close as the nearest neighbors are."""
+    """Mark pairs of neighbors that are about as close as the nearest neighbors."""
     first, second = plane.arrays.neighbors.T
     distance = np.hypot(*(plane.arrays.xy[first] - plane.arrays.xy[second]).T)
     nearest = np.full(len(plane), np.inf)
@@ -139,9 +139,9 @@ class _Quadratic:
         trace += 2 * float(np.trace(right.T @ (covariance @ (weight @ (covariance @ left)))))
         return float(expected**2 / trace) if trace > 0 else 0.0
 
-    def variance(self, risk: np.ndarray) -> float:
+    def variance(self, probability: np.ndarray) -> float:
         """Return the estimate, which is not below that of positioners whose neighbors have the covariance 0."""
-        away = risk - self.basis @ (self.basis.T @ risk)
+        away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):
             return np.nan

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey.errors import InputError, check_choice, check_whole, refusal
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
 __all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
@@ -135,8 +135,8 @@ class Precision:
         error, most = self.standard_error, self.max_iterations
         if error is not None and not (isinstance(error, int | float | np.floating) and 0 < error < 1):
             raise refusal("standard_error must be a number above 0 and below 1", error, Number)
-        if most is not None and not (isinstance(most, int | np.integer) and most >= 1):
-            raise refusal("max_iterations must be a whole number of at least 1", most, Number)
+        if most is not None:
+            check_whole(most, "max_iterations")
         if not (isinstance(self.confidence, int | float) and 0 < self.confidence < 1 - 1e-9):
             raise refusal("confidence must be a number above 0 and below 1", self.confidence, Number)
         check_choice(self.interval, INTERVALS, "interval")

@@ -19,7 +19,7 @@ __all__ = ["find_method"]
 GROUP = "rfpsurvey.probability_methods"
 ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})
 PARTS = ("value", "value_assigned", "low", "high", "per_positioner")
-"""Those from 0 to 1."""
+"""Fields with values from 0 to 1."""
 SLACK = 1e-9
 
 
@@ -37,7 +37,7 @@ def find_method(
 
 
 def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
-    """Let a plugin answer a question."""
+    """Return the answer of a plugin to a question, with the fields that all estimates have."""
     targets, precision = question.targets, question.precision
     check_usable(question.focal_plane)
     about = {} if targets is None else {**targets.describe(), "allocator": question.options.name}
@@ -49,17 +49,17 @@ def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
 
 
 def _checked(question: ProbabilityQuestion, given: object) -> dict:
-    """Return all fields of an estimate, if what was given can be that."""
+    """Return all fields of an estimate from the answer of a plugin, or raise an error."""
     answer = dict(given) if isinstance(given, Mapping) else {"per_positioner": given}
     for name in answer:
         check_choice(name, ANSWERS, "field of an answer")
     plane, meta = question.focal_plane, answer.pop("meta", {})
     if not isinstance(meta, Mapping):
         raise InputError(f"meta must be a dict, got {meta!r}")
-    risk = np.full(len(plane), np.nan)
+    probability = np.full(len(plane), np.nan)
     if "per_positioner" in answer:
-        risk = np.where(plane.arrays.usable, _risks(answer.pop("per_positioner"), len(plane)), np.nan)
-    known = risk[~np.isnan(risk)]
+        probability = np.where(plane.arrays.usable, _probabilities(answer.pop("per_positioner"), len(plane)), np.nan)
+    known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
         raise InputError("the answer must have a value, or one per_positioner for a positioner that can take targets")
     answer = {"value": known.mean() if len(known) else None, **answer}
@@ -80,32 +80,32 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
         "n_effective": n_effective,
         "pairs_per_positioner": np.nan,
     }
-    found = {**usual, **answer, "per_positioner": risk, "meta": dict(meta)}
+    found = {**usual, **answer, "per_positioner": probability, "meta": dict(meta)}
     low, high = found["low"], found["high"]
     if np.isnan(low) != np.isnan(high) or low > value + SLACK or high < value - SLACK:
         raise InputError(f"low, value and high must ascend, got {low:g}, {value:g} and {high:g}")
     return found
 
 
-def _risks(given: object, n: int) -> np.ndarray:
+def _probabilities(given: object, n: int) -> np.ndarray:
     """Return the probability of each positioner."""
     try:
-        risk = to_plain(given)
+        probability = to_plain(given)
     except (TypeError, ValueError):
-        risk = np.empty(0, dtype=object)
-    if risk.shape != (n,) or risk.dtype.kind not in "fiu":
+        probability = np.empty(0, dtype=object)
+    if probability.shape != (n,) or probability.dtype.kind not in "fiu":
         raise InputError(
             f"a method must return a probability for each positioner, numbers of the shape ({n},), or a dict; got "
-            f"{type(given).__name__} of the shape {np.shape(risk) if risk.dtype != object else '()'}"
+            f"{type(given).__name__} of the shape {np.shape(probability) if probability.dtype != object else '()'}"
         )
-    strange = risk[(risk < -SLACK) | (risk > 1 + SLACK)]
+    strange = probability[(probability < -SLACK) | (probability > 1 + SLACK)]
     if len(strange):
         raise InputError(f"per_positioner must be from 0 to 1, or NaN, got {strange[0]:g}")
-    return np.clip(risk.astype(float), 0.0, 1.0)
+    return np.clip(probability.astype(float), 0.0, 1.0)
 
 
 def _number(name: str, given: object) -> float:
-    """Return a number that a field may have; NaN for what is not known."""
+    """Return a valid number of a field; NaN if it is unknown."""
     kinds = (int, np.integer) if name == "n" else (int, float, np.integer, np.floating)
     most = 1.0 if name in PARTS else np.inf
     if not isinstance(given, kinds) or not (0 <= given <= most or (np.isnan(given) and name != "value")):

@@ -1,4 +1,4 @@
-"""Independent targets: every positioner draws its own from a density over its patrol area."""
+"""Quadrature for independent targets, which each positioner draws from a density over its patrol area."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -12,95 +12,98 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, queues
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_plain
-from rfpsurvey.collision import make_stage
+from rfpsurvey.collision import make_setup
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._options import Precision
-from rfpsurvey.probability._workspace import make_array, make_hall
+from rfpsurvey.probability._workspace import make_entries, make_positioners
 
 __all__ = ["DENSITIES", "Quadrature", "integrate"]
 
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
 FIRST_POINTS = 128
-"""Of a single environment; errors of several average out, so that fewer will do."""
+"""Points of the first estimate for a single environment; fewer for several, whose errors average out."""
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""With weights the estimate is a ratio, whose bias does not average out."""
+"""Minimum number of points, without and with weights: with weights the bias of the ratio does not average out."""
 BITS = 30
 NARROW = 2**12
-"""A density that is 0 at so many points of a patrol area is an error."""
+"""A density that is 0 at this number of points of a patrol area is an error."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quadrature:
-    """A task: the risk of one positioner by so many scrambled points for it and each of its neighbors."""
+    """Function that estimates the collision probability of one positioner by scrambled points."""
 
     plane: FocalPlane
     density: object
 
     @cached_property
     def environments(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positioners that stand for all, and who stands for whom."""
+        """One positioner of each environment, and the number of the environment of each positioner."""
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
-        sight = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
-        if self.density != "uniform":  # who shares the neighbors' patrol areas matters, too
-            sight += 2 * float(plane.arrays.outer_radius.max())
-        return environments(plane, sight)
+        radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
+        if self.density != "uniform":  # positioners that share the neighbors' patrol areas matter, too
+            radius += 2 * float(plane.arrays.outer_radius.max())
+        return environments(plane, radius)
 
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
-        """Return the risk of a positioner, and its share of the expected number of colliding pairs."""
+        """Return the collision probability of positioner i, and its share of the expected number of colliding pairs.
+
+        There are ``n_points`` points for the positioner and for each of its neighbors.
+        """
         plane, (starts, neighbor) = self.plane, self.plane.arrays.both_ways
         own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
         moving = plane.arrays.usable[own]
         rows = np.repeat(own[moving], n_points)
         tips = self._tips(rows, _scramble(n_points, int(moving.sum()), rng))
-        hall = make_hall(len(own), len(rows))
-        hall.weight[: len(rows)] = self._weight(rows, tips)
+        entries = make_entries(len(own), len(rows))
+        entries.weight[: len(rows)] = self._weight(rows, tips)
         segments = np.empty((4, len(rows)))
         arms.place(tips, plane.arrays.geometry_of(rows), plane.arrays.sides(tips, rows), segments)
         angles = (column[rows] for column in plane.arrays.angles)
         arms.shape(segments, plane.arrays.model, plane.arrays.length, *angles)
-        hall.segments[:, : len(rows)] = segments
-        queues.line_up(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), hall)
-        if not (hall.total[moving] > 0).all() and n_points < NARROW:
+        entries.segments[:, : len(rows)] = segments
+        queues.prepare_entries(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), entries)
+        if not (entries.total[moving] > 0).all() and n_points < NARROW:
             return self(i, 4 * n_points, rng)
-        if not (hall.total[moving] > 0).all():
-            where = plane.arrays.xy[own[moving][hall.total[moving] <= 0][0]]
+        if not (entries.total[moving] > 0).all():
+            where = plane.arrays.xy[own[moving][entries.total[moving] <= 0][0]]
             raise InputError(
                 f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} points around "
                 f"({where[0]:.4g}, {where[1]:.4g}) mm"
             )
         pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
-        obstacles = self._stage.obstacle_pairs
+        obstacles = self._setup.obstacle_pairs
         obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
-        risk, chance_of = np.empty(len(own)), np.empty(len(pairs))
+        probability, pair_probability = np.empty(len(own)), np.empty(len(pairs))
         queues.expect(
             pairs,
             plane.arrays.geometry_of(own),
-            self._stage.limits,
+            self._setup.limits,
             obstacles,
-            self._stage.obstacles,
-            self._stage.clearance,
-            hall,
-            risk,
-            chance_of,
+            self._setup.obstacles,
+            self._setup.clearance,
+            entries,
+            probability,
+            pair_probability,
         )
-        # a pair of which both move is there for its other positioner, too
-        return float(risk[0]), float(chance_of @ np.where(moving[1:], 0.5, 1.0))
+        # a pair of which both move counts for its other positioner, too
+        return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
-        """Map the unit square onto patrol areas, true to area; in mm."""
+        """Return points of patrol areas in mm for points of the unit square, by a map that preserves areas."""
         inner, outer = self.plane.arrays.inner_radius[rows], self.plane.arrays.outer_radius[rows]
         r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
         alpha = 2 * np.pi * points[:, 1]
         return self.plane.arrays.xy[rows] + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
 
     def _weight(self, rows, tips):
-        """Density at each point, up to a factor."""
+        """Return the density at each point, up to a factor."""
         weight = np.ones(len(rows))
         if self.density == "voronoi":
             weight = (cKDTree(self.plane.arrays.xy).query(tips)[1] == rows).astype(float)
@@ -124,18 +127,18 @@ class Quadrature:
         return weight / max(weight.max(initial=0.0), 1e-300)
 
     @cached_property
-    def _stage(self):
-        return make_stage(self.plane, self.plane.arrays.angles, parked_obstacles=False)
+    def _setup(self):
+        return make_setup(self.plane, self.plane.arrays.angles, parked_obstacles=False)
 
     @cached_property
     def _idle(self):
-        """Units that cannot move, as they can collide; NaN for all others."""
-        return make_array(self.plane, self._stage).idle
+        """Segments of positioners that cannot move; NaN for all others."""
+        return make_positioners(self.plane, self._setup).idle
 
 
 @cache
 def _net(n_points: int) -> np.ndarray:
-    """Sobol's points of the unit square as whole numbers of BITS bits."""
+    """Return Sobol's points of the unit square as whole numbers of BITS bits."""
     from scipy.stats import qmc  # takes longer to import than all of this package
 
     points = qmc.Sobol(2, scramble=False, bits=BITS).random(n_points)
@@ -143,7 +146,7 @@ def _net(n_points: int) -> np.ndarray:
 
 
 def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarray:
-    """Return sets of Sobol points, one after the other, each with digits that are shifted at random on their own."""
+    """Return sets of Sobol points, one after the other, each with its own random digital shift."""
     shifts = rng.integers(0, 2**BITS, (n_sets, 1, 2))
     return ((_net(n_points) ^ shifts).reshape(-1, 2) + rng.random(2)) / 2**BITS
 
@@ -151,14 +154,14 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return value, interval and error, with as many points as the precision needs."""
+    """Return value, interval and error, with the number of points that the precision needs."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner.numbers.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
-    rare = (np.log2(share.max() / share) / 2).astype(int)  # what few see may err more
+    rare = (np.log2(share.max() / share) / 2).astype(int)  # environments of few positioners may have larger errors
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)
         sizes, sources = np.repeat(np.maximum(n_points >> rare, least), SCRAMBLES), rng.spawn(len(jobs))
@@ -166,8 +169,8 @@ def integrate(
         for k, result in enumerate(map_in_order(executor, task, jobs.tolist(), sizes.tolist(), sources)):
             results[k] = result
             bar(n_points / precision.max_iterations * (k + 1) / len(jobs))
-        risks, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)
-        values = risks @ share
+        probabilities, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)
+        values = probabilities @ share
         p, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(SCRAMBLES))
         trials = effective_number(p, error, SCRAMBLES * n_points)
         low, high = wilson(p, trials, quantile(precision.confidence, SCRAMBLES - 1))
@@ -178,7 +181,7 @@ def integrate(
         more = 4.0 if precision.half_width == 0 else half / precision.half_width  # the error falls about as 1 / n
         n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
     per_positioner = np.full(len(first), np.nan)
-    per_positioner[used] = risks.mean(axis=0)
+    per_positioner[used] = probabilities.mean(axis=0)
     return {
         "value": p,
         "low": low,

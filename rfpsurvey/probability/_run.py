@@ -17,16 +17,18 @@ from rfpsurvey.probability._simulate import Tally, merge
 __all__ = ["rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
-"""Tasks before the first look at the error."""
+"""Tasks before the first estimate of the error."""
 GROWTH = 8
-"""The next look comes after at most this many times what has been seen."""
+"""Largest factor by which the number of realizations grows before the next estimate of the error."""
 HITS = 25
-"""Where most realizations have no collision (or nothing else): so many others it takes to know how rates scatter."""
+"""Where most realizations have no collision (or where all positioners collide in most): number of other realizations
+that is needed to estimate how the rates scatter."""
 FLOOR = 4.0
-"""Where collisions are rare, take at least this many realizations over the precision, times the part of the positioners
-that a pair is: with fewer, those that see no collision would end early, and the mean of all estimates be too low."""
+"""Where collisions are rare, at least this many realizations over the precision are made, times the fraction of the
+positioners that is a pair: with fewer, runs without a collision would end early, and the mean of all estimates would
+be too low."""
 FORESIGHT = 1.05
-"""What is foreseen to be needed is taken a little more of, so that there is rarely another look."""
+"""Factor by which the predicted number of realizations is increased, so that a further step is rarely needed."""
 TOO_FEW = (
     "the focal plane has too few positioners to estimate from one sky how far another patch of such a sky may differ"
 )
@@ -44,9 +46,9 @@ def run(
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
-    """Return what all realizations say, and the summary of it that met the precision (or came last).
+    """Return the tally of all realizations, and its summary, with realizations until the precision is met.
 
-    Tasks and looks depend on the results alone, so that the number of workers has no influence.
+    The sizes of tasks and steps depend on the results alone, so that the number of workers has no influence.
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
@@ -60,7 +62,7 @@ def run(
             means.append(total / used if used else np.nan)
             bar(0.99 * done / goal)
         parts = [tally := merge(parts)]
-        if used == 0 and done < precision.max_iterations:  # nobody has counted yet
+        if used == 0 and done < precision.max_iterations:  # no positioner has counted yet
             goal = min(GROWTH * done, precision.max_iterations)
             continue
         summary = summarize(tally, plane, precision, rng, given=given)
@@ -82,10 +84,10 @@ def run(
 
 
 def _fewest(tally, precision):
-    """Return how many realizations to make at least where fewer than half of them see a collision (or none does not).
+    """Return the minimum number of realizations where fewer than half of them have a collision, or no collision.
 
-    The error of rare events grows with their number, so that a rule that looks at the error ends early where there are
-    too few of them by chance. With a number that depends on the precision alone it does not.
+    The estimated error of rare events grows with their number, so that a rule based on it ends early where there are
+    too few of them by chance. A minimum that depends on the precision alone prevents this.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -94,15 +96,15 @@ def _fewest(tally, precision):
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
-    """Return value, interval and error of what has been seen, and the half width that more iterations can reduce.
+    """Return value, interval and error of a tally, and the half width that more iterations can reduce.
 
-    Where the targets are given, or for another reason nothing scatters, there is one sky: what another patch of it
-    would say is part of the error. A plane that is too small to estimate that gets no interval, and ``no_interval``
-    says why.
+    Where the targets are given, or where for another reason nothing scatters, there is one sky, and the error states
+    how far another patch of such a sky may differ. A plane that is too small to estimate that has no interval, and
+    ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
-        raise InputError("no positioner reaches any target, and none is parked in the way: there is nothing to score")
+        raise InputError("no positioner reaches any target, and none is a parked obstacle: there is nothing to score")
     n, p = len(rates), min(float(rates.mean()), 1.0)
     scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
@@ -118,9 +120,9 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
         )
     # what iterations can reduce, whatever interval is reported
     reducible = scatter if given or np.isnan(error) else error
-    half = half_width(wilson(p, effective_number(p, reducible, n), student))
+    half = float(np.ptp(wilson(p, effective_number(p, reducible, n), student))) / 2
     if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < min(HITS, n / 2):
-        half = max(half, half_width(wilson(0.0, n, normal)))
+        half = max(half, float(np.ptp(wilson(0.0, n, normal))) / 2)
     reason = {"no_interval": TOO_FEW} if np.isnan(low) else {}
     return {
         "value": p,
@@ -153,23 +155,20 @@ def _trials(plane, n):
     return n / (1 + 2 * len(plane.arrays.neighbors) / len(plane))
 
 
-def half_width(interval: tuple[float, float]) -> float:
-    """Return half of an interval's length."""
-    return (interval[1] - interval[0]) / 2
-
-
-def rate_interval(plane: FocalPlane, risks: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
+def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
     """Return the mean over positioners and fields, and its interval: how far other fields of the kind may differ.
 
-    Each row of ``risks`` is a field, with NaN where a positioner does not count. The ends of the interval are NaN where
-    the fields have too few positioners to estimate their scatter.
+    Each row of ``probabilities`` is a field, with NaN where a positioner does not count. The ends of the interval are
+    NaN where the fields have too few positioners to estimate their scatter.
     """
-    counts = np.array([np.count_nonzero(~np.isnan(risk)) for risk in risks])
+    counts = np.array([np.count_nonzero(~np.isnan(probability)) for probability in probabilities])
     n = int(counts.sum())
     if n == 0:
         return np.nan, np.nan, np.nan
-    p = min(float(np.nansum(risks) / n), 1.0)
-    found = np.array([sky_variance(plane, risk) for risk, count in zip(risks, counts, strict=True) if count])
+    p = min(float(np.nansum(probabilities) / n), 1.0)
+    found = np.array(
+        [sky_variance(plane, probability) for probability, count in zip(probabilities, counts, strict=True) if count]
+    )
     variances, degrees = found[:, 0] * (counts[counts > 0] / n) ** 2, float(found[:, 1].sum())
     if degrees < FEWEST_DEGREES or np.isnan(variances).any():
         return p, np.nan, np.nan

@@ -7,17 +7,17 @@ import numpy as np
 
 from rfpsurvey._kernels import batch, simulate
 from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
-from rfpsurvey.collision import lay_out, make_desk, make_stage
+from rfpsurvey.collision import make_setup, make_workspace, queue_segments
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._targets import Source
-from rfpsurvey.probability._workspace import make_array, make_hall, make_room
+from rfpsurvey.probability._workspace import make_entries, make_positioners, make_realization
 
 __all__ = ["Simulation", "Tally", "merge"]
 
 
 @dataclass(frozen=True)
 class Tally:
-    """What realizations say, a row each, and sums over them for each positioner."""
+    """Numbers of collisions, a row for each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
     """Columns: (expected) positioners in collision, positioners that count, and both for assigned ones."""
@@ -26,22 +26,22 @@ class Tally:
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Part in collision, for each realization in which anybody counts; ``column`` 2: of the assigned ones."""
+        """Return the fraction in collision, for realizations in which any count; ``column`` 2: of assigned ones."""
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
     def pair_rates(self) -> np.ndarray:
-        """Pairs over positioners that count."""
+        """Number of pairs over the number of positioners that count, for each realization."""
         return self._ratio(self.pairs, self.colliding[:, 1])
 
     @property
     def trials(self) -> int:
-        """Positioners that count, over all realizations."""
+        """Number of positioners that count, summed over all realizations."""
         return int(self.counted.sum())
 
     @property
     def per_positioner(self) -> np.ndarray:
-        """Part of the realizations in which it counts that each positioner is in collision in."""
+        """Fraction of realizations in which each positioner is in collision, of those in which it counts."""
         return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
     @staticmethod
@@ -50,20 +50,20 @@ class Tally:
 
 
 def merge(parts: list[Tally]) -> Tally:
-    """Return what all of them say."""
+    """Return one tally of all realizations."""
     rows = (np.concatenate([getattr(p, name) for p in parts]) for name in ("colliding", "pairs"))
     return Tally(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Simulate realizations of targets and their allocation."""
+    """A simulation of targets, their allocation, and collisions."""
 
     plane: FocalPlane
     source: Source
     options: AllocationOptions
     most_entries: int | None = None
-    """Entries of a queue that `expect` looks at; None: all."""
+    """Maximum number of entries of each queue that `expect` uses; None: all."""
 
     @property
     def compiled(self) -> bool:
@@ -75,19 +75,28 @@ class Simulation:
         """Count the collisions of one configuration of each realization."""
         n = len(self.plane)
         counts, counted = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(n, dtype=np.int64)
-        hits, desk = np.zeros(n, dtype=np.int64), make_desk(self.plane)
+        hits, workspace = np.zeros(n, dtype=np.int64), make_workspace(self.plane)
         if self.compiled:
             numbers = self.source.numbers(size, rng)
-            room = make_room(self.plane, int(numbers.max()), self.source.grid_cells)
+            realization = make_realization(self.plane, int(numbers.max()), self.source.grid_cells)
             simulate.draw_and_count(
-                rng, numbers, self.source.sky, self._array, room, self._stage, desk, counts, hits, counted
+                rng,
+                numbers,
+                self.source.sky,
+                self._positioners,
+                realization,
+                self._setup,
+                workspace,
+                counts,
+                hits,
+                counted,
             )
         else:
             for row in range(size):
-                indptr, segments = self._lay_out(rng)
-                counted += (np.diff(indptr) > 0) | self._stage.parked
+                indptr, segments = self._queue_segments(rng)
+                counted += (np.diff(indptr) > 0) | self._setup.parked
                 uniform, own = rng.random((1, n)), counts[row : row + 1]
-                batch.count_draws(uniform, indptr, segments, self._array.idle, self._stage, desk, own, hits)
+                batch.count_draws(uniform, indptr, segments, self._positioners.idle, self._setup, workspace, own, hits)
         columns = [batch.COLLIDING, batch.COUNTED, batch.COLLIDING_ASSIGNED, batch.ASSIGNED]
         return Tally(
             counts[:, columns].astype(float), counts[:, batch.PAIRS].astype(float), hits.astype(float), counted
@@ -97,40 +106,40 @@ class Simulation:
         """Average over all configurations that the queues of each realization allow."""
         n = len(self.plane)
         sums, times, counted = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64)
-        risk, chance_of = np.empty(n), np.empty(len(self.plane.arrays.neighbors))
+        probability, pair_probability = np.empty(n), np.empty(len(self.plane.arrays.neighbors))
         if self.compiled:
             numbers = self.source.numbers(size, rng)
             most = int(numbers.max())
-            room, hall = make_room(self.plane, most, self.source.grid_cells), make_hall(n, most)
+            realization, entries = make_realization(self.plane, most, self.source.grid_cells), make_entries(n, most)
             simulate.queue_and_expect(
                 rng,
                 numbers,
                 self._most,
                 self.source.sky,
-                self._array,
-                room,
+                self._positioners,
+                realization,
                 self.plane.arrays.neighbors,
-                self._stage,
-                hall,
-                risk,
-                chance_of,
+                self._setup,
+                entries,
+                probability,
+                pair_probability,
                 sums,
                 times,
                 counted,
             )
         else:
             for own in sums:
-                indptr, segments = self._lay_out(rng, thin=True)
-                hall = make_hall(n, segments.shape[1])
-                hall.segments[:, : segments.shape[1]] = segments
+                indptr, segments = self._queue_segments(rng, thin=True)
+                entries = make_entries(n, segments.shape[1])
+                entries.segments[:, : segments.shape[1]] = segments
                 simulate.expect_given(
                     indptr,
                     self.plane.arrays.neighbors,
-                    self._array,
-                    self._stage,
-                    hall,
-                    risk,
-                    chance_of,
+                    self._positioners,
+                    self._setup,
+                    entries,
+                    probability,
+                    pair_probability,
                     own,
                     times,
                     counted,
@@ -141,8 +150,8 @@ class Simulation:
     def _most(self):
         return np.iinfo(np.int64).max if self.most_entries is None else self.most_entries
 
-    def _lay_out(self, rng, *, thin=False):
-        """Queues of one realization, and the segments of all their entries."""
+    def _queue_segments(self, rng, *, thin=False):
+        """Return the queues of one realization, and the segments of all their entries."""
         given = self.source.kind == "given"
         allocation = self._given if given else self.realize(rng)
         if thin and self.most_entries is not None:
@@ -150,16 +159,16 @@ class Simulation:
             simulate.thin(rng, self._most, indptr, queue)
             allocation = replace(allocation, queues=(indptr, queue[: indptr[-1]]))
         elif given:
-            return self._given_laid_out
-        return lay_out(self.plane, allocation)
+            return self._given_segments
+        return queue_segments(self.plane, allocation)
 
     @cached_property
     def _given(self):
         return self.realize(np.random.default_rng(0))
 
     @cached_property
-    def _given_laid_out(self):
-        return lay_out(self.plane, self._given)
+    def _given_segments(self):
+        return queue_segments(self.plane, self._given)
 
     def realize(self, rng: np.random.Generator) -> Allocation:
         """Draw targets and allocate them; without an allocator that makes queues there are queues of one."""
@@ -172,9 +181,9 @@ class Simulation:
         return replace(allocation, queues=one_each)
 
     @cached_property
-    def _stage(self):
-        return make_stage(self.plane, self.plane.arrays.angles, self.options.parked_obstacles)
+    def _setup(self):
+        return make_setup(self.plane, self.plane.arrays.angles, self.options.parked_obstacles)
 
     @cached_property
-    def _array(self):
-        return make_array(self.plane, self._stage)
+    def _positioners(self):
+        return make_positioners(self.plane, self._setup)

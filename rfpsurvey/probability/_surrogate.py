@@ -1,18 +1,16 @@
-"""Probability of a design in no time: a spline through quadratures on a grid of shapes."""
+"""Collision probability of a design by a spline through quadratures on a grid of designs."""
 
 from concurrent.futures import Executor
 from functools import cache
 from importlib.resources import as_file, files
-from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._executors import map_in_order
+from rfpsurvey._executors import map_with_progress
 from rfpsurvey._io import output_path
-from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator, to_mm
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
@@ -22,7 +20,7 @@ from rfpsurvey.probability._quadrature import SCRAMBLES, Quadrature
 if TYPE_CHECKING:
     from scipy.interpolate import NdBSpline
 
-__all__ = ["interior_risk", "make_surrogate", "outside_box", "surrogate_probability"]
+__all__ = ["interior_probability", "make_surrogate", "outside_box", "surrogate_probability"]
 
 AXES = {
     "central arm over pitch": np.linspace(0.20, 0.60, 21),
@@ -40,9 +38,9 @@ def surrogate_probability(
 ) -> np.ndarray:
     """Return the collision probability of positioners on a hexagonal lattice without an edge, by interpolation.
 
-    For independent targets, uniform over each patrol area, right-handed arms from elbow to tip: what the method
-    ``quadrature`` of `~rfpsurvey.collision_probability` finds for a positioner far from the edge. A cubic spline
-    through 3969 quadratures; its errors are in the documentation.
+    For independent targets, uniform over each patrol area, and right-handed arms from elbow to tip: the result of the
+    method ``quadrature`` of `~rfpsurvey.collision_probability` for a positioner far from the edge. The interpolation is
+    a cubic spline through 3969 quadratures; its errors are in the documentation.
 
     Parameters
     ----------
@@ -94,14 +92,16 @@ def surrogate_probability(
 
 
 def outside_box(name: str, value: np.ndarray) -> np.ndarray:
-    """Mark values of an axis, by its name in `AXES`, that the surrogate refuses."""
+    """Mark values of an axis, by its name in `AXES`, that are outside of the grid of the surrogate."""
     nodes = AXES[name]
     slack = 1e-9 * nodes[-1]
     return ~((value >= nodes[0] - slack) & (value <= nodes[-1] + slack))
 
 
-def interior_risk(shape: tuple[float, float, float], n_points: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the risk in the middle of a lattice, and its standard error; ``shape`` as in `AXES`."""
+def interior_probability(
+    shape: tuple[float, float, float], n_points: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the collision probability at the center of a lattice, and its standard error; ``shape`` as in `AXES`."""
     l1, l2, distance = shape[0] * PITCH, shape[0] * shape[1] * PITCH, shape[2] * PITCH
     unit = Positioner(l1 * u.mm, l2 * u.mm, distance / 2 * u.mm)
     rings = int((2 * (l1 + l2) + distance) / (PITCH * np.sqrt(3) / 2)) + 1
@@ -114,14 +114,12 @@ def interior_risk(shape: tuple[float, float, float], n_points: int, rng: np.rand
 def make_surrogate(
     path: Path | str, *, rng: int = 0, executor: Executor | None = None, progress: bool = False, overwrite: bool = False
 ) -> None:
-    """Compute the grid of the surrogate and write it."""
+    """Compute the grid of the surrogate and write it to a file."""
     grid = np.stack(np.meshgrid(*AXES.values(), indexing="ij"), axis=-1)
     shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
-    values, sources = [], to_generator(rng).spawn(len(shapes))
-    with Progress(progress, len(shapes), "designs") as bar:
-        for value, _ in map_in_order(executor, interior_risk, shapes, repeat(N_POINTS), sources):
-            values.append(value)
-            bar(len(values))
+    sources, numbers = to_generator(rng).spawn(len(shapes)), [N_POINTS] * len(shapes)
+    found = map_with_progress(executor, progress, "designs", interior_probability, shapes, numbers, sources)
+    values = [value for value, _ in found]
     with output_path(path, (".npz",), overwrite=overwrite) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, risk=np.array(values, dtype=np.float32).reshape(grid.shape[:-1]))
 

@@ -1,4 +1,4 @@
-"""Where targets come from: a random sky, given points, or the user's own sampler."""
+"""Sources of targets: a random sky, given points, or a function of the user."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ __all__ = ["Source", "make_source"]
 PER_FIBER = 4.0
 """Targets per positioner where no number is given (that of LAMOST, as in the paper)."""
 FILLING = 0.5
-"""Random addition of discs jams at 0.547 of the area; near that it takes too long."""
+"""Largest fraction of the area that discs fill: random addition of discs ends at 0.547, and near that is too slow."""
 FINEST = 700
-"""Separations of less than the radius over this make no difference, but need much memory."""
+"""The minimum separation is at least the radius over this: smaller ones change little, but need much memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Targets in mm: points that are given, a sampler of the user's, or a random sky of ``number`` targets."""
+    """Targets in mm: points that are given, a function of the user, or a random sky of ``number`` targets."""
 
     kind: str
     number: float = 0.0
     each: float = 0.0
     """Targets per positioner."""
-    middle: tuple[float, float] = (0.0, 0.0)
+    center: tuple[float, float] = (0.0, 0.0)
     radius: float = 0.0
     separation: float = 0.0
     points: np.ndarray | None = None
@@ -50,17 +50,17 @@ class Source:
     @property
     def sky(self) -> simulate.Sky:
         """The circle and the minimum separation, for the kernels."""
-        return simulate.Sky(*self.middle, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
+        return simulate.Sky(*self.center, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
-        """Return how many targets fall in each of ``size`` realizations."""
+        """Return the number of targets in each of ``size`` realizations."""
         if self.kind == "poisson":
             return rng.poisson(self.number, size)
         return np.full(size, round(self.number))
 
     @property
     def grid_cells(self) -> int:
-        """Cells of the grid that keeps targets apart: each so small that it holds at most one."""
+        """Number of cells of the grid of `scatter_apart`, each so small that it holds at most one target."""
         if self.kind != "poisson_disc":
             return 0
         wide = self.radius + 2 * self.separation
@@ -81,7 +81,7 @@ class Source:
         return np.column_stack([x, y])
 
     def describe(self) -> dict:
-        """Return what the estimate says about its targets."""
+        """Return the entries about targets in the meta of an estimate."""
         if self.kind == "given":
             return {"targets": "given", "n_targets": len(self.points)}
         if self.kind == "sampler":
@@ -111,7 +111,7 @@ def make_source(
 
 
 def _random(plane, instrument, targets):
-    cover = float((np.hypot(*(plane.arrays.xy - _middle(plane)).T) + plane.arrays.outer_radius).max())
+    cover = float((np.hypot(*(plane.arrays.xy - _center(plane)).T) + plane.arrays.outer_radius).max())
     radius = cover if targets.radius is None else to_scalar(targets.radius, u.mm, "radius")
     number, separation = targets.number, 0.0
     if number is None:
@@ -121,16 +121,16 @@ def _random(plane, instrument, targets):
         if round(number) * separation**2 > 4 * FILLING * radius**2:
             raise InputError(
                 f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: "
-                f"put down at random, discs of that diameter must fill less than {FILLING:g} of the area"
+                f"added at random, discs of that diameter must fill less than {FILLING:g} of the area"
             )
         if separation * FINEST < radius:
             raise InputError(
                 f"min_separation must be at least {radius / FINEST:.3g} mm here, got {targets.min_separation}"
             )
-    return Source(targets.kind, float(number), number / len(plane), _middle(plane), radius, separation)
+    return Source(targets.kind, float(number), number / len(plane), _center(plane), radius, separation)
 
 
-def _middle(plane):
+def _center(plane):
     """Return the center of random targets in mm: the origin, or the midpoint of a plane that does not contain it."""
     low, high = plane.arrays.xy.min(axis=0), plane.arrays.xy.max(axis=0)
     away = (low > 0).any() or (high < 0).any()
@@ -139,7 +139,7 @@ def _middle(plane):
 
 def _from_catalog(instrument, targets, center):
     if instrument is None:
-        raise InputError("a Catalog needs an Instrument, which knows its plate scale; a FocalPlane has no sky")
+        raise InputError("a Catalog needs an Instrument, which has a plate scale; a FocalPlane has none")
     if center is None:
         if len(targets) == 0:
             raise InputError("targets must have at least one row, got an empty Catalog")

@@ -1,30 +1,30 @@
-"""What the kernels of simulation and quadrature read, and the memory that they write to."""
+"""The input of the kernels of simulation and quadrature, and the arrays that they write to."""
 
 import numpy as np
 
 from rfpsurvey._kernels import arms, batch, queues, simulate
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["make_array", "make_hall", "make_room"]
+__all__ = ["make_entries", "make_positioners", "make_realization"]
 
 
-def make_array(plane: FocalPlane, stage: batch.Stage) -> simulate.Array:
-    """Return what reach and poses depend on, for joints that leave the whole patrol areas in reach."""
-    idle = stage.idle.copy()
-    arms.shape(idle, stage.model, stage.length, stage.cosine, stage.sine)
+def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate.Positioners:
+    """Return the data on which reach and poses depend, for joints that leave the whole patrol areas in reach."""
+    idle = setup.idle.copy()
+    arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
     side = plane.arrays.sides(np.full((len(plane), 2), np.nan))
     columns = (plane.arrays.inner_radius, plane.arrays.outer_radius, plane.arrays.offers)
-    return simulate.Array(plane.arrays.geometry, side, *columns, plane.arrays.grid, idle)
+    return simulate.Positioners(plane.arrays.geometry, side, *columns, plane.arrays.grid, idle)
 
 
-def make_room(plane: FocalPlane, number: int, cells: int) -> simulate.Room:
-    """Return room for so many targets, and for the cells of the grid that keeps them apart."""
+def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Realization:
+    """Return arrays for a number of targets, and for the cells of the grid of `scatter_apart`."""
     n, pairs = len(plane), number * int(np.diff(plane.arrays.grid[5]).max())
 
     def integers(size):
         return np.empty(size, dtype=np.int64)
 
-    return simulate.Room(
+    return simulate.Realization(
         x=np.empty(number),
         y=np.empty(number),
         accepts=np.full(number, -1),
@@ -36,17 +36,14 @@ def make_room(plane: FocalPlane, number: int, cells: int) -> simulate.Room:
         length=integers(n),
         queues=integers(n + 1),
         queue=integers(number),
-        uniform=np.empty(n),
-        target_of=integers(n),
-        tips=np.empty((n, 2)),
         cells=np.empty((2, cells)),
     )
 
 
-def make_hall(n: int, number: int) -> queues.Hall:
-    """Return room for so many entries in the queues of n positioners, all of weight 1."""
-    size, buffer = number + n, number + n + queues.BATCH + 1
-    return queues.Hall(
+def make_entries(n: int, number: int) -> queues.Entries:
+    """Return arrays for a number of entries in the queues of n positioners, all of weight 1."""
+    size = number + n
+    return queues.Entries(
         start=np.empty(n, dtype=np.int64),
         stop=np.empty(n, dtype=np.int64),
         segments=np.empty((4, size)),
@@ -56,11 +53,4 @@ def make_hall(n: int, number: int) -> queues.Hall:
         free=np.empty(size),
         hit=np.zeros(size),
         ahead=np.empty(size),
-        near=np.empty(size, dtype=np.int64),
-        marks=np.empty(size, dtype=np.bool_),
-        middle_x=np.empty(size),
-        middle_y=np.empty(size),
-        back=np.empty(size),
-        first=np.empty(buffer, dtype=np.int64),
-        second=np.empty(buffer, dtype=np.int64),
     )

@@ -46,40 +46,35 @@ class FieldProjection:
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
         """Return where unit vectors (n, 3) fall on the focal plane, mm (n, 2); NaN where there is no image."""
-        out = np.empty((len(vectors), 2))
-        for rows, radial in self._map_of(fiber_type, len(vectors)):
-            part = vectors if rows is None else vectors[rows]
-            image = out if rows is None else np.empty((len(part), 2))
-            if radial is None:
-                sky.project(part, self.basis, self.focal_length, image)
-            else:
-                sky.project_radial(part, self.basis, *radial.arguments, image)
-            if rows is not None:
-                out[rows] = image
-        return out
+        return self._apply(sky.project, sky.project_radial, vectors, fiber_type, 2)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
         """Return the unit vectors (n, 3) of points in mm (n, 2); NaN outside the distortion map."""
-        vectors = np.empty((len(points), 3))
-        for rows, radial in self._map_of(fiber_type, len(points)):
-            part = points if rows is None else points[rows]
-            image = vectors if rows is None else np.empty((len(part), 3))
-            if radial is None:
-                sky.unproject(part, self.basis, self.focal_length, image)
+        return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
+
+    def _apply(self, gnomonic, radial, values, fiber_type, width):
+        """Return the images of rows of values by one of two kernels: without, or with a radial map."""
+        out = np.empty((len(values), width))
+        for rows, distortion in self._map_of(fiber_type, len(values)):
+            part = values[rows]
+            image = np.empty((len(part), width))
+            if distortion is None:
+                gnomonic(part, self.basis, self.focal_length, image)
             else:
-                sky.unproject_radial(part, self.basis, *radial.arguments, image)
-            if rows is not None:
-                vectors[rows] = image
-        return vectors
+                radial(part, self.basis, *distortion.arguments, image)
+            if isinstance(rows, slice):
+                return image
+            out[rows] = image
+        return out
 
     def _map_of(self, fiber_type, n):
-        """Return (rows or None for all, map or None) for each map in use."""
+        """Return (rows, map or None) for each map in use."""
         if not isinstance(self.distortion, dict):
-            return [(None, self.distortion)]
+            return [(slice(None), self.distortion)]
         names = list(self.distortion)
         if fiber_type is None or isinstance(fiber_type, str):
             name = check_choice(fiber_type or names[0], names, "fiber type")
-            return [(None, self.distortion[name])]
+            return [(slice(None), self.distortion[name])]
         types = np.asarray(fiber_type, dtype=str)
         if types.shape != (n,):
             raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")

@@ -252,7 +252,7 @@ class Region:
         return (size * u.sr).to(u.deg**2)
 
     def contains(self, coord: SkyCoord) -> np.ndarray:
-        """Tell which directions are inside.
+        """Return whether directions are inside.
 
         Parameters
         ----------
@@ -267,7 +267,7 @@ class Region:
         Raises
         ------
         InputError
-            If what is given are not directions on the sky.
+            If ``coord`` is no SkyCoord.
         """
         return is_inside(self, to_vectors(coord))
 

@@ -18,28 +18,15 @@ __all__ = [
     "polygon_area",
     "polygon_contains",
     "polygon_distance",
-    "to_dec",
-    "to_ra",
-    "turned_area",
 ]
 
-# Rows times edges that are looked at together.
+# Rows times edges that are computed together.
 CHUNK = 2_000_000
 
 
 def from_lonlat(lon, lat) -> np.ndarray:
     """Return unit vectors, shape (..., 3)."""
     return np.stack(np.broadcast_arrays(np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=-1)
-
-
-def to_ra(vectors):
-    """Return right ascension, 0 to 2 pi."""
-    return to_lonlat(vectors)[0] % (2 * np.pi)
-
-
-def to_dec(vectors):
-    """Return declination."""
-    return to_lonlat(vectors)[1]
 
 
 def angle(a, b):
@@ -60,12 +47,18 @@ def box_area(box):
     return box[1] * (np.sin(box[3]) - np.sin(box[2]))
 
 
+def _east_of(begin, vectors):
+    """Return declinations, and right ascensions east of ``begin``, from 0 to 2 pi."""
+    lon, dec = to_lonlat(vectors)
+    return dec, (lon % (2 * np.pi) - begin) % (2 * np.pi)
+
+
 def box_contains(box, vectors):
-    """Tell which directions are inside; the border belongs to the box, and a pole to every box that ends there."""
+    """Return whether directions are inside; the border belongs to the box, and a pole to every box that ends there."""
     begin, width, low, high = box
-    dec, turn = to_dec(vectors), (to_ra(vectors) - begin) % (2 * np.pi)
-    # a hair of rounding at either end
-    inside = (turn <= width + 1e-13) | (turn >= 2 * np.pi - 1e-13)
+    dec, east = _east_of(begin, vectors)
+    # a margin for rounding at either end
+    inside = (east <= width + 1e-13) | (east >= 2 * np.pi - 1e-13)
     pole = np.abs(dec) >= np.pi / 2 - 1e-15
     return (dec >= low - 1e-15) & (dec <= high + 1e-15) & (inside | pole)
 
@@ -73,17 +66,17 @@ def box_contains(box, vectors):
 def box_distance(box, vectors):
     """Return distances: along the meridian where the right ascension fits, else to the nearer side."""
     begin, width, low, high = box
-    dec, turn = to_dec(vectors), (to_ra(vectors) - begin) % (2 * np.pi)
+    dec, east = _east_of(begin, vectors)
     along = np.maximum(np.maximum(low - dec, dec - high), 0.0)
     if width >= 2 * np.pi:
         return along
     sides = from_lonlat(begin + np.array([0.0, 0.0, width, width]), np.array([low, high, low, high]))
     across = np.minimum(_to_arc(vectors, sides[0], sides[1]), _to_arc(vectors, sides[2], sides[3]))
-    return np.where(turn <= width, along, across)
+    return np.where(east <= width, along, across)
 
 
 def _to_arc(vectors, a, b):
-    """Distance to the shorter great circle from a to b."""
+    """Return distances to the shorter great circle from a to b."""
     normal = np.cross(a, b)
     length = np.linalg.norm(normal)
     ends = np.minimum(angle(vectors, a), angle(vectors, b))
@@ -116,12 +109,12 @@ def edges_cross(vertices):
     return None
 
 
-def turned_area(vertices):
+def _left_area(vertices):
     """Return the solid angle to the left of a closed path without crossings, from 0 to 4 pi."""
     before, after = np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0)
     come, go = np.cross(before, vertices), np.cross(vertices, after)
-    turn = np.arctan2(np.sum(np.cross(come, go) * vertices, axis=1), np.sum(come * go, axis=1))
-    rough = 2 * np.pi - turn.sum()  # Gauss and Bonnet; the sum of triangles is better, but known up to 4 pi only
+    turning = np.arctan2(np.sum(np.cross(come, go) * vertices, axis=1), np.sum(come * go, axis=1))
+    rough = 2 * np.pi - turning.sum()  # Gauss and Bonnet; the sum of triangles is better, but known up to 4 pi only
     a, b, c = vertices[0], vertices[1:-1], vertices[2:]
     volume = np.sum(np.cross(b, c) * a, axis=1)
     fan = 2 * np.sum(np.arctan2(volume, 1 + b @ a + c @ a + np.sum(b * c, axis=1)))
@@ -130,26 +123,26 @@ def turned_area(vertices):
 
 def polygon_area(vertices):
     """Return the solid angle of the smaller side."""
-    left = turned_area(vertices)
+    left = _left_area(vertices)
     return min(left, 4 * np.pi - left)
 
 
 def polygon_contains(vertices, vectors):
-    """Tell which directions are on the smaller side, by the parity of crossings on the way from an edge."""
+    """Return whether directions are on the smaller side, by the parity of crossings on the way from an edge."""
     a, b = vertices, np.roll(vertices, -1, axis=0)
     start = int(np.argmax(angle(a, b)))
     middle = a[start] + b[start]
     middle /= np.linalg.norm(middle)
     normal = np.cross(a[start], b[start])
     normal /= np.linalg.norm(normal)
-    inside_left = turned_area(vertices) <= 2 * np.pi
+    inside_left = _left_area(vertices) <= 2 * np.pi
     others = np.delete(np.arange(len(a)), start)
     out = np.empty(len(vectors), dtype=bool)
     step = max(CHUNK // len(a), 1)
     for k in range(0, len(vectors), step):
         p = vectors[k : k + step]
         height = p @ normal
-        # what is on the great circle of that edge would go along it: by 2 micro-arcseconds it does not
+        # a direction on the great circle of that edge has its path along the edge: move it by 2 micro-arcseconds
         p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
         left = p @ normal > 0
         plane = np.cross(middle, p)

@@ -1,4 +1,4 @@
-"""Regions on the unit sphere: what is inside, how far away, the border, a circle around."""
+"""Regions on the unit sphere: directions inside, distances, the border, and a circle around."""
 
 import numpy as np
 
@@ -33,24 +33,20 @@ def circle_around(region) -> tuple[np.ndarray, float]:
     """Return center and radius (radians) of a circle around the region."""
     if region.kind == "cap":
         return region.values[:3], float(region.values[3])
-    if region.kind == "healpix":
-        border, margin = _healpix.centers(region.nside, region.values), _healpix.pixel_radius(region.nside)
-        center = border.sum(axis=0)
-    else:
-        border, margin = border_of(region), 0.0
-        center = border.sum(axis=0)
-        if region.kind == "box" and region.values[1] == 2 * np.pi:
-            center = np.array([0.0, 0.0, np.sign(region.values[2:].sum()) or 1.0])
-        elif region.kind == "box":
-            center = _shapes.from_lonlat(region.values[0] + region.values[1] / 2, region.values[2:].mean())
+    pixels = region.kind == "healpix"
+    border = _healpix.centers(region.nside, region.values) if pixels else border_of(region)
+    center = border.sum(axis=0)
+    if region.kind == "box" and region.values[1] == 2 * np.pi:
+        center = np.array([0.0, 0.0, np.sign(region.values[2:].sum()) or 1.0])
+    elif region.kind == "box":
+        center = _shapes.from_lonlat(region.values[0] + region.values[1] / 2, region.values[2:].mean())
     length = np.linalg.norm(center)
     center = center / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-    if region.kind != "healpix" and is_inside(region, -center[None])[0]:
+    if not pixels and is_inside(region, -center[None])[0]:
         return center, np.pi
     radius = _shapes.angle(border, center).max()
-    if region.kind != "healpix":
-        # points of the border are 100 to an edge: between two of them it bulges by less than this
-        margin = radius * 1e-3
+    # a border has 100 points per edge: between two of them it is farther out by less than a thousandth
+    margin = _healpix.pixel_radius(region.nside) if pixels else radius * 1e-3
     return center, float(min(radius + margin, np.pi))
 
 

@@ -1,4 +1,4 @@
-"""What a page is made of."""
+"""The parts of a page."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -31,9 +31,10 @@ class Facts:
 class Rows:
     """A table that can be sorted.
 
-    ``where`` says where all rows are, if not all are shown; ``left_out`` counts rows that were left out already.
-    ``marks`` gives cells with a certain text a look: good, bad or open. A table that is ``complete`` shows all rows
-    unless a limit was asked for; it is folded where it is long, and its cells are rounded, which keeps pages small.
+    ``where`` names the file or attribute with all rows, if not all are shown; ``left_out`` is the number of rows that
+    were left out already. ``marks`` is the style of cells with a certain text: good, bad or open. A table that is
+    ``complete`` shows all rows unless there is a limit; it is folded where it is long, and its cells are rounded, so
+    that pages are small.
     """
 
     caption: str
@@ -55,7 +56,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, and what is below it."""
+    """A heading, and the blocks below it."""
 
     title: str
     blocks: list
@@ -63,9 +64,9 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A page: what the result is in a word or two, a sentence on it, a few figures that stand out, and sections.
+    """A page: the kind of the result, a title, a sentence, the most important values, and sections.
 
-    ``provenance`` goes to the foot; its dicts become groups.
+    ``provenance`` is at the end of the page; its dicts become groups.
     """
 
     kind: str

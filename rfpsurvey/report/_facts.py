@@ -1,4 +1,4 @@
-"""What came out, a label and a figure each; a label with two blanks before it is a part of the one above."""
+"""Labels and values of a result; a label with two blanks before it is a part of the one above."""
 
 import numpy as np
 
@@ -21,8 +21,8 @@ TILE = {
     "n_out_of_reach": "  their target out of reach",
     "n_wrong_fiber": "  without the fiber type asked for",
     "n_unusable": "rows for disabled or stuck positioners",
-    "n_parked": "  parked in the way",
-    "n_idle": "  idle, giving way",
+    "n_parked": "  parked, as obstacles",
+    "n_idle": "  idle, no obstacles",
     "n_colliding": "  in collision",
     "n_colliding_pairs": "colliding pairs",
     "n_obstacle_collisions": "collisions with obstacles",
@@ -54,7 +54,7 @@ ZERO_IS_LEFT_OUT = ("  to standard stars", "  to sky", "requirements not met, al
 
 
 def tile_facts(tile: Tile) -> dict:
-    """Return the counts and rates of a tile, without zeros that say nothing."""
+    """Return the counts and rates of a tile, without most zeros."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
     kinds = tile.summary.get("kinds", {})
@@ -91,7 +91,7 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
 
 
 def survey_facts(survey: Survey) -> dict:
-    """Return the counts and rates of a survey, and what became of the targets."""
+    """Return the counts and rates of a survey, and the number of targets with each outcome."""
     s = survey.summary
     facts = {
         "tiles": s["n_tiles"],
@@ -115,12 +115,12 @@ def survey_facts(survey: Survey) -> dict:
 
 
 def tiling_facts(tiling: Tiling) -> dict:
-    """Return what the summary of a tiling holds; values that have no label of their own go by their key."""
+    """Return the values in the summary of a tiling; those without a label have their key as a label."""
     return {TILING.get(key, key.replace("_", " ")): value for key, value in tiling.summary.items() if value != ""}
 
 
 def estimate_facts(estimate: Estimate) -> dict:
-    """Return the figures of an estimate as text: its error says how many digits count."""
+    """Return the values of an estimate as text, with as many digits as its error allows."""
     formula, error = np.isnan(estimate.low), estimate.standard_error
     digits = 5 if formula or not 0 < error < 1e-5 else 1 - int(np.floor(np.log10(error)))
     digits = max(digits, 1 - int(np.floor(np.log10(estimate.value)))) if 0 < estimate.value < 1e-4 else digits

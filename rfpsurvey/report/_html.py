@@ -1,4 +1,4 @@
-"""A page as HTML: one file that fetches nothing."""
+"""A page as HTML: one file that loads no other."""
 
 import base64
 import hashlib

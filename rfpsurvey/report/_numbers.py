@@ -1,4 +1,4 @@
-"""Numbers as people read them: four digits that count, decimals below each other."""
+"""Numbers as text: four significant digits, and the same number of decimals in a column."""
 
 import math
 
@@ -39,5 +39,5 @@ def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
 
 
 def _decimals(size: float) -> int:
-    """Return the decimals that four digits of a number have."""
+    """Return the number of decimals of a number with four significant digits."""
     return 0 if size == 0 else max(DIGITS - 1 - math.floor(math.log10(size)), 0)

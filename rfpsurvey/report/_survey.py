@@ -56,7 +56,7 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
 
 
 def _about_tiles(table, color) -> str:
-    """Return what the map of tiles shows: ``color`` is what their color stands for."""
+    """Return a description of the map of tiles; ``color`` is the meaning of their color."""
     words = "Each circle is a field. East is to the left."
     if color == "pass" and len(set(table["pass"].tolist())) == 1:
         return f"{words} Where fields overlap, the color is darker or lighter."
@@ -67,7 +67,7 @@ def _about_tiles(table, color) -> str:
 
 
 def _about_curves(survey) -> str:
-    """Return what the plot of the completeness shows."""
+    """Return a description of the plot of the completeness."""
     words = (
         "The line is the fraction of all visits that are observed, in the order in which tiles are planned. Crosses "
         "are the fraction of targets with all of their visits, after each pass; gray lines mark the ends of passes."

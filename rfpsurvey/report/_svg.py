@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page: no ids that clash, no styles that reach out, colors that follow the page's."""
+"""Figures as SVG inside a page: with unique ids, without style sheets, and with the gray levels of the page."""
 
 import base64
 import io
@@ -63,7 +63,7 @@ def dark_grays(page: str) -> str:
 
 @contextmanager
 def _heavy_as_images(figure) -> Iterator[None]:
-    """Have artists of very many points drawn as images."""
+    """Draw artists of very many points as images within this context."""
     points = {artist: _points(artist) for artist in figure.findobj(lambda a: not a.get_rasterized())}
     crowded = sum(points.values()) > MOST_POINTS
     heavy = [artist for artist, number in points.items() if crowded and number > MANY_POINTS]
@@ -77,7 +77,7 @@ def _heavy_as_images(figure) -> Iterator[None]:
 
 
 def _points(artist) -> int:
-    """Return about how many points an artist puts into a file."""
+    """Return the approximate number of points of an artist in a file."""
     from matplotlib.collections import Collection
     from matplotlib.lines import Line2D
 
@@ -113,7 +113,7 @@ def _new_names(root, prefix: str) -> dict[str, str]:
 
 
 def _rename(attributes: dict, names: dict[str, str]) -> None:
-    """Give ids and references their new names, drop ids that nobody needs, and let grays follow the page."""
+    """Give ids and references their new names, remove unused ids, and replace grays by variables of the page."""
     if attributes.get("id") not in names:
         attributes.pop("id", None)
     for key, value in attributes.items():

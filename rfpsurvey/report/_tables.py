@@ -107,13 +107,13 @@ def page_of_allocators(table: Table, where: str) -> Page:
     )
     unmet = [f"{name}: {sentence}" for name, sentences in meta["unmet"].items() for sentence in sentences]
     notes = (
-        "usable: science fibers without a collision. loss: what is lacking of the science targets that could be "
-        "observed if arms could pass each other, as a part of these. gap: how far the plan may be from the best one, "
-        "where that is known. missing: what the requirements lack."
+        "usable: science fibers without a collision. loss: the fraction by which they are fewer than the science "
+        "targets that could be observed if arms could pass each other. gap: how far the plan may be from the best one, "
+        "where that is known. missing: fibers that are missing for requirements."
     )
     seen = (
-        "Bars are fibers on science targets, usable or lost to collisions, and what the requirements lack. The dashed "
-        "line is the number of science fibers if collisions are ignored. The time is that of the allocation."
+        "Bars are fibers on science targets, usable or lost to collisions, and fibers missing for requirements. The "
+        "dashed line is the number of science fibers if collisions are ignored. The time is that of the allocation."
     )
     picture = Picture("Fibers of each allocator.", plot_allocators(table), seen)
     blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
@@ -151,10 +151,10 @@ def page_of_claims(table: Table, where: str) -> Page:
     for name in dict.fromkeys(np.asarray(table["experiment"]).tolist()):
         claims = table[table["experiment"] == name]
         claims = claims[[c for c in claims.colnames if c != "experiment"]]
-        blocks = [Rows("What the paper says, and what came out here.", claims, where, marks=VERDICTS)]
+        blocks = [Rows("The claims of the paper, and the results here.", claims, where, marks=VERDICTS)]
         sections.append(Section(name.capitalize(), blocks + _experiment(name, table.meta.get("folder"))))
     quick = " A quick run, which decides nothing." if table.meta.get("quick") else ""
-    lead = f"{len(table)} claims of the paper on collision probabilities beside what came out here.{quick}"
+    lead = f"{len(table)} claims of the paper on collision probabilities beside the results here.{quick}"
     title = "The paper's experiments, run again"
     return Page("Reproduction", title, lead, highlights, sections, _without_private(table.meta))
 
@@ -170,5 +170,5 @@ def _experiment(name, folder) -> list:
 
 
 def _without_private(meta) -> dict:
-    """Return what a table says of itself, without what readers of files add and where it was on disk."""
+    """Return the meta of a table without the entries that readers of files add, and without its folder."""
     return {k: v for k, v in meta.items() if not str(k).startswith("__") and k != "folder"}

@@ -1,4 +1,4 @@
-"""Text as a page can hold it."""
+"""Text without characters that a page cannot contain."""
 
 import unicodedata
 
@@ -11,7 +11,7 @@ TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 
 
 def text_of(value: object) -> str:
-    """Return text for a page; what no page can hold, or would confuse it, becomes a replacement character."""
+    """Return text for a page, with replacement characters for those that are invalid or change the direction."""
     text = str(value).replace("\r\n", "\n")
     if text.isascii() and text.isprintable():
         return text

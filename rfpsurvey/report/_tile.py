@@ -69,7 +69,7 @@ def page_of_tile(tile: Tile, where: str) -> Page:
             [
                 Facts("Request", _asked(tile)),
                 Facts("Result", tile_facts(tile)),
-                *_aims(tile),
+                *_objectives(tile),
                 Facts("Times in seconds", summary["seconds"]),
             ],
         ),
@@ -112,14 +112,14 @@ def _asked(tile) -> dict:
         asked["blank sky, away from all targets"] = f"{p['sky_separation_mm']:.4g} mm"
     if p["allocator"] in ("sdss", "optimal"):
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
-    asked["idle arms stand in the way"] = p.get("parked_obstacles", True)
+    asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
     if "model" in tile.summary:
         asked["model"] = tile.summary["model"]
     return asked
 
 
-def _aims(tile) -> list:
-    """Return the classes of targets, and how far the plan is proven."""
+def _objectives(tile) -> list:
+    """Return the number of fibers on each class of targets, and the gap to the best plan."""
     objectives, gap = tile_objectives(tile, MOST_OBJECTIVES), tile.summary.get("gap")
     values = {name: f"{value}, {proof}" if proof else value for name, value, proof in objectives}
     if gap is not None:
@@ -162,25 +162,22 @@ def _draw(tile, region=None):
     return ax
 
 
-def _xy(tile):
-    return np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
-
-
 def _crowded(tile) -> u.Quantity:
     """Return the corners of a square with the most collisions in it, or with the least clearance."""
-    xy, colliding = _xy(tile), np.asarray(tile.table["in_collision"])
+    xy = np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
+    colliding = np.asarray(tile.table["in_collision"])
     outer = np.max(tile.table.meta["geometry"]["outer_radius_mm"])
     half = MARGIN * outer
     if colliding.any():
         near = (np.abs(xy[colliding][:, None] - xy[colliding][None]) < half).all(axis=2).sum(axis=1)
-        middle = xy[colliding][near == near.max()]
-        middle = middle[np.hypot(*middle.T).argmin()]
+        center = xy[colliding][near == near.max()]
+        center = center[np.hypot(*center.T).argmin()]
     else:
         clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
-        middle = xy[clearance.argmin()]
+        center = xy[clearance.argmin()]
     # no farther out than there are positioners
-    middle = np.clip(middle, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
-    return np.stack([middle - half, middle + half]) * u.mm
+    center = np.clip(center, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
+    return np.stack([center - half, center + half]) * u.mm
 
 
 def _collisions(tile, where) -> list:

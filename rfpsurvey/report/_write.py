@@ -4,15 +4,13 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from itertools import chain
-from numbers import Number
 from pathlib import Path
 
-import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._io import check_output, output_path, to_path
 from rfpsurvey.compare import PARTS
-from rfpsurvey.errors import InputTypeError, refusal
+from rfpsurvey.errors import InputTypeError, check_whole, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._html import html_of
@@ -106,9 +104,8 @@ def write_report(
     1
     """
     path = check_report(path, overwrite=overwrite)
-    whole = isinstance(max_rows, int | np.integer) and not isinstance(max_rows, bool)
-    if max_rows is not None and not (whole and max_rows >= 1):
-        raise refusal("max_rows must be a whole number of at least 1", max_rows, Number)
+    if max_rows is not None:
+        check_whole(max_rows, "max_rows")
     if not (title is None or isinstance(title, str)):
         raise refusal("title must be text", title, str)
     pictures = _pictures(figures)

@@ -1,4 +1,4 @@
-"""What the paper says beside what came out here."""
+"""The claims of the paper, and the results here."""
 
 from dataclasses import dataclass, fields
 
@@ -12,7 +12,7 @@ REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "cannot 
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement of the paper, and ours."""
+    """One claim of the paper, and our result."""
 
     experiment: str
     claim: str
@@ -23,7 +23,7 @@ class Claim:
 
 
 def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
-    """Say whether the paper's number lies within so many errors of ours."""
+    """Return the verdict whether the paper's number lies within ``sigmas`` errors of ours."""
     return REPRODUCED if abs(paper - ours) <= sigmas * error else NOT_REPRODUCED
 
 

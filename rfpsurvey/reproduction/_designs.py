@@ -8,13 +8,23 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey._executors import map_in_order
-from rfpsurvey._progress import Progress
+from rfpsurvey._executors import map_with_progress
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Estimate, RandomTargets, collision_probability
 
-__all__ = ["LARGE", "SMALL", "Settings", "each", "estimate", "numbers_of", "plane_of", "random_designs"]
+__all__ = [
+    "LARGE",
+    "SMALL",
+    "Settings",
+    "each",
+    "error_of_fraction",
+    "estimate",
+    "numbers_of",
+    "plane_of",
+    "random_designs",
+    "scaled",
+]
 
 D = 4.5
 N_TARGETS = 20_000
@@ -26,14 +36,14 @@ MOST_ENTRIES = 32
 
 @dataclass(frozen=True)
 class Settings:
-    """How carefully to work."""
+    """The settings of a run."""
 
     quick: bool = False
     executor: Executor | None = None
     progress: bool = False
     seed: int = 0
     error: float | None = None
-    """Standard error of every design, if it is not the usual one."""
+    """Standard error of every design; by default 0.0001, or 0.002 in a quick run."""
 
     @property
     def precision(self) -> float:
@@ -42,7 +52,7 @@ class Settings:
         return usual if self.error is None else self.error
 
     def pick(self, full: int, quick: int) -> int:
-        """Return the number for this care."""
+        """Return the number for a full or a quick run."""
         return quick if self.quick else full
 
 
@@ -78,11 +88,17 @@ def estimate(
     return collision_probability(plane, rng=np.random.default_rng(seed), **options)
 
 
+def scaled(values: np.ndarray) -> np.ndarray:
+    """Return values scaled so that the smallest is 0 and the largest 1."""
+    values = np.asarray(values, dtype=float)
+    return (values - values.min()) / (values.max() - values.min())
+
+
+def error_of_fraction(p: float, n: int) -> float:
+    """Return the standard error of a fraction of n, never 0."""
+    return float(np.sqrt(max(p * (1 - p), 1 / n) / n))
+
+
 def each(task: Callable, jobs: list, settings: Settings) -> list:
     """Return the results of all jobs, in their order, with a bar."""
-    results = []
-    with Progress(settings.progress, len(jobs), "jobs") as bar:
-        for result in map_in_order(settings.executor, task, jobs):
-            results.append(result)
-            bar(len(results))
-    return results
+    return map_with_progress(settings.executor, settings.progress, "jobs", task, jobs)

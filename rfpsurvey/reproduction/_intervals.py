@@ -1,4 +1,4 @@
-"""How often intervals hold the truth, with the stopping rule at work."""
+"""Coverage of the confidence intervals, with the stopping rule in use."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ from rfpsurvey.probability import (
     wilson,
 )
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduction._designs import Settings, each
+from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
 from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
@@ -76,7 +76,7 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 
 
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
-    """Return how often each interval holds the truth, for plain and conditional simulation.
+    """Return how often each interval contains the truth, for plain and conditional simulation.
 
     Every repeat runs until the precision is met; the truth comes from a conditional simulation twenty times as precise.
     """
@@ -136,7 +136,7 @@ def _repeat(scene, method, stop, repeats, settings):
             kind,
             truth,
             held[kind] / repeats,
-            _binomial(held[kind] / repeats, repeats),
+            error_of_fraction(held[kind] / repeats, repeats),
             widths[kind],
             ratio,
             float(np.mean(iterations)),
@@ -144,8 +144,3 @@ def _repeat(scene, method, stop, repeats, settings):
         )
         for kind in kinds
     ]
-
-
-def _binomial(p, n):
-    """Return the standard error of a part of n, never 0."""
-    return float(np.sqrt(max(p * (1 - p), 1 / n) / n))

@@ -4,9 +4,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey.probability import Estimate, Precision, fit_polynomial, interior_risk, surrogate_probability
+from rfpsurvey.probability import Estimate, Precision, fit_polynomial, interior_probability, surrogate_probability
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
-from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs
+from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs, scaled
 
 __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 
@@ -14,9 +14,9 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Half width of an interval over the value after a proper number of iterations: the paper does not state one."""
+"""Half width of an interval over the value after a proper number of iterations: the paper does not state it."""
 NORMALIZATIONS = {
-    "scaled to 0 and 1": lambda v: (v - v.min()) / (v.max() - v.min()),
+    "scaled to 0 and 1": scaled,
     "divided by the largest": lambda v: v / v.max(),
 }
 
@@ -177,14 +177,14 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
         seeds = range(settings.pick(200, 40))
         splits = [fit_polynomial(*designs, rng=np.random.default_rng([settings.seed, k])) for k in seeds]
         r2 = np.array([s.r2_held_back for s in splits])
-        low, middle, high = np.quantile(r2, [0.025, 0.5, 0.975])
-        rows.append((way, low, middle, high, *np.mean([s.coefficients for s in splits], axis=0)))
+        low, median, high = np.quantile(r2, [0.025, 0.5, 0.975])
+        rows.append((way, low, median, high, *np.mean([s.coefficients for s in splits], axis=0)))
         claims.append(
             Claim(
                 "fit",
                 "the polynomial has R^2 = 0.934 on the test set",
                 "0.934",
-                f"{middle:.3f} ({low:.3f} to {high:.3f} in 95 % of the splits)",
+                f"{median:.3f} ({low:.3f} to {high:.3f} in 95 % of the splits)",
                 REPRODUCED if low <= 0.934 <= high else NOT_REPRODUCED,
                 f"{way.replace('_', ' ')}, a quarter held back",
             )
@@ -204,14 +204,14 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
 
 
 def _surrogate(settings):
-    """Compare the shipped surrogate with quadratures at designs of the paper's box that it never saw."""
+    """Compare the surrogate with quadratures at designs of the paper's box that were not used to make it."""
     rng = np.random.default_rng([settings.seed, 300])
     n = settings.pick(300, 20)
     l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1.0), (14.5, 2, 35, 7.0), (n, 4)).T
 
     jobs = [((a / p, r, d / p), s) for a, r, p, d, s in zip(l1, ratio, pitch, distance, rng.spawn(n), strict=True)]
     points = settings.pick(1024, 128)
-    found = each(lambda job: interior_risk(job[0], points, job[1]), jobs, settings)
+    found = each(lambda job: interior_probability(job[0], points, job[1]), jobs, settings)
     table = QTable({"central_arm": l1 * u.mm, "ratio": ratio, "pitch": pitch * u.mm, "min_separation": distance * u.mm})
     table["quadrature"], table["quadrature_error"] = np.array(found).T
     table["surrogate"] = surrogate_probability(l1 * u.mm, l1 * ratio * u.mm, pitch * u.mm, distance * u.mm)

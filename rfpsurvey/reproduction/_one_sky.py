@@ -1,4 +1,4 @@
-"""How often the interval that one sky gives holds the expectation over all skies of its kind."""
+"""Coverage of the interval from one sky: how often it contains the expectation over all skies of its kind."""
 
 import astropy.units as u
 import numpy as np
@@ -8,7 +8,7 @@ from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Precision, RandomTargets, Simulation, make_source, summarize
-from rfpsurvey.reproduction._designs import Settings, each
+from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
 
 __all__ = ["one_sky"]
 
@@ -33,7 +33,7 @@ CONFIDENCE = 0.95
 
 
 def one_sky(settings: Settings) -> QTable:
-    """Return how often the interval of given targets holds the truth, for focal planes of 7 to 469 positioners.
+    """Return how often the interval of given targets contains the truth, for focal planes of 7 to 469 positioners.
 
     The truth is the mean over other skies of the same kind.
     """
@@ -86,7 +86,6 @@ def _row(arms, rings, number, sky, settings):
         return (arms, len(plane), number, sky, truth, float(values.std()), *[np.nan] * 4, n / len(found), skies)
     held = float(np.mean((low <= truth) & (truth <= high), where=some))
     error, half_width = float(np.sqrt(np.mean(errors[some] ** 2))), float(np.mean((high - low)[some]) / 2)
-    held_error = float(np.sqrt(max(held * (1 - held), 1 / n) / n))
     return (
         arms,
         len(plane),
@@ -96,7 +95,7 @@ def _row(arms, rings, number, sky, settings):
         float(values.std()),
         error,
         held,
-        held_error,
+        error_of_fraction(held, n),
         half_width,
         n / len(found),
         skies,

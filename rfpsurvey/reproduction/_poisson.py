@@ -22,7 +22,7 @@ from rfpsurvey.reproduction._large import NAMED, uniform_estimate
 __all__ = ["drops_by_ratio", "poisson"]
 
 PAPER = 2.6
-"""Per cent by which uniform targets collide more often than Poisson-distributed ones."""
+"""Percentage by which uniform targets collide more often than Poisson-distributed ones."""
 MARGIN = 0.2
 """Percentage points that a value of ours may differ, or two standard errors if these are more."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
@@ -33,7 +33,7 @@ POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
 """Name of each reading to its place in the seeds."""
 DISC_DESIGNS = 24
-"""Designs that disc targets are tried on, the first ones, and LAMOST's: each is compared with uniform targets."""
+"""Number of designs with disc targets, the first ones and LAMOST's: each is compared with uniform targets."""
 DISC_ERROR = 3e-3
 """Standard error of a design with disc targets, as a fraction of its value: dense sets take long to draw."""
 LAMOST_ERROR = 0.4
@@ -97,7 +97,7 @@ def poisson(
 
 
 def _averages(table, name):
-    """Return the part of a table that has a reading, and the per cent by which uniform targets collide more, by design.
+    """Return the rows of a table with a reading, and the percentage by which uniform targets collide more, by design.
 
     Rows of the second result are the drop of each design and its standard error.
     """
@@ -109,7 +109,7 @@ def _averages(table, name):
 
 
 def _of_means(part, name):
-    """Return the per cent by which the mean over designs is larger for uniform targets, and its standard error."""
+    """Return the percentage by which the mean over designs is larger for uniform targets, and its standard error."""
     means = [np.asarray(part[c]).mean() for c in ("uniform", name)]
     errors = [np.sqrt((np.asarray(part[f"{c} error"]) ** 2).sum()) / len(part) for c in ("uniform", name)]
     ratio = means[0] / means[1]
@@ -117,7 +117,7 @@ def _of_means(part, name):
 
 
 def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
-    """Return by how many per cent uniform targets collide more than those of each minimum separation.
+    """Return the percentage by which uniform targets collide more than those of each minimum separation.
 
     Parameters
     ----------

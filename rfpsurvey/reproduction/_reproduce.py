@@ -1,4 +1,4 @@
-"""Run the paper's experiments, write tables and figures, and say what holds."""
+"""Run the paper's experiments, write tables and figures, and judge the claims."""
 
 import os
 import platform
@@ -11,7 +11,7 @@ from pathlib import Path
 from astropy.table import QTable
 
 from rfpsurvey._io import check_output, output_path, to_path, write_table
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.plot import draw_reproduction
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table
 from rfpsurvey.reproduction._designs import Settings
@@ -60,12 +60,12 @@ def reproduce(
     experiment : {"all", "small", "large", "poisson", "fit", "intervals", "speed"}, optional
         ``small``: 19 positioners, scans of arm ratio and pitch. ``large``: 469 positioners, 80 random designs, formula
         against simulation. ``poisson``: the same designs with Poisson-distributed targets in every reading. ``fit``:
-        the polynomial, and the surrogate at designs that it never saw. ``intervals``: how often intervals hold the
-        truth, those of given targets among them. ``speed``: arms of 64 segments against swept areas.
+        the polynomial, and the surrogate at designs that were not used to make it. ``intervals``: how often intervals
+        contain the truth, including those of given targets. ``speed``: arms of 64 segments against swept areas.
     folder : str or path, optional
-        Where tables (ECSV), figures (PNG) and the page of claims (``claims.rst``) go; made if it is not there.
+        Folder of the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); created if it is missing.
     quick : bool, optional
-        Few designs, repeats and iterations: to see that it runs, not to decide anything.
+        Few designs, repeats and iterations: to test the code, not the claims.
     workers : int, optional
         Threads; as many as there are cores by default. Results do not depend on it.
     rng : int, optional
@@ -79,7 +79,7 @@ def reproduce(
     -------
     QTable
         A row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or cannot be decided
-        from the text), reading. ``meta`` says how it was made, and in which ``folder`` the tables are.
+        from the text), reading. ``meta`` holds the settings, and the ``folder`` with the tables.
 
     Raises
     ------
@@ -105,8 +105,7 @@ def reproduce(
     if not isinstance(rng, int) or rng < 0:
         raise InputError(f"rng must be a seed, a whole number of at least 0, got {rng!r}")
     workers = os.cpu_count() or 1 if workers is None else workers
-    if not isinstance(workers, int) or workers < 1:
-        raise InputError(f"workers must be a whole number of at least 1, got {workers!r}")
+    check_whole(workers, "workers")
     folder = _folder(folder, names, overwrite)
     claims: list[Claim] = []
     made: dict[str, QTable] = {}

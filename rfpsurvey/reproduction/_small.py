@@ -5,7 +5,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduction._designs import SMALL, Settings, each, estimate, plane_of
+from rfpsurvey.reproduction._designs import SMALL, Settings, each, estimate, plane_of, scaled
 
 __all__ = ["small"]
 
@@ -55,7 +55,7 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         )
     for name in scans:
         part = table[table["scan"] == name]
-        away = _normalized(part["closed_form"]) - _normalized(part["value"])
+        away = scaled(part["closed_form"]) - scaled(part["value"])
         gap, n_zero = float(np.abs(away).max()), int(np.count_nonzero(part["closed_form"] <= 0))
         factor = np.asarray(part["value"] / np.where(part["closed_form"] > 0, part["closed_form"], np.nan))
         claims.append(
@@ -73,8 +73,3 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         )
     table.meta["n_positioners"] = len(plane_of(L1, 1.0, PITCH, SMALL["rings"]))
     return {"small": table}, claims
-
-
-def _normalized(values):
-    values = np.asarray(values, dtype=float)
-    return (values - values.min()) / (values.max() - values.min())

@@ -26,7 +26,7 @@ def kept(plane, rng):
     halves, columns, n = np.empty_like(segments), plane.arrays, len(plane.arrays.neighbors)
     collisions.halve(segments, halves)
     gap = np.hypot(*(halves[:2, plane.arrays.neighbors[:, 0]] - halves[:2, plane.arrays.neighbors[:, 1]]))
-    rows = np.empty(columns.longest_run, bool), np.empty(n, np.int64), np.empty(n, np.int64)
+    rows = np.empty(n, np.int64), np.empty(n, np.int64)
     counts = (gap <= columns.limits.near).sum(), collisions.near_pairs(halves, columns.runs, columns.limits, *rows)
     return np.array([*counts, len(rs.find_collisions(plane, tips).pairs)]) / n
 

@@ -17,7 +17,7 @@ import flat
 import rfpsurvey as rs
 from rfpsurvey.design import _losses
 from rfpsurvey.design._lattice import make_lattice
-from rfpsurvey.probability._surrogate import AXES, interior_risk
+from rfpsurvey.probability._surrogate import AXES, interior_probability
 
 MM = u.mm
 BOX = {"central_arm": [7.25, 14.5] * MM, "ratio": [1, 2], "pitch": [24.6, 35] * MM, "clearance": 2.25 * MM}
@@ -71,7 +71,7 @@ def surrogate_errors(n):
     found = rs.probability.surrogate_probability(
         shapes[:, 0] * MM, shapes[:, 0] * shapes[:, 1] * MM, 1 * MM, shapes[:, 2] * MM
     )
-    truth = np.array([interior_risk(tuple(s), 512, own)[0] for s, own in zip(shapes, rng.spawn(n), strict=True)])
+    truth = np.array([interior_probability(tuple(s), 512, own)[0] for s, own in zip(shapes, rng.spawn(n), strict=True)])
     for name, rows in (("at least 0.01", found >= 0.01), ("less than 0.01", (found < 0.01) & (found > 0))):
         away = np.abs(found - truth)[rows]
         print(f"surrogate, {name}: {rows.sum()} designs, rms {np.sqrt(np.mean(away**2)):.1e}, largest {away.max():.1e}")

@@ -41,7 +41,7 @@ class Tile:
         self.columns = self.plane.arrays
         room = len(self.plane.arrays.neighbors) + 1
         self.first, self.second = self.plane.arrays.neighbors.T.copy()
-        self.rows = np.empty(room, bool), np.empty(room, np.int64), np.empty(room, np.int64)
+        self.rows = np.empty(room, np.int64), np.empty(room, np.int64)
         self.squared = np.empty(room)
 
 

@@ -181,7 +181,7 @@ def test_what_cannot_be_drawn_is_refused(table):
         (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
         (
             lambda: rs.plot.plot_designs(table, mark={"other": other}),
-            "must answer the same question as table: allocated, 4 targets a positioner, not indep",
+            "must answer the same question as table: allocated, 4 targets per positioner, not indep",
         ),
     ):
         with pytest.raises(rs.InputError, match=words):

@@ -156,7 +156,7 @@ def test_bad_input_is_named(arguments, message):
 def test_bad_draws_are_named():
     plane = lamost_like(1)
     xy = plane.xy + 1 * MM
-    with pytest.raises(rs.InputError, match="n_configurations must say how many to draw"):
+    with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
         rs.count_collisions(plane, rs.allocate(plane, xy))
     with pytest.raises(rs.InputError, match="drawn from the queues of 'balanced', not of 'lamost'"):
         rs.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
@@ -174,5 +174,5 @@ def test_bad_draws_are_named():
             rs.count_collisions(wrong, xy)
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.find_collisions(wrong, xy)
-    with pytest.raises(rs.InputError, match="an Allocation brings its own poses"):
+    with pytest.raises(rs.InputError, match="an Allocation has its own poses"):
         rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, handedness="left")

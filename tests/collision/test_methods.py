@@ -341,7 +341,7 @@ def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     assert len(plane.arrays.neighbors) == 0
     tips = plane.xy + [12, 3] * MM
     expected = rs.find_collisions(plane, tips)
-    monkeypatch.setattr("rfpsurvey.collision._find.stand", None)
+    monkeypatch.setattr("rfpsurvey.collision._find.pose_tips", None)
     monkeypatch.setattr("rfpsurvey.collision._find.METHODS", dict.fromkeys(METHODS))
     for method in METHODS:
         report = rs.find_collisions(plane, tips, method=method)
@@ -368,5 +368,5 @@ def test_pairs_do_not_depend_on_the_order_of_positioners(rng):
 
 @pytest.mark.parametrize("n_points", [1, 2.5, "many", None, 10**20])
 def test_n_points_must_make_sense(n_points):
-    with pytest.raises(rs.InputError, match="n_points must be a whole number of at least 2"):
+    with pytest.raises(rs.InputError, match="n_points must be a whole number from 2 to 10000"):
         rs.find_collisions(lamost_like(1), np.full((7, 2), np.nan) * MM, n_points=n_points)

@@ -274,8 +274,8 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
         ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
         ({"density": 5}, "density must be a Quantity"),
-        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "a catalog is seen once a center"),
-        ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "a catalog is seen once a center"),
+        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "a catalog is planned once per center"),
+        ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "a catalog is planned once per center"),
         ({"density": 5 / u.deg**2, "targets_per_positioner": 2}, "targets_per_positioner or density, not both"),
         ({"density": -5 / u.deg**2}, "density must be one finite value above 0"),
         ({"catalog": CENTER.reshape(1), "center": "here"}, "center must be a SkyCoord, one or in a row, got 'here'"),
@@ -341,7 +341,7 @@ def test_command(run, tmp_path):
     table = QTable.read(output)
     assert list(dict.fromkeys(table["instrument"])) == ["short", "sdss_apo", "pfs"]
     assert f"{row_of(table, 'short', 'lamost')['loss']:.4g}" in out
-    assert "numbers of targets and figures per field or solid angle cannot" in " ".join(out.split())
+    assert "numbers of targets and values per field or solid angle cannot" in " ".join(out.split())
     assert plot.stat().st_size > 5000
     code, out, err = run("compare", "pfs", "--output", output)
     assert code == 2

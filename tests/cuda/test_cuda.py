@@ -78,7 +78,7 @@ import rfpsurvey._kernels.gpu as gpu
 F, I, B = types.float64, types.int64, types.boolean
 A = lambda kind, n: types.Array(kind, n, "C")
 SIGNATURES = {
-    "stand": (A(F, 3), A(F, 2), A(F, 2), F, F, A(F, 2), I, F, A(F, 2), A(F, 3), A(I, 1)),
+    "pose_tips": (A(F, 3), A(F, 2), A(F, 2), F, F, A(F, 2), I, F, A(F, 2), A(F, 3), A(I, 1)),
     "count": (A(F, 3), A(F, 3), A(I, 1), A(I, 1), F, F, F, A(B, 1), A(I, 1), A(F, 2), F, A(I, 2), A(I, 1)),
     "list_pairs": (A(F, 2), A(I, 1), A(I, 1), F, F, A(I, 1), A(F, 1), A(I, 1)),
 }
@@ -97,4 +97,14 @@ def test_the_kernels_compile_for_a_device():
         pytest.skip("NVIDIA's compiler is not there: pip install 'rfpsurvey[cuda]'")
     if "CudaSupportError" in done.stderr:
         pytest.skip("this numba-cuda asks for a driver even to compile")
-    assert done.stdout.split() == ["stand", "True", "False", "count", "True", "False", "list_pairs", "True", "False"]
+    assert done.stdout.split() == [
+        "pose_tips",
+        "True",
+        "False",
+        "count",
+        "True",
+        "False",
+        "list_pairs",
+        "True",
+        "False",
+    ]

@@ -197,7 +197,7 @@ def test_bad_tables_are_named(table, message):
         ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, but 1 rows"),
         ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
         ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
-        ({"id": [1]}, "id must have one value a positioner"),
+        ({"id": [1]}, "id must have one value per positioner"),
         ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
         ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
         ({"obstacles": [[1, 2]] * MM}, "obstacles must be finite rows"),

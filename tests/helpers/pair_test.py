@@ -14,6 +14,6 @@ def decide(first, second, limit):
     collisions.halve(pair, halves)
     longest = float(np.hypot(pair[2] - pair[0], pair[3] - pair[1]).max())
     limits = collisions.limits(limit, longest * (1 + 1e-15), float(np.hypot(*np.abs(pair).reshape(2, -1).max(axis=1))))
-    rows = np.empty(1, bool), np.empty(2, np.int64), np.empty(2, np.int64)
+    rows = np.empty(2, np.int64), np.empty(2, np.int64)
     n, borderline = collisions.colliding_pairs(pair, halves, RUN, limits, *rows, squared)
     return None if borderline else bool(n)

@@ -6,7 +6,7 @@ import pytest
 
 import rfpsurvey as rs
 from rfpsurvey.probability._environments import environments
-from rfpsurvey.probability._surrogate import AXES, interior_risk, make_surrogate
+from rfpsurvey.probability._surrogate import AXES, interior_probability, make_surrogate
 
 MM = u.mm
 PITCH = 31.0
@@ -22,7 +22,7 @@ def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
     central_arm, eccentric_arm, pitch, distance = designs_of(rng, 40)
     got = rs.probability.surrogate_probability(central_arm * MM, eccentric_arm * MM, pitch * MM, distance * MM)
     jobs = zip(central_arm / pitch, eccentric_arm / central_arm, distance / pitch, rng.spawn(40), strict=True)
-    want = np.array([interior_risk((a, b, c), 512, own)[0] for a, b, c, own in jobs])
+    want = np.array([interior_probability((a, b, c), 512, own)[0] for a, b, c, own in jobs])
     assert np.abs(got - want).max() < 0.005
     assert 1 - ((got - want) ** 2).sum() / ((want - want.mean()) ** 2).sum() > 0.9999
 

@@ -231,7 +231,7 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
         ({"targets": np.zeros((3, 2)) * u.deg}, "targets must have a unit convertible to mm, got deg"),
         ({"targets": np.zeros((3, 3)) * MM}, r"targets must have the shape \(n, 2\), got \(3, 3\)"),
         ({"targets": np.zeros((0, 2)) * MM}, "at least one row, got none"),
-        ({"targets": rs.Catalog(CENTER)}, "a Catalog needs an Instrument, which knows its plate scale"),
+        ({"targets": rs.Catalog(CENTER)}, "a Catalog needs an Instrument, which has a plate scale"),
         ({"targets": lambda rng: rng.random((3, 2))}, "what the sampler of targets returns must be a Quantity"),
         ({"targets": lambda rng: rng.random((3, 3)) * MM}, "what the sampler of targets returns must have the shape"),
         ({"n_targets": -1}, "number must be a number from 0 to"),
@@ -269,7 +269,7 @@ def test_an_empty_catalog_has_no_mean_direction():
         ({"targets": "uniform", "n_targets": 8}, "monte_carlo, since there are fewer than 2 targets per positioner"),
         ({"targets": "uniform", "n_targets": 100, "allocator": "lamost"}, "monte_carlo, since this allocator makes no"),
         ({"estimand": "independent"}, "quadrature, the cheapest method with an error estimate for independent"),
-        ({"method": "monte_carlo", "targets": "uniform", "n_targets": 100}, "monte_carlo, as asked for"),
+        ({"method": "monte_carlo", "targets": "uniform", "n_targets": 100}, "monte_carlo, as requested"),
     ],
 )
 def test_an_estimate_says_why_its_method_was_used(options, expected):

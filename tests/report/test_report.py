@@ -275,7 +275,7 @@ def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
 
 def test_claims_have_verdicts_and_their_experiments(tmp_path):
     page = Reader(written(claims(), tmp_path))
-    _, rows = page.table("What the paper says")
+    _, rows = page.table("The claims of the paper")
     assert [(row[3]["text"], row[3]["class"]) for row in rows] == [("reproduced", "good"), ("not reproduced", "bad")]
     assert page.text("dd")[:2] == ["1", "1"]
 
