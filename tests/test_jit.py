@@ -69,8 +69,7 @@ def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(copy):
 
 
 def test_the_cache_can_be_switched_off(copy):
-    first = probe(copy, RFPSURVEY_CACHE="0")
-    assert probe(copy, RFPSURVEY_CACHE="0") == (first[0], 0)
+    assert probe(copy, RFPSURVEY_CACHE="0")[1] == 0
     assert not list(copy.rglob("*.nbi"))
 
 
