@@ -78,8 +78,7 @@ def test_the_cache_of_an_older_version_with_other_classes_is_not_read(copy):
 
 
 def test_the_cache_can_be_switched_off(copy):
-    first = probe(copy, RFPSURVEY_CACHE="0")
-    assert probe(copy, RFPSURVEY_CACHE="0") == (first[0], 0)
+    assert probe(copy, RFPSURVEY_CACHE="0")[1] == 0
     assert not list(copy.rglob("*.nbi"))
 
 

@@ -6,6 +6,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from pages import Reader, full
+from rfpsurvey.reproduction._designs import Settings
 
 
 @pytest.mark.parametrize(
@@ -24,6 +25,7 @@ from pages import Reader, full
 )
 def test_commands_write_pages(run, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Settings, "precision", 2e-2)
     code, out, _ = run(*command.split(), "--report", "page.html")
     assert code == 0
     assert out.endswith("wrote page.html\n")

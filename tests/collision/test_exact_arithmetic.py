@@ -22,7 +22,8 @@ def longest_difference(first, second):
 
 def assert_within_the_bound(first, second):
     """The computed distance is within 20 u S of the true one, in rational arithmetic."""
-    got = Fraction(float(np.sqrt(collisions.segments_squared(*first, *second))))
+    ends = np.array([*first, *second], dtype=float)  # whole numbers would have code of their own
+    got = Fraction(float(np.sqrt(collisions.segments_squared(*ends))))
     bound = Fraction(collisions.DISTANCE_ERROR) * Fraction(longest_difference(first, second) * (1 + 1e-15))
     true2 = squared_distance(first, second)
     assert max(got - bound, 0) ** 2 <= true2 <= (got + bound) ** 2

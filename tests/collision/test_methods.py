@@ -67,7 +67,7 @@ def test_the_crossing_condition_is_sharp(length, separation, n):
     # one of the gaps between points has its middle on the other arm's
     for points, found in ((n - 1, False), (n, True)):
         at = length / (points - 1) / 2
-        cross = (-at, 0, length - at, 0), (0, -at, 0, length - at)
+        cross = (-at, 0.0, length - at, 0.0), (0.0, -at, 0.0, length - at)
         assert collisions.segments_squared(*cross[0], *cross[1]) == 0
         assert sampled_distance(*cross, points) == pytest.approx(np.sqrt(2) * at)
         assert (sampled_distance(*cross, points) < separation) == found
@@ -96,7 +96,7 @@ def test_no_number_of_points_is_enough_for_every_grazing_pair():
     for n in (9, 65, 1001):
         h, delta = 15 / (n - 1), 5.0
         limit = (delta + np.sqrt(delta**2 + h**2 / 4)) / 2
-        first, second = (0, 0, 15, 0), (h / 2, delta, 15 + h / 2, delta)
+        first, second = (0.0, 0.0, 15.0, 0.0), (h / 2, delta, 15 + h / 2, delta)
         assert np.sqrt(collisions.segments_squared(*first, *second)) < limit < sampled_distance(first, second, n)
 
 

@@ -13,6 +13,7 @@ from astropy.stats import binom_conf_interval
 from astropy.table import QTable
 from matplotlib.patches import Rectangle
 from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.spatial import cKDTree
 from shapely import MultiPoint, Point, contains_xy
 from shapely.ops import unary_union
 
@@ -107,7 +108,7 @@ def test_parked_arms_count_where_arms_are_equal(table, sky, centers):
 def test_what_instruments_are(name, kind):
     found = rs.compare_instruments("uniform", [name], n_realizations=1, allocators="nearest")[0]
     plane = rs.Instrument.preset(name).focal_plane
-    pitch = np.median(np.sort(np.hypot(*(plane.xy.value[:, None] - plane.xy.value[None]).T), axis=1)[:, 1])
+    pitch = np.median(cKDTree(plane.xy.value).query(plane.xy.value, k=2)[0][:, 1])
     cell = np.sqrt(3) / 2 * pitch**2
     assert found["positioners"] == len(plane)
     assert found["type"] == kind

@@ -28,6 +28,12 @@ def collisions():
     )
 
 
+@pytest.fixture(scope="module")
+def chart():
+    """The axes of a chart of collisions, drawn once."""
+    return rs.plot.plot_speed_accuracy(collisions())
+
+
 def probabilities(repeats=30):
     return QTable(
         {
@@ -74,9 +80,8 @@ def assert_readable(axes):
         assert box.y1 <= high
 
 
-def test_zeros_are_upper_limits_with_arrows():
-    table = collisions()
-    above, below = rs.plot.plot_speed_accuracy(table)
+def test_zeros_are_upper_limits_with_arrows(chart):
+    above, below = chart
     arrows = [t for t in above.texts if isinstance(t, Annotation) and t.arrow_patch is not None]
     assert sorted(a.xy[0] for a in arrows) == [0.03, 0.06, 0.2]
     assert {a.xy[1] for a in arrows} == {1 / 577}
@@ -87,19 +92,18 @@ def test_zeros_are_upper_limits_with_arrows():
     assert above.get_ylim()[0] < 1 / 577
 
 
-def test_fractions_of_misclassified_pairs_have_standard_errors():
-    table = collisions()
-    above, below = rs.plot.plot_speed_accuracy(table)
+def test_fractions_of_misclassified_pairs_have_standard_errors(chart):
+    above, below = chart
     assert not below.containers
     ends = np.concatenate([np.array(bars.lines[2][0].get_segments())[:, :, 1] for bars in above.containers])
-    value = np.array([v for v in table["misclassified"] if v > 0])
+    value = np.array([v for v in collisions()["misclassified"] if v > 0])
     error = np.sqrt(value / 577)
     np.testing.assert_allclose(np.sort(ends[:, 1]), np.sort(value + error))
     assert (ends[:, 0] > 0).all()
 
 
-def test_the_chart_states_machine_and_better_corner():
-    above, _ = rs.plot.plot_speed_accuracy(collisions())
+def test_the_chart_states_machine_and_better_corner(chart):
+    above, _ = chart
     for words in ("mine: 500 positioners, 577 colliding pairs", "a processor, 2 cores", "lower left is better"):
         assert words in above.get_title()
 

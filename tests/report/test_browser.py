@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from functools import cache
 from urllib.parse import unquote
 
 import astropy.units as u
@@ -117,7 +118,13 @@ def tried(browse, path, width=1200):
     return found
 
 
-def page_of(kind, folder, small):
+@pytest.fixture(scope="module")
+def page_of(small, tmp_path_factory):
+    """Return a function from a kind of result to the path of its page, written once."""
+    return cache(lambda kind: write_page(kind, tmp_path_factory.mktemp(kind), small))
+
+
+def write_page(kind, folder, small):
     """Write the page of a small result."""
     sky = rs.synthetic_catalog("poisson", CENTER, 0.5 * u.deg, density=200 / u.deg**2, rng=3)
     if kind == "tile":
@@ -136,8 +143,8 @@ def page_of(kind, folder, small):
 
 
 @pytest.mark.parametrize("kind", ["tile", "survey", "tiling", "allocators", "estimate"])
-def test_pages_open_without_an_error_and_sort_by_every_column(browse, tmp_path, small, kind):
-    path = page_of(kind, tmp_path, small)
+def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, kind):
+    path = page_of(kind)
     tables = [t for t in Reader(path.read_text()).tables if t["class"].split()[0] == "rows" and len(t["rows"]) > 2]
     found = tried(browse, path, width=400)
     assert found["wide"] <= 0  # a phone scrolls tables and wide figures, not the page
@@ -156,9 +163,9 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, tmp_path, 
 
 
 @pytest.mark.parametrize("width", [400, 1200])
-def test_a_table_says_how_many_columns_are_hidden(browse, tmp_path, small, width):
+def test_a_table_says_how_many_columns_are_hidden(browse, page_of, width):
     """Wide tables ended at the edge of the page, as if that were all."""
-    hidden = tried(browse, page_of("tile", tmp_path, small), width)["hidden"]
+    hidden = tried(browse, page_of("tile"), width)["hidden"]
     assert len(hidden) == 3
     assert width == 1200 or min(number for number, _ in hidden) > 0
     for number, words in hidden:

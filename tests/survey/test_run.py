@@ -5,6 +5,7 @@ import hashlib
 import io
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import time
@@ -42,11 +43,23 @@ def plan(case, folder, **options):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(case, tmp_path_factory):
-    """The content of every file of a run that nothing happened to."""
+def undisturbed_folder(case, tmp_path_factory):
+    """The folder of a run that nothing happened to."""
     folder = tmp_path_factory.mktemp("undisturbed") / "survey"
     plan(case, folder)
-    return content(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def undisturbed(undisturbed_folder):
+    """The content of every file of a run that nothing happened to."""
+    return content(undisturbed_folder)
+
+
+@pytest.fixture
+def folder(undisturbed_folder, tmp_path):
+    """The folder of a finished survey: a copy, which the test may damage."""
+    return shutil.copytree(undisturbed_folder, tmp_path / "survey")
 
 
 def content(folder):
@@ -126,10 +139,8 @@ def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
         assert content(folder) == undisturbed
 
 
-def test_what_a_kill_leaves_behind_is_not_trusted(case, tmp_path, undisturbed):
+def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
     """A part without its line, a line without its end, a line without its part, a temporary file."""
-    folder = tmp_path / "survey"
-    plan(case, folder)
     for name in ("tiles.fits", "completeness.ecsv", "outcomes.fits"):
         (folder / name).unlink()
     lines = (folder / "index.csv").read_text().splitlines(keepends=True)
@@ -146,10 +157,8 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, tmp_path, undisturbed):
 
 
 @pytest.mark.parametrize("what", ["text", "another table", "cut off"])
-def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, tmp_path, undisturbed, what):
+def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, folder, undisturbed, what):
     """A part with the right checksum was taken for a table of visits: a traceback."""
-    folder = tmp_path / "survey"
-    plan(case, folder)
     part = folder / "tiles" / "000" / "000007.fits"
     other = _io.table_bytes(QTable({"a": [1, 2]}), "a.fits")
     content_of = {"text": b"nothing", "another table": other, "cut off": part.read_bytes()[:5760]}[what]
@@ -162,9 +171,7 @@ def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, tmp_path, u
     assert content(folder) == undisturbed
 
 
-def test_a_damaged_part_is_named_and_made_again(case, tmp_path, undisturbed):
-    folder = tmp_path / "survey"
-    plan(case, folder)
+def test_a_damaged_part_is_named_and_made_again(case, folder, undisturbed):
     part = folder / "tiles" / "000" / "000007.fits"
     damaged = bytearray(part.read_bytes())
     damaged[6000] ^= 1
@@ -180,9 +187,7 @@ def flip(path, place):
     path.write_bytes(damaged)
 
 
-def test_a_damaged_survey_is_not_read(case, tmp_path):
-    folder = tmp_path / "survey"
-    plan(case, folder)
+def test_a_damaged_survey_is_not_read(case, folder):
     flip(folder / "tiles" / "000" / "000007.fits", 6000)
     survey = rs.Survey.read(folder)
     with pytest.raises(rs.InputError, match=r"000007.fits is damaged \(it is not what was written\)"):
@@ -196,9 +201,7 @@ def test_a_damaged_survey_is_not_read(case, tmp_path):
 
 
 @pytest.mark.parametrize("damage", [b"\xff\xfe junk\n", b"tiles/000/000900.fits,5," + b"0" * 64 + b"\n", b"a,b,c\n"])
-def test_a_damaged_index_is_told_and_mended(case, tmp_path, undisturbed, damage):
-    folder = tmp_path / "survey"
-    plan(case, folder)
+def test_a_damaged_index_is_told_and_mended(case, folder, undisturbed, damage):
     lines = (folder / "index.csv").read_bytes().splitlines(keepends=True)
     (folder / "index.csv").write_bytes(b"".join([*lines[:5], damage, *lines[8:]]))
     with pytest.warns(rs.RfpsurveyWarning, match="index.csv is damaged"):
@@ -215,10 +218,9 @@ def test_killed_before_anything_is_there(case, tmp_path, undisturbed):
     assert content(folder) == undisturbed
 
 
-def test_a_part_from_other_circumstances_is_planned_again(case, tmp_path):
+def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path):
     """A whole and verified part, but of a run that drew otherwise: the books still balance."""
-    one, other = tmp_path / "one", tmp_path / "other"
-    plan(case, one)
+    one, other = folder, tmp_path / "other"
     plan(case, other, rng=7)
     tiles = rs.Survey.read(one).tiles
     first = np.argmax(np.where(tiles["round"] == 0, tiles["n_assigned"], 0))
@@ -281,12 +283,11 @@ def test_an_error_names_its_tile(case, monkeypatch):
     assert error.value.__notes__[0].startswith("while tile ")
 
 
-def test_a_finished_survey_is_verified_only(case, tmp_path, undisturbed):
-    plan(case, tmp_path / "survey")
-    before = (tmp_path / "survey" / "tiles" / "000" / "000000.fits").stat().st_mtime_ns
-    plan(case, tmp_path / "survey", resume=True)
-    assert (tmp_path / "survey" / "tiles" / "000" / "000000.fits").stat().st_mtime_ns == before
-    assert content(tmp_path / "survey") == undisturbed
+def test_a_finished_survey_is_verified_only(case, folder, undisturbed):
+    before = (folder / "tiles" / "000" / "000000.fits").stat().st_mtime_ns
+    plan(case, folder, resume=True)
+    assert (folder / "tiles" / "000" / "000000.fits").stat().st_mtime_ns == before
+    assert content(folder) == undisturbed
 
 
 def test_two_runs_in_one_folder_are_refused(case, tmp_path):
@@ -302,10 +303,8 @@ def test_two_runs_in_one_folder_are_refused(case, tmp_path):
     assert tried
 
 
-def test_another_survey_in_the_folder_is_refused(case, tmp_path):
+def test_another_survey_in_the_folder_is_refused(case, tmp_path, folder):
     sky, small, tiling = case
-    folder = tmp_path / "survey"
-    plan(case, folder)
     with pytest.raises(rs.InputError, match=r"holds a survey; continue it \(--resume, resume=True\)"):
         plan(case, folder)
     for other, name in (
@@ -360,9 +359,7 @@ def test_a_full_disk_keeps_what_is_there(case, tmp_path, undisturbed, monkeypatc
     assert content(folder) == undisturbed
 
 
-def test_other_versions_of_the_software_are_told(case, tmp_path):
-    folder = tmp_path / "survey"
-    plan(case, folder)
+def test_other_versions_of_the_software_are_told(case, folder):
     request = (folder / "survey.json").read_text()
     (folder / "survey.json").write_text(request.replace(sys.version.split()[0], "3.0.0"))
     with pytest.warns(rs.RfpsurveyWarning, match="other versions of the software"):

@@ -238,7 +238,7 @@ def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
     assert len(network) < len(lattice)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in (1, 3))])
 def test_network_flow_finds_the_fewest_tiles(seed):
     """With one less, the completeness is not reached."""
     catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "sdss"}

@@ -156,7 +156,7 @@ def test_the_tiles_of_desi(real_data):
     assert covered.to_value(u.deg**2) == pytest.approx(tiling.table.meta["sky_area_deg2"], abs=0.01)
 
 
-@pytest.mark.parametrize("number", [0, 1, 5])
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.exhaustive), 5])
 @pytest.mark.parametrize("make", [hexagonal, spiral])
 @pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
 @pytest.mark.parametrize(("reach", "radius"), [(10, 1.5), (1, 2.5), (60, 7), (0.02, 0.003), (0, 1)])
