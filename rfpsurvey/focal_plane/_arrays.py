@@ -184,7 +184,7 @@ class FocalPlaneArrays:
             return locked(np.empty((0, 2), dtype=np.int64))
         apart = np.hypot(*(self.xy[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
         limit = self.arm_reach[:, None] + circles[None, :, 2] + self.clearance
-        return locked(np.argwhere(apart < limit + self.touch_slack))
+        return locked(np.ascontiguousarray(np.argwhere(apart < limit + self.touch_slack)))
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
         """Return the reachable pairs of targets in mm."""

@@ -1,6 +1,5 @@
 """Fractions of a focal plane in reach of each number of positioners."""
 
-
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 

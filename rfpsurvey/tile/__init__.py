@@ -1,11 +1,12 @@
 """One tile end to end: planned from a catalog, or scored as another planner assigned it."""
 
+from rfpsurvey.tile._build import versions
 from rfpsurvey.tile._columns import OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit
 from rfpsurvey.tile._field import north_of_date
 from rfpsurvey.tile._model import model_sentence
 from rfpsurvey.tile._plan import plan_tile
 from rfpsurvey.tile._score import score_tile
-from rfpsurvey.tile._tile import Tile, versions
+from rfpsurvey.tile._tile import Tile
 
 __all__ = [
     "OUTCOMES_COLUMNS",

@@ -82,6 +82,14 @@ def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray |
     return values & has_target if kind == "b" else np.where(has_target, values, np.nan)
 
 
+def id_column(ids, has_target) -> MaskedColumn:
+    """Return ids with a mask."""
+    ids = np.ma.filled(ids, "") if ids.dtype.kind == "U" else np.asarray(ids)
+    if ids.dtype.kind == "i":
+        return only_with_target(ids, has_target)
+    return MaskedColumn(only_with_target(ids.astype(str), has_target), mask=~has_target, fill_value="")
+
+
 def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:
     """Return values with a unit, where there is one."""
     return values * u.Unit(unit) if unit else values

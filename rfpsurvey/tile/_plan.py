@@ -18,10 +18,11 @@ from rfpsurvey.errors import InputError, RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
 from rfpsurvey.region import Region
+from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._constraints import absent_required, add_keep_out, as_keep_out, find_required
 from rfpsurvey.tile._field import epoch_text, one_direction, where
 from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
-from rfpsurvey.tile._tile import Tile, build_tile
+from rfpsurvey.tile._tile import Tile
 
 __all__ = ["plan_tile"]
 

@@ -15,8 +15,9 @@ from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_switch
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, one_direction, where
-from rfpsurvey.tile._tile import Tile, build_tile
+from rfpsurvey.tile._tile import Tile
 
 __all__ = ["score_tile"]
 

@@ -2,11 +2,8 @@
 
 import json
 import os
-import sys
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from functools import cache, cached_property
-from importlib.metadata import PackageNotFoundError, version
+from functools import cached_property
 
 import astropy.units as u
 import numpy as np
@@ -18,15 +15,12 @@ from astropy.utils.masked import Masked
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
 from rfpsurvey.catalog import to_time
-from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.errors import InputError, InputTypeError
-from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.tile._columns import OUTCOMES_COLUMNS, TILE_COLUMNS, describe, only_with_target
-from rfpsurvey.tile._model import model_sentence
-from rfpsurvey.tile._targets import TargetsOfField, completeness_table
+from rfpsurvey.tile._columns import OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
+from rfpsurvey.tile._targets import completeness_table
 
-__all__ = ["Tile", "build_tile", "versions"]
+__all__ = ["Tile"]
 
 MUST_HAVE = (
     "summary.n_positioners",
@@ -38,7 +32,6 @@ MUST_HAVE = (
     "provenance.parameters.allocator",
     "provenance.catalog",
 )
-MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +168,7 @@ class Tile:
         try:
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
-            table["target_id"] = _target_column(table["target_id"], has_target)
+            table["target_id"] = id_column(table["target_id"], has_target)
             tile = cls(describe(_plain(table), TILE_COLUMNS))
         except (KeyError, InputError) as error:
             raise InputError(f"{path} does not hold a tile: {error}") from None
@@ -245,111 +238,6 @@ class Tile:
         )
 
 
-def build_tile(
-    instrument: Instrument,
-    ids: np.ndarray,
-    sky_deg: np.ndarray,
-    target_of: np.ndarray,
-    fiber_type: np.ndarray,
-    posed: Arms,
-    report: CollisionReport,
-    summary: dict,
-    parameters: dict,
-    catalog_meta: dict,
-    kind: np.ndarray | None = None,
-    carried: dict | None = None,
-    targets: TargetsOfField | None = None,
-    software: dict | None = None,
-) -> Tile:
-    """Put the columns together.
-
-    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` are their rows, -1 for
-    none. Columns that are ``carried`` have a value for each positioner; ``targets`` are all of the field.
-    ``software`` are packages that took part, other than the usual ones.
-    """
-    plane = instrument.focal_plane
-    n = len(plane)
-    has_target = posed.assigned
-    if len(ids) == 0:  # a plan without any target
-        ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
-    row = np.where(has_target, target_of, 0)
-    names = np.array([str(i) for i in plane.id])
-    status = np.full(n, "idle", dtype="U12")
-    for flag, word in (
-        (posed.parked, "parked"),
-        (plane.disabled, "disabled"),
-        (plane.arrays.is_stuck, "stuck"),
-        (has_target, "assigned"),
-        (posed.clipped, "out_of_reach"),
-    ):
-        status[flag] = word
-    table = QTable({"id": plane.id})
-    if plane.spectrograph.any():
-        table["spectrograph"] = _spectrograph(plane, fiber_type)
-    table["x"], table["y"] = plane.arrays.xy.T * u.mm
-    table["status"] = status
-    table["target_id"] = _target_column(ids[row], has_target)
-    table["ra"], table["dec"] = np.where(has_target, sky_deg[:, row], np.nan) * u.deg
-    if plane.fiber_types != ("",):
-        table["fiber_type"] = np.where(has_target, fiber_type, "")
-    table["theta"], table["phi"] = np.rad2deg(posed.theta) * u.deg, np.rad2deg(posed.phi) * u.deg
-    table["elbow_x"], table["elbow_y"] = posed.elbow.T * u.mm
-    table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
-    table["in_collision"] = report.in_collision
-    partners = [list(names[p]) if p else p for p in report.colliding_with]
-    for i, j in report.obstacle_pairs.tolist():
-        partners[i].append(f"obstacle-{j}")
-    table["colliding_with"] = [" ".join(p) for p in partners]
-    table["clearance"] = (nearest_distance(posed) - plane.positioner.numbers.separation) * u.mm
-    table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
-    if kind is not None:
-        table["kind"] = np.append(kind, "")[target_of]
-    for name, values in (carried or {}).items():
-        table[name] = values
-    summary = {
-        **summary,
-        "n_positioners": n,
-        "n_assigned": int(has_target.sum()),
-        "n_parked": int(posed.parked.sum()),
-        "n_idle": int((status == "idle").sum()),
-        "n_colliding": int((report.in_collision & report.counted).sum()),
-        "n_colliding_pairs": len(report.pairs),
-        "n_obstacle_collisions": len(report.obstacle_pairs),
-        "collision_rate": report.rate,
-        "collision_rate_assigned": report.rate_assigned,
-        "model": model_sentence(instrument, posed),
-    }
-    meta = {
-        "summary": summary,
-        "provenance": {
-            "software": {**versions(), **(software or {})},
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "model": MODEL,
-            "instrument": instrument.provenance,
-            "catalog": dict(catalog_meta),
-            "parameters": parameters,
-            "outcomes": targets is not None,
-        },
-        "geometry": {
-            "inner_radius_mm": _one_or_all(plane.arrays.inner_radius),
-            "outer_radius_mm": _one_or_all(plane.arrays.outer_radius),
-            "min_separation_mm": float(plane.positioner.numbers.separation),
-            "arm_model": plane.positioner.arm_model,
-            "obstacles_mm": plane.arrays.obstacles.tolist(),
-        },
-    }
-    table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold
-    return Tile(describe(table, TILE_COLUMNS), targets)
-
-
-def _target_column(ids, has_target) -> MaskedColumn:
-    """Return ids with a mask."""
-    ids = np.ma.filled(ids, "") if ids.dtype.kind == "U" else np.asarray(ids)
-    if ids.dtype.kind == "i":
-        return only_with_target(ids, has_target)
-    return MaskedColumn(only_with_target(ids.astype(str), has_target), mask=~has_target, fill_value="")
-
-
 def _plain(table: QTable) -> QTable:
     """Replace masks that a file has: by NaN, empty text, or where they are for integers without a target by a mask."""
     for name in table.colnames:
@@ -363,30 +251,6 @@ def _plain(table: QTable) -> QTable:
         elif isinstance(column, MaskedColumn) and column.dtype.kind == "i":
             table[name] = only_with_target(np.asarray(column), ~column.mask)
     return table
-
-
-def _one_or_all(values):
-    """One number where all are the same, else a list."""
-    return float(values[0]) if (values == values[0]).all() else values.tolist()
-
-
-def _spectrograph(plane, fiber_type):
-    if plane.spectrograph.ndim == 1:
-        return plane.spectrograph
-    column = np.array([plane.fiber_types.index(t) if t else 0 for t in fiber_type])
-    return plane.spectrograph[np.arange(len(plane)), column]
-
-
-@cache
-def versions() -> dict:
-    """Return the versions of what makes the numbers."""
-    found = {"python": sys.version.split()[0]}
-    for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
 
 
 def _same_table(a, b) -> bool:
