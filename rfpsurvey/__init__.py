@@ -95,4 +95,6 @@ def __getattr__(name):
 
 
 def __dir__():
-    return sorted({*globals(), *__all__, *_IMPORTED_ON_USE})
+    # public names and public subpackages; other subpackages hold what is behind them
+    hidden = {"compare", "report", "survey"}
+    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision"} - hidden)

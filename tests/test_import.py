@@ -122,3 +122,11 @@ def test_the_public_names_are_there():
 
     assert all(hasattr(rs, name) and name in dir(rs) for name in rs.__all__)
     assert rs.__version__[0].isdigit()
+
+
+def test_names_that_are_offered():
+    """Completion offers functions, classes and public subpackages, and no module that has the name of a noun."""
+    offered = dir(rfpsurvey)
+    assert not {"tile", "survey", "report", "catalog", "instrument", "annotations"} & set(offered)
+    assert {"plan_tile", "Tile", "plan_survey", "plot", "design", "tiling"} <= set(offered)
+    assert all(hasattr(rfpsurvey, name) for name in offered)
