@@ -126,7 +126,9 @@ def test_the_public_names_are_there():
 
 def test_names_that_are_offered():
     """Completion offers functions, classes and public subpackages, and no module that has the name of a noun."""
-    offered = dir(rfpsurvey)
+    import rfpsurvey as rs
+
+    offered = dir(rs)
     assert not {"tile", "survey", "report", "catalog", "instrument", "annotations"} & set(offered)
     assert {"plan_tile", "Tile", "plan_survey", "plot", "design", "tiling"} <= set(offered)
-    assert all(hasattr(rfpsurvey, name) for name in offered)
+    assert all(hasattr(rs, name) for name in offered)
