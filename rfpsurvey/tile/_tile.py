@@ -51,7 +51,7 @@ class Tile:
         tiles ``kind`` (``science``, ``standard``, ``sky``, or empty; a stuck unit can look at sky, too), and
         ``category``, ``priority`` and the further columns of the catalog, where it has them. Numbers that do not apply
         are NaN, integers masked. Its ``meta`` holds ``summary``, ``provenance`` and ``geometry``.
-    targets : QTable or TargetsOfField, optional
+    field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
     Raises
@@ -72,7 +72,7 @@ class Tile:
     """
 
     table: QTable
-    targets: object = field(default=None, repr=False)
+    field_targets: object = field(default=None, repr=False)
 
     OUTCOMES = OUTCOMES
     """The outcomes of targets."""
@@ -133,7 +133,7 @@ class Tile:
         requested), ``outcome`` (a text of `OUTCOMES`), ``positioner`` (masked or empty without one), and ``kind``,
         ``category``, ``priority`` and the further columns of the catalog, where it has them.
         """
-        return self.targets.table(np.asarray(self.table["id"])) if hasattr(self.targets, "table") else self.targets
+        return self.field_targets.table(np.asarray(self.table["id"])) if hasattr(self.field_targets, "table") else self.field_targets
 
     @cached_property
     def completeness(self) -> QTable | None:
