@@ -133,7 +133,8 @@ class Tile:
         requested), ``outcome`` (a text of `OUTCOMES`), ``positioner`` (masked or empty without one), and ``kind``,
         ``category``, ``priority`` and the further columns of the catalog, where it has them.
         """
-        return self.field_targets.table(np.asarray(self.table["id"])) if hasattr(self.field_targets, "table") else self.field_targets
+        made = self.field_targets
+        return made.table(np.asarray(self.table["id"])) if hasattr(made, "table") else made
 
     @cached_property
     def completeness(self) -> QTable | None:
