@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers._limits import open_content, sentence
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["read_fits", "read_fits_bytes"]
 
@@ -26,7 +26,7 @@ def read_fits(path: Path) -> QTable:
         at, others = _find_table(file, path)
         if others:
             text = f"{path}: the file has {1 + others} tables, of which the first was read"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+            warn(text)
         table, n_rows = _read(file, at)
     if len(table) != n_rows:
         raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")

@@ -9,7 +9,7 @@ from astropy.table import Table
 
 from rfpsurvey._readers._limits import content_of
 from rfpsurvey._readers._lines import count_lines, line_number
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["read_csv", "read_ecsv"]
 
@@ -41,7 +41,7 @@ def read_csv(path: Path) -> Table:
             lines = [line for line in text.split("\n") if _is_data(line)]
             table = text_tables.read(lines, fast_reader=False, **options)
     for message in dict.fromkeys(str(w.message) for w in caught if "FloatType" in str(w.message)):
-        warnings.warn(f"{path}: {message}", RfpsurveyWarning, stacklevel=4)
+        warn(f"{path}: {message}")
     table.meta.clear()
     return _with_all_rows(path, table, n_lines - 1)
 

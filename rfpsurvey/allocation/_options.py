@@ -1,6 +1,5 @@
 """The options of an allocation, which tiles, surveys, tilings and comparisons share."""
 
-import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
@@ -10,7 +9,7 @@ import astropy.units as u
 from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords, warn
 
 __all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
 
@@ -21,6 +20,7 @@ GROUP = "rfpsurvey.allocators"
 """Entry points by which packages add allocators."""
 
 
+@check_keywords
 @dataclass(frozen=True)
 class AllocationOptions:
     """How targets are assigned: the allocator, and what the plan of each tile must hold.
@@ -173,7 +173,7 @@ class AllocationOptions:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
             text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+            warn(text)
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)

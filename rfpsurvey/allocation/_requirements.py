@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords
 
 __all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences"]
 
@@ -16,6 +16,7 @@ FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\
 MOST = 10**9
 
 
+@check_keywords
 @dataclass(frozen=True)
 class Requirement:
     """So many targets of one kind or category must, or may at most, be observed.

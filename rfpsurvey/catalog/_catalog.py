@@ -1,7 +1,6 @@
 """The catalog of targets."""
 
 import os
-import warnings
 from dataclasses import dataclass, field
 from dataclasses import fields as dataclass_fields
 from functools import cached_property
@@ -18,7 +17,7 @@ from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords, warn
 
 __all__ = ["Catalog"]
 
@@ -27,6 +26,7 @@ _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
 _TYPES = {"priority": float, "visits": float}
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class Catalog:
     """Targets on the sky, a row each, with what an allocator may want to know about them.
@@ -123,11 +123,7 @@ class Catalog:
             columns = {name: value[keep] for name, value in columns.items()}
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
-            warnings.warn(
-                f"{n_bad} of {n} targets have no finite coordinates and were dropped",
-                RfpsurveyWarning,
-                stacklevel=3,
-            )
+            warn(f"{n_bad} of {n} targets have no finite coordinates and were dropped")
         for name, value in {**columns, "coord": coord, "epoch": epoch}.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
@@ -167,6 +163,7 @@ class Catalog:
         return SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
 
     @classmethod
+    @check_keywords
     def from_table(
         cls, table: Table, *, columns: dict | None = None, units: dict | None = None, frame: str = "icrs"
     ) -> "Catalog":
@@ -205,6 +202,7 @@ class Catalog:
         return cls(**_tables.read_columns(table, columns, units, frame, assume_units=assume_units))
 
     @classmethod
+    @check_keywords
     def read(
         cls,
         path: str | os.PathLike,

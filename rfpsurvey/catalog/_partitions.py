@@ -1,7 +1,6 @@
 """Catalogs in many Parquet files, one for each HEALPix pixel, that are read where they are needed (HATS)."""
 
 import os
-import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,7 @@ from rfpsurvey._io import temporary_folder, to_path
 from rfpsurvey._readers import content_of, import_parquet
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, check_keywords, warn
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
@@ -25,6 +24,7 @@ MOST_ORDER = 13
 MOST_PROPERTIES = 2**20
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class PartitionedCatalog:
     """A catalog in a folder, laid out as HATS: Parquet files by HEALPix order and pixel (nested, ICRS).
@@ -94,7 +94,7 @@ class PartitionedCatalog:
         self.parts.names, self.parts.rows  # noqa: B018  (raise where columns are missing)
         if said is not None and said != str(len(self)):
             text = f"{self.folder}: the catalog must have {said} rows, as its properties say, but {len(self)} are there"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+            warn(text)
 
     @cached_property
     def parts(self) -> Partitions:
@@ -133,6 +133,7 @@ class PartitionedCatalog:
         return self.parts.to_catalog(merged, self.folder)
 
 
+@check_keywords
 def partition_catalog(
     catalog: Catalog | SkyCoord | Table, folder: str | os.PathLike, *, order: int | None = None
 ) -> PartitionedCatalog:

@@ -7,13 +7,14 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._units import to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords
 
 __all__ = ["synthetic_catalog"]
 
 MOST = 1e9  # targets, beyond which memory is the limit
 
 
+@check_keywords
 def synthetic_catalog(
     kind: str,
     center: SkyCoord,

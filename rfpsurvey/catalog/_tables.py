@@ -1,7 +1,5 @@
 """A catalog as a table: coordinates, epochs and kinds from the columns that people use."""
 
-import warnings
-
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord, frame_transform_graph
@@ -10,7 +8,7 @@ from astropy.time import Time
 
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, check_choice, warn
 
 __all__ = ["read_columns"]
 
@@ -83,11 +81,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
     if names == [None, None]:
         return {}
     if not equatorial:
-        warnings.warn(
-            f"the proper motions {names} are not those of the frame asked for, and are not used",
-            RfpsurveyWarning,
-            stacklevel=2,
-        )
+        warn(f"the proper motions {names} are not those of the frame asked for, and are not used")
         return {}
     if None in names:
         raise find.missing("pmra" if names[0] is None else "pmdec")

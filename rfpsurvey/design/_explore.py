@@ -1,6 +1,5 @@
 """Scan many designs of fiber positioners."""
 
-import warnings
 from concurrent.futures import Executor
 
 import astropy.units as u
@@ -15,7 +14,7 @@ from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
 from rfpsurvey.design._work import Task
-from rfpsurvey.errors import InputTypeError, RfpsurveyWarning
+from rfpsurvey.errors import InputTypeError, check_keywords, warn
 from rfpsurvey.probability import Progress
 
 __all__ = ["explore_designs"]
@@ -24,6 +23,7 @@ CHUNK = 8
 """Designs of one task. Results do not depend on it."""
 
 
+@check_keywords
 def explore_designs(
     *,
     central_arm: u.Quantity,
@@ -170,8 +170,8 @@ def _warn(table):
         text = (
             f"{len(strange)} of {len(table)} designs have no figures ({strange['reason'][0]}): see the column 'reason'"
         )
-        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+        warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
         text = f"the time limit cut searches for {cut} of {len(table)} designs short: their loss is at most so large"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+        warn(text)

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -14,7 +13,7 @@ from astropy.table import Table
 
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
@@ -26,6 +25,7 @@ GROUP = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class Instrument:
     """A fiber positioner instrument at its telescope.
@@ -299,7 +299,7 @@ def every_instrument() -> dict[str, Instrument]:
         try:
             found[name] = Instrument.preset(name)
         except InputError as error:
-            warnings.warn(str(error), RfpsurveyWarning, stacklevel=3)
+            warn(str(error))
     return found
 
 

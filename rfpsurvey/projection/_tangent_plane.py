@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_keywords
 from rfpsurvey.projection._field import FieldProjection, field_basis
 from rfpsurvey.projection._radial_map import RadialMap
 
@@ -17,6 +17,7 @@ __all__ = ["TangentPlane"]
 _SCALE = u.mm / u.rad
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class TangentPlane:
     """Projection of the sky around a field center onto the focal plane.

@@ -1,7 +1,6 @@
 """Plan one tile: catalog, projection, reach, allocation, arms, collisions, score."""
 
 import logging
-import warnings
 from collections.abc import Callable
 from time import perf_counter
 
@@ -14,7 +13,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, packages, sentences
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
 from rfpsurvey.tile._constraints import absent_required, add_keep_out, find_required
@@ -29,6 +28,7 @@ STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
 
+@check_keywords
 def plan_tile(
     catalog: Catalog | SkyCoord | Table,
     instrument: Instrument | str,
@@ -111,7 +111,7 @@ def plan_tile(
     everything, radius = catalog, field_radius_rad(instrument)
     if epoch is not None:
         if not catalog.has_proper_motion:
-            warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
+            warn("without proper motions the epoch changes nothing")
         catalog = catalog[catalog.arrays.rows_near(center, radius, epoch)].at_epoch(epoch)
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
@@ -130,7 +130,7 @@ def plan_tile(
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"{n_twice} targets in the field share their id with another; each row is planned by itself"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=2)
+        warn(text)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["required"] = is_required[given] if is_required.any() else None

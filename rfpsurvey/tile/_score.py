@@ -1,6 +1,5 @@
 """Score an assignment that another planner made."""
 
-import warnings
 from time import perf_counter
 
 import astropy.units as u
@@ -12,7 +11,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_flags, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords, warn
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
@@ -21,6 +20,7 @@ from rfpsurvey.tile._tile import Tile, build_tile
 __all__ = ["score_tile"]
 
 
+@check_keywords
 def score_tile(
     table: Table,
     instrument: Instrument | str,
@@ -124,11 +124,7 @@ def score_tile(
         given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
         unused = [name for name, value in given.items() if value is not None]
         if unused:
-            warnings.warn(
-                f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')",
-                RfpsurveyWarning,
-                stacklevel=2,
-            )
+            warn(f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')")
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
@@ -146,11 +142,9 @@ def score_tile(
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
     if 2 * n_out > len(part):
-        warnings.warn(
+        warn(
             f"{n_out} of {len(part)} targets are out of reach of their positioners: check instrument, field center, "
-            f"position angle and units",
-            RfpsurveyWarning,
-            stacklevel=2,
+            f"position angle and units"
         )
     report = find_collisions(plane, posed)
     summary = {

@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_keywords
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldTargets, assign_field
 from rfpsurvey.tiling._tiling import to_ra_dec
@@ -16,6 +16,7 @@ from rfpsurvey.tiling._tiling import to_ra_dec
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 
 
+@check_keywords
 @dataclass(frozen=True)
 class Fibers:
     """What a tile observes at most: a number of targets, none closer to another than an angle.
