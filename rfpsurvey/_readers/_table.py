@@ -19,6 +19,7 @@ FORMATS = {
     ".fit": "fits",
     ".ecsv": "ascii.ecsv",
     ".csv": "ascii.csv",
+    ".tsv": "ascii.csv",
     ".vot": "votable",
     ".xml": "votable",
     ".votable": "votable",
@@ -29,7 +30,7 @@ FORMATS = {
 def _read_text(path: Path) -> Table:
     from rfpsurvey._readers import _text  # imported when a file is read, as the next
 
-    return _text.read_csv(path) if suffix_of(path) == ".csv" else _text.read_ecsv(path)
+    return _text.read_csv(path) if FORMATS[suffix_of(path)] == "ascii.csv" else _text.read_ecsv(path)
 
 
 def _read_votable(path: Path) -> Table:
