@@ -12,12 +12,14 @@ from astropy.coordinates import (
 )
 from astropy.utils.masked import Masked
 
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, shown
 
 MOST_VISITS = 255
 
 __all__ = [
     "locked",
+    "rows_of",
+    "to_center",
     "to_direction",
     "to_flags",
     "to_generator",
@@ -47,7 +49,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     """Return ``value`` as a fresh float64 array in ``unit``, masked values as NaN; ``name`` is for the error."""
     if not isinstance(value, u.Quantity):
         raise InputTypeError(
-            f"{name} must be a Quantity with a unit convertible to {unit}, got {_short(value)} without a unit"
+            f"{name} must be a Quantity with a unit convertible to {unit}, got {shown(value)} without a unit"
         )
     if isinstance(value, Masked):
         value = value.filled(np.nan)
@@ -93,7 +95,7 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
 def to_direction(coord: object, name: str = "coord") -> SkyCoord:
     """Return coordinates without distance and radial velocity, in the same frame, with their proper motions."""
     if not isinstance(coord, SkyCoord):
-        raise InputTypeError(f"{name} must be a SkyCoord, got {_short(coord)}")
+        raise InputTypeError(f"{name} must be a SkyCoord, got {shown(coord)}")
     data = coord.data
     motion = data.differentials.get("s")
     place = data.without_differentials().represent_as(UnitSphericalRepresentation)
@@ -106,6 +108,32 @@ def to_direction(coord: object, name: str = "coord") -> SkyCoord:
             place = place.with_differentials({"s": motion})
     kind = {"representation_type": "spherical", "differential_type": "sphericalcoslat"}
     return SkyCoord(coord.frame.realize_frame(place, **kind))
+
+
+def to_center(center: object, name: str = "center") -> SkyCoord:
+    """Return one direction from a SkyCoord, or from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
+    if not isinstance(center, str):
+        center = to_direction(center, name)
+        if not center.isscalar:
+            raise InputError(f"{name} must be one direction, got the shape {center.shape}")
+        return center
+    words = center.replace(",", " ").split()
+    try:
+        if len(words) == 2 and all(_is_number(word) for word in words):
+            return SkyCoord(float(words[0]), float(words[1]), unit="deg")
+        return SkyCoord(" ".join(words), unit=("hourangle", "deg"))
+    except Exception as error:  # astropy's parsers raise what they like
+        raise InputError(
+            f"{name} must be coordinates such as '06h20m00s +23d00m00s' or '95.0 23.0', got {shown(center)} ({error})"
+        ) from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:
@@ -158,7 +186,7 @@ def _plain_object(value: object, name: str, what: str) -> object:
     if isinstance(value, bytes):
         return value.decode("utf-8", "backslashreplace")
     if not isinstance(value, str | int | float | np.number | np.bool_):
-        raise InputError(f"{name} must hold {what}, got {type(value).__name__} {_short(value)}")
+        raise InputError(f"{name} must hold {what}, got {type(value).__name__} {shown(value)}")
     return value
 
 
@@ -179,15 +207,27 @@ def to_labels(value: object, name: str) -> np.ndarray:
     """Return names as an array of int64 or of text without blanks around it."""
     blank = np.asarray(getattr(value, "mask", False))
     if blank.any() and np.asarray(value).dtype.kind in "iu":
-        raise InputError(f"{name} must be integers or text for every row, but {int(blank.sum())} rows have none")
+        raise InputError(f"{name} must be integers or text for every row, but {rows_of(blank)} have none")
     values = to_plain(value, name)
+    if values.dtype.kind == "f" and (np.abs(values) < 2.0 ** (np.finfo(values.dtype).nmant + 1)).all():
+        whole = values.astype(np.int64)
+        values = whole if (whole == values).all() else values
     if values.dtype.kind in "iu" and (values.size == 0 or values.max() < 2**63):
         return values.astype(np.int64)
     if values.dtype.kind == "f" and values.size:
-        raise InputError(f"{name} must be integers or text for every row, got numbers such as {values.flat[0]}")
+        where = np.isnan(values)
+        what = f"but {rows_of(where)} have none" if where.any() else f"got numbers such as {values.flat[0]}"
+        raise InputError(f"{name} must be integers or text for every row, {what}")
     if values.size == 0:  # numpy cannot replace in nothing
         return values.astype(str)
     return np.char.strip(np.char.replace(values.astype(str), "\n", " "))
+
+
+def rows_of(mask: np.ndarray) -> str:
+    """Return a phrase for marked rows: their number, and the first few of them, counted from 1."""
+    rows = np.flatnonzero(mask)
+    few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
+    return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:
@@ -195,7 +235,7 @@ def to_visits(visits: object, n: int) -> np.ndarray:
     try:
         values = to_plain(visits).astype(float)
     except (TypeError, ValueError):
-        raise InputError(f"visits must be whole numbers, got {visits!r}") from None
+        raise InputError(f"visits must be whole numbers, got {shown(visits)}") from None
     if values.shape not in ((), (n,)):
         raise InputError(f"visits must be one number or have the shape ({n},), got {values.shape}")
     strange = values[~((values >= 0) & (values <= MOST_VISITS) & (values == np.floor(values)))]
@@ -228,8 +268,3 @@ def to_spawner(rng: object) -> np.random.Generator:
     except TypeError:
         raise InputError(f"rng must be able to spawn Generators, but {generator!r} has no seed sequence") from None
     return generator
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) < 60 else f"{type(value).__name__} {text[:40]}..."

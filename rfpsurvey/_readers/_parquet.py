@@ -9,7 +9,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey.errors import InputError
 
-__all__ = ["import_parquet", "read_parquet"]
+__all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
 
 # The values of all rows take at most this many times the size of the file, or this many bytes: equal values take little
 # in the file.
@@ -48,6 +48,12 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
         raise InputError(f"{path} cannot be read as parquet: {sentence(error)}") from error
 
 
+def table_of_arrow(content: object) -> Table:
+    """Return a table of one of Arrow in memory, with the columns that numpy can hold."""
+    names = [name for name in content.schema.names if _is_plain(content.schema.field(name).type)]
+    return _with_units(_to_table(content, names, None), content.schema.metadata or {})
+
+
 def _is_plain(kind) -> bool:
     """Return whether numpy has an array for a kind of column."""
     from pyarrow import types
@@ -73,12 +79,12 @@ def _is_plain(kind) -> bool:
     return any(getattr(types, f"is_{name}", lambda _: False)(kind) for name in tests)
 
 
-def _to_table(content, names: list[str], path: Path) -> Table:
+def _to_table(content, names: list[str], path: Path | None) -> Table:
     """Return a table of columns of Arrow, missing values masked."""
     return Table({name: _to_array(content[name], name, path) for name in names}, copy=False)
 
 
-def _to_array(column, name: str, path: Path) -> np.ndarray:
+def _to_array(column, name: str, path: Path | None) -> np.ndarray:
     import pyarrow as pa
     from pyarrow import types
 
@@ -105,19 +111,21 @@ def _to_array(column, name: str, path: Path) -> np.ndarray:
     return values if missing is None else np.ma.array(values, mask=missing)
 
 
-def _texts(column, path: Path, name: str) -> np.ndarray:
+def _texts(column, path: Path | None, name: str) -> np.ndarray:
     import pyarrow.compute as pc
 
     longest = pc.max(pc.utf8_length(column)).as_py() or 0
-    check_width(path, len(column), longest, path.stat().st_size, f"a value of the column {name!r}")
+    if path is not None:
+        check_width(path, len(column), longest, path.stat().st_size, f"a value of the column {name!r}")
     return column.fill_null("").to_numpy().astype(f"U{max(longest, 1)}")
 
 
-def _decoded(value: bytes | None, path: Path, name: str) -> str:
+def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
     try:
         return "" if value is None else value.decode("utf-8")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: column {name!r} must hold numbers or text, got the bytes {value[:20]!r}") from None
+        where = "" if path is None else f"{path}: "
+        raise InputError(f"{where}column {name!r} must hold numbers or text, got the bytes {value[:20]!r}") from None
 
 
 def _with_units(table: Table, metadata: dict) -> Table:

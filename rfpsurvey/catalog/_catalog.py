@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import _io
-from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_visits
+from rfpsurvey._units import rows_of, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._motion import move
@@ -107,11 +107,8 @@ class Catalog:
         if "kind" in columns:
             for kind in np.unique(columns["kind"]):
                 check_choice(str(kind), KINDS, "kind of target")
-        if "priority" in columns and np.isnan(columns["priority"]).any():
-            raise InputError(
-                f"priority must be a number for every target, "
-                f"but {int(np.isnan(columns['priority']).sum())} of {n} have none"
-            )
+        if "priority" in columns and (lacking := np.isnan(columns["priority"])).any():
+            raise InputError(f"priority must be a number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
@@ -165,25 +162,38 @@ class Catalog:
     @classmethod
     @check_keywords
     def from_table(
-        cls, table: Table, *, columns: dict | None = None, units: dict | None = None, frame: str = "icrs"
+        cls,
+        table: Table,
+        *,
+        columns: dict | None = None,
+        units: dict | None = None,
+        frame: str = "icrs",
+        fill: dict | None = None,
     ) -> "Catalog":
-        """Make a catalog from a table, its columns found by their usual names and UCDs.
+        """Make a catalog from a table or DataFrame, its columns found by their usual names and UCDs.
 
         Parameters
         ----------
-        table : Table or QTable
+        table : Table, QTable or DataFrame
             With a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
             ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b``
             (with ``frame="galactic"``). Found too: ``pmra`` (with cos dec) and ``pmdec``, ``ref_epoch``,
-            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``, ``visits``.
+            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``, ``visits``. A DataFrame is one of pandas or
+            Polars, or a table of Arrow.
         columns : dict, optional
             Role to column name where the usual names do not serve, for example ``{"id": "star"}``.
             ``{"priority": "-rank"}`` flips the sign, for lists in which smaller is more important.
         units : dict, optional
-            Role to unit for columns that carry none, for example ``{"ra": "deg", "dec": "deg"}``.
+            Role to unit for columns that carry none, for example ``{"ra": "hourangle", "dec": "deg"}``. In a table
+            without any unit, positions are taken in degrees and proper motions in mas / yr: with a warning, except for
+            DataFrames, which cannot carry units. ``meta["assumed_units"]`` lists the columns.
         frame : str, optional
             Frame of the coordinates: ``icrs``, ``fk5`` and ``fk4`` look for right ascension and declination, others
             for longitude and latitude.
+        fill : dict, optional
+            Role to the value of rows that have none (masked or NaN), for ``priority``, ``visits``, ``kind``,
+            ``category`` and ``fiber_type``, for example ``{"priority": 0}``. The sign of a ``-`` in ``columns`` does
+            not apply to it.
 
         Returns
         -------
@@ -193,13 +203,25 @@ class Catalog:
         Raises
         ------
         InputError
-            If coordinates are missing, or have no unit or a wrong one.
+            If coordinates are missing, have a wrong unit, or no unit where other columns have one, or if some rows
+            have no priority or visits and ``fill`` has no value for them.
+
+        Examples
+        --------
+        >>> from astropy.table import Table
+        >>> import rfpsurvey as rs
+        >>> table = Table({"RAJ2000": ["06:20:00", "06:20:24"], "DEJ2000": [23.0, 23.1], "Vmag": [11.5, float("nan")]})
+        >>> stars = rs.Catalog.from_table(
+        ...     table, columns={"priority": "-Vmag"}, units={"dec": "deg"}, fill={"priority": -99}
+        ... )
+        >>> stars.priority
+        array([-11.5, -99. ])
         """
-        return cls._from_table(table, columns, units, frame, assume_units=False)
+        return cls._from_table(table, columns, units, frame, fill)
 
     @classmethod
-    def _from_table(cls, table, columns, units, frame, *, assume_units):
-        return cls(**_tables.read_columns(table, columns, units, frame, assume_units=assume_units))
+    def _from_table(cls, table, columns, units, frame, fill, *, assume_units=False):
+        return cls(**_tables.read_columns(table, columns, units, frame, fill, assume_units=assume_units))
 
     @classmethod
     @check_keywords
@@ -210,17 +232,18 @@ class Catalog:
         columns: dict | None = None,
         units: dict | None = None,
         frame: str = "icrs",
+        fill: dict | None = None,
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        CSV carries no units: there positions are taken in degrees and proper motions in mas / yr, unless
-        ``units`` says otherwise.
+        CSV carries no units, and Parquet need not: without units, positions are taken in degrees and proper motions in
+        mas / yr, unless ``units`` says otherwise. Semicolons, tabs or vertical bars may take the place of the commas.
 
         Parameters
         ----------
         path : str or path-like
             The ending tells the format; it may be followed by ``.gz``.
-        columns, units : dict, optional
+        columns, units, fill : dict, optional
             As in `from_table`.
         frame : str, optional
             As in `from_table`.
@@ -238,7 +261,8 @@ class Catalog:
         path = _io.to_path(path)
         table = _io.read_table(path)
         try:
-            catalog = cls._from_table(table, columns, units, frame, assume_units=_io.suffix_of(path) == ".csv")
+            plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
+            catalog = cls._from_table(table, columns, units, frame, fill, assume_units=plain)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         catalog.meta["file"] = path.name

@@ -150,6 +150,7 @@ class Partitions:
     def digest(self) -> str:
         """Return a digest of the files: of the stored bytes of the columns that are read, and of nothing else."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
+        about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
         found = hashlib.sha256(repr(about).encode())
         for order, pixel, path in self.files:
             found.update(f"{order}/{pixel}".encode())
@@ -165,7 +166,12 @@ class Partitions:
         """Return the targets of a table; errors name the file."""
         try:
             return Catalog._from_table(
-                table, self.catalog.columns, self.catalog.units, self.catalog.frame, assume_units=True
+                table,
+                self.catalog.columns,
+                self.catalog.units,
+                self.catalog.frame,
+                self.catalog.fill,
+                assume_units=True,
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
