@@ -251,7 +251,7 @@ def to_generator(rng: object) -> np.random.Generator:
             raise TypeError
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
-        raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {rng!r}") from None
+        raise InputError(f"rng must be a seed of at least 0, a numpy Generator or None, got {shown(rng)}") from None
 
 
 def to_seed(rng: object) -> int:

@@ -26,6 +26,7 @@ def plan(
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
+    fill: _options.FillOption = None,
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
     report: _options.ReportOption = None,
@@ -34,7 +35,7 @@ def plan(
     """Assign one field and find the arms that collide."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
+    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
     options = _app.allocation_options(
         allocator, require, sky_separation, time_limit, objective=objective, parked=parked
     )

@@ -34,7 +34,7 @@ def score(
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "equinox": equinox, "epoch": epoch, "parked_obstacles": parked}
-    options["center"] = None if center is None else _app.parse_center(center)
+    options["center"] = _app.parse_center(center)
     options["position_angle"] = None if pa is None else pa * u.deg
     options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
     tile = rs.score_tile(table, _app.instrument_of(table, instrument), **options)

@@ -28,6 +28,7 @@ def survey(
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
+    fill: _options.FillOption = None,
     plot: _options.SurveyPlotOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
@@ -35,7 +36,7 @@ def survey(
     """Plan tile after tile until targets are observed as often as they are wanted."""
     _app.check_outputs(None, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame)
+    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill)
     options = {
         "allocator": _app.allocation_options(allocator, require, sky_separation, time_limit, parked=parked),
         "visits": visits,

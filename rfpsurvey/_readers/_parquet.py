@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable, Table
 
+from rfpsurvey._readers._documents import parse_json
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey.errors import InputError
 
@@ -31,7 +32,7 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
 
     Times are read as they are; lists, structures and durations are left out.
     """
-    parquet = import_parquet()
+    parquet, reads_all = import_parquet(), names is None
     try:
         with parquet.ParquetFile(path) as file:
             n_rows, schema, size = file.metadata.num_rows, file.schema_arrow, path.stat().st_size
@@ -41,7 +42,8 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
             content = file.read(columns=names)
         if content.num_rows != n_rows:
             raise InputError(f"{path}: the table must have {n_rows} rows, got {content.num_rows}")
-        return _with_units(_to_table(content, names, path), schema.metadata or {})
+        table = _with_units(_to_table(content, names, path), schema.metadata or {})
+        return _with_index(table, schema.metadata or {}) if reads_all else table
     except InputError:
         raise
     except Exception as error:  # pyarrow raises what it likes
@@ -51,7 +53,8 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
 def table_of_arrow(content: object) -> Table:
     """Return a table of one of Arrow in memory, with the columns that numpy can hold."""
     names = [name for name in content.schema.names if _is_plain(content.schema.field(name).type)]
-    return _with_units(_to_table(content, names, None), content.schema.metadata or {})
+    metadata = content.schema.metadata or {}
+    return _with_index(_with_units(_to_table(content, names, None), metadata), metadata)
 
 
 def _is_plain(kind) -> bool:
@@ -126,6 +129,16 @@ def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
     except UnicodeDecodeError:
         where = "" if path is None else f"{path}: "
         raise InputError(f"{where}column {name!r} must hold numbers or text, got the bytes {value[:20]!r}") from None
+
+
+def _with_index(table: Table, metadata: dict) -> Table:
+    """Return the table with the index, if it has a name, that pandas wrote as its first number, last number and step."""
+    for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
+        if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
+            numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))
+            if len(numbers) == len(table) and index["name"] not in table.colnames:
+                table[index["name"]] = np.arange(numbers.start, numbers.stop, numbers.step)
+    return table
 
 
 def _with_units(table: Table, metadata: dict) -> Table:

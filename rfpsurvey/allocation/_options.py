@@ -9,10 +9,14 @@ import astropy.units as u
 from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
-from rfpsurvey.errors import InputError, check_choice, check_keywords, warn
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, check_choice, check_keywords, shown, warn
 
 __all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
 
+SEPARATION = (
+    "sky_separation, the least distance of sky positions from all targets, must be an angle on the sky such as "
+    "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
+)
 OBJECTIVES = ("priority", "count")
 ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
@@ -96,11 +100,15 @@ class AllocationOptions:
         check_allocator(self.allocator)
         if not hasattr(self.start, "target_of_positioner"):
             if not isinstance(self.start, str):
-                raise InputError(f"start must be an Allocation or the name of an allocator, got {self.start!r}")
+                raise InputError(f"start must be an Allocation or the name of an allocator, got {shown(self.start)}")
             check_allocator(self.start, [name for name in ALLOCATORS if name != "repair"], "allocator to start with")
         check_choice(self.objective, OBJECTIVES, "objective")
         to_scalar(self.time_limit, u.s, "time_limit", low=0)
         if self.sky_separation is not None:
+            if not isinstance(self.sky_separation, u.Quantity):
+                raise InputTypeError(f"{SEPARATION}, got {shown(self.sky_separation)} without a unit")
+            if not (_is_angle(self.sky_separation) or self.sky_separation.unit.is_equivalent(u.mm)):
+                raise InputUnitsError(f"{SEPARATION}, got {shown(self.sky_separation)}")
             unit = self.sky_separation.unit if _is_angle(self.sky_separation) else u.mm
             to_scalar(self.sky_separation, unit, "sky_separation", low=0)
         if not self._of_instrument:

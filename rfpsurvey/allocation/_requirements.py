@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey.errors import InputError, check_choice, check_keywords
+from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, shown
 
-__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences"]
+__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "hint_of_name", "sentences"]
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
 FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))\s*(?:/\s*(.+))?")
 MOST = 10**9
+MOST_NAMES = 8
 
 
 @check_keywords
@@ -59,16 +60,16 @@ class Requirement:
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
-            raise InputError(f"a requirement must name a kind or category of targets, got {self.what!r}")
+            raise InputError(f"a requirement must name a kind or category of targets, got {shown(self.what)}")
         if not isinstance(self.fiber_type, str):
-            raise InputError(f"fiber_type of {self.what!r} must be a name, got {self.fiber_type!r}")
+            raise InputError(f"fiber_type of {self.what!r} must be a name, got {shown(self.fiber_type)}")
         check_choice(self.per, PERS, "range of a requirement")
         for name in ("minimum", "maximum"):
             value = getattr(self, name)
             if not (value is None and name == "maximum") and not (
                 isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value <= MOST
             ):
-                raise InputError(f"{name} of {self.what!r} must be a whole number from 0 to 10^9, got {value!r}")
+                raise InputError(f"{name} of {self.what!r} must be a whole number from 0 to 10^9, got {shown(value)}")
         if self.maximum is not None and self.minimum > self.maximum:
             raise InputError(
                 f"the requirement on {self.what!r} contradicts itself: at least {self.minimum}, at most {self.maximum}"
@@ -98,7 +99,7 @@ class Requirement:
         if found is None:
             raise InputError(
                 f"a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, "
-                f"got {text!r}"
+                f"got {shown(text)}"
             )
         what, fiber, least, low, high, per = found.groups()
         most = None if high is None else int(high)
@@ -198,16 +199,26 @@ class Group:
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 
 
+def hint_of_name(what: str, names: Iterable[str]) -> str:
+    """Say what a name may mean that is neither a kind of targets nor among ``names``, the categories that exist."""
+    names = sorted({*KINDS, *names} - {""})
+    if what in names:
+        return ""
+    few = ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
+    return close_to(what, names, cutoff=0.5) or f"there are: {few}"
+
+
 def as_requirements(given: object) -> tuple[Requirement, ...]:
     """Return requirements from themselves or from text, one or several."""
     if given is None:
         return ()
     given = [given] if isinstance(given, str | Requirement) else given
     if not isinstance(given, Iterable):
-        raise InputError(f"requirements must be a list of Requirement or text, got {given!r}")
+        raise InputError(f"requirements must be a list of Requirement or text, got {shown(given)}")
     found = []
     for one in given:
         if not isinstance(one, str | Requirement):
-            raise InputError(f"a requirement must be a Requirement or text such as 'sky=20/spectrograph', got {one!r}")
+            text = "a requirement must be a Requirement or text such as 'sky=20/spectrograph'"
+            raise InputError(f"{text}, got {shown(one)}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
     return tuple(dict.fromkeys(found))  # one that is given twice is one

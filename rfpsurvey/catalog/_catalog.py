@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import _io
-from rfpsurvey._units import rows_of, to_direction, to_labels, to_plain, to_scalar, to_visits
+from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._motion import move
@@ -243,9 +243,11 @@ class Catalog:
         ----------
         path : str or path-like
             The ending tells the format; it may be followed by ``.gz``.
-        columns, units, fill : dict, optional
+        columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
+            As in `from_table`.
+        fill : dict, optional
             As in `from_table`.
 
         Returns
@@ -357,13 +359,13 @@ class Catalog:
         )
         return self._take(slice(None), coord=coord, epoch=time)
 
-    def within(self, center: SkyCoord, radius: u.Quantity) -> "Catalog":
+    def within(self, center: SkyCoord | str, radius: u.Quantity) -> "Catalog":
         """Return the targets inside a circle on the sky.
 
         Parameters
         ----------
-        center : SkyCoord
-            Center of the circle.
+        center : SkyCoord or str
+            Center of the circle; text as in `plan_tile`.
         radius : Quantity
             Angular radius.
 
@@ -377,4 +379,5 @@ class Catalog:
         InputError
             If the center is not one direction, or the radius not one angle of at least 0.
         """
-        return self._take(self.arrays.rows_within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))
+        radius_rad = to_scalar(radius, u.rad, "radius", low=0, closed=True)
+        return self._take(self.arrays.rows_within(to_center(center), radius_rad))

@@ -245,7 +245,7 @@ def _unit(given: object, role: str) -> u.UnitBase:
     if isinstance(unit, u.UnrecognizedUnit):
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")
         unit = unit if isinstance(known, u.UnrecognizedUnit) else known
-    return u.hourangle * unit.to(u.hour) if role == "ra" and unit.is_equivalent(u.hour) else unit
+    return u.Unit(u.hourangle * unit.to(u.hour)) if role == "ra" and unit.is_equivalent(u.hour) else unit
 
 
 def _is_decimal(text) -> bool:

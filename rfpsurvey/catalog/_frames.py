@@ -21,6 +21,8 @@ def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
     """
     if isinstance(given, Table):
         return given, False
+    if not isinstance(columns, dict | None):
+        raise InputError(f"columns must be a dict from role to column, got {shown(columns)}")
     try:
         if _is_pandas(given):
             return _of_pandas(given, columns), True
@@ -57,6 +59,6 @@ def _of_pandas(frame, columns) -> Table:
     frame = frame.reset_index() if has_names else frame.set_axis(names, axis=1)
     table = Table.from_pandas(frame)
     table.meta.update(meta)
-    if not has_names and index.nlevels == 1 and Finder(table, columns or {}).name_of("id") is None:
+    if not has_names and index.nlevels == 1 and names and Finder(table, columns or {}).name_of("id") is None:
         table["id"] = index.to_numpy()
     return table

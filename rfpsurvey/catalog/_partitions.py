@@ -146,7 +146,7 @@ def partition_catalog(
 
     Parameters
     ----------
-    catalog : Catalog, SkyCoord or Table
+    catalog : Catalog, SkyCoord, Table or DataFrame
         The targets, at their epoch.
     folder : str or path-like
         A folder that does not exist yet; it appears whole or not at all.

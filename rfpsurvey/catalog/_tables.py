@@ -34,7 +34,9 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or is_plain):
-            warn(f"no column of the table has a unit; assumed: {meta['assumed_units']} (units=, --unit say others)")
+            warn(
+                f"no column of the table has a unit: assumed are {meta['assumed_units']}; units= or --unit state others"
+            )
     return {
         "coord": coord,
         "id": find.labels("id"),

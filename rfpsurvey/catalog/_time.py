@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, shown
 
 __all__ = ["to_time"]
 
@@ -30,5 +30,5 @@ def to_time(value: object, name: str) -> Time:
         return Time(years, format="jyear", scale="tcb")
     except (ValueError, TypeError, u.UnitConversionError) as error:
         raise InputError(
-            f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date, got {value!r}"
+            f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date, got {shown(value)}"
         ) from error

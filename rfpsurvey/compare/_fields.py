@@ -11,10 +11,10 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_in_order
-from rfpsurvey._units import to_generator
+from rfpsurvey._units import to_center, to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, shown
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -99,8 +99,9 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     centers = catalog.mean_direction if center is None else center
+    centers = to_center(centers) if isinstance(centers, str) else centers
     if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
-        raise InputError(f"center must be a SkyCoord, one or in a row, got {center!r}")
+        raise InputError(f"center must be a SkyCoord, one or in a row, got {shown(center)}")
     centers = centers.reshape(-1)
     seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
     return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]

@@ -13,7 +13,7 @@ from astropy.table import Table
 
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, shown, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
@@ -257,9 +257,8 @@ def as_instrument(instrument: Instrument | str) -> Instrument:
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):
-        raise InputTypeError(
-            f"instrument must be an Instrument, the name of a preset or the path of a TOML file, got {instrument!r}"
-        )
+        what = "instrument must be an Instrument, the name of a preset or the path of a TOML file"
+        raise InputTypeError(f"{what}, got {shown(instrument)}")
     return instrument
 
 

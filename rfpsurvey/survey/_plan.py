@@ -11,8 +11,8 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import AllocationOptions, as_options
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
+from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
@@ -52,7 +52,7 @@ def plan_survey(
 
     Parameters
     ----------
-    catalog : Catalog, PartitionedCatalog, SkyCoord or Table
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
         The targets; those of the kind ``standard`` and ``sky`` serve requirements, without which they are not
         used, and are never used up.
     instrument : Instrument or str
@@ -137,6 +137,8 @@ def plan_survey(
     if resume and folder is None:
         raise InputError("resume needs the folder of the survey to continue")
     instrument = as_instrument(instrument)
+    if epoch is not None:
+        to_time(epoch, "epoch")
     if isinstance(catalog, PartitionedCatalog):
         source = Partitioned(catalog, epoch)
     else:
@@ -177,6 +179,6 @@ def _warn_of_lacks(request) -> None:
         there |= set() if column is None else set(np.unique(column).tolist())
     for what, one in asked.items():
         if what not in there:
-            hint = "; sky_separation would find blank sky" if what == "sky" else ""
-            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint}"
+            hint = "sky_separation would find blank sky" if what == "sky" else hint_of_name(what, there)
+            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint and '; ' + hint}"
             warn(text)

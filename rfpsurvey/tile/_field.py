@@ -5,7 +5,7 @@ import numpy as np
 from astropy.coordinates import FK5, SkyCoord
 from astropy.time import Time
 
-from rfpsurvey._units import to_direction, to_plain
+from rfpsurvey._units import to_center, to_plain
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
 
@@ -21,14 +21,12 @@ FIELD = {
 OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
-def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
+def north_of_date(center: SkyCoord | str, equinox: str | None) -> SkyCoord:
     """Return the center as a plain direction, in a frame whose north is that of the equinox where one is given."""
-    center = to_direction(center, "center")
-    if not center.isscalar:
-        raise InputError(f"center must be one direction, got the shape {center.shape}")
+    center = to_center(center)
     if equinox is None:
         return center
-    return center.transform_to(FK5(equinox=to_time(str(equinox), "equinox")))
+    return center.transform_to(FK5(equinox=to_time(equinox, "equinox")))
 
 
 def field_center(table) -> SkyCoord:

@@ -11,8 +11,8 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, packages, sentences
-from rfpsurvey.catalog import Catalog, as_catalog
+from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, hint_of_name, packages, sentences
+from rfpsurvey.catalog import Catalog, as_catalog, to_time
 from rfpsurvey.errors import InputError, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
@@ -32,7 +32,7 @@ log = logging.getLogger("rfpsurvey")
 def plan_tile(
     catalog: Catalog | SkyCoord | Table,
     instrument: Instrument | str,
-    center: SkyCoord,
+    center: SkyCoord | str | None = None,
     *,
     position_angle: u.Quantity = 0 * u.deg,
     equinox: str | None = None,
@@ -51,12 +51,13 @@ def plan_tile(
 
     Parameters
     ----------
-    catalog : Catalog, SkyCoord or Table
-        The targets.
+    catalog : Catalog, SkyCoord, Table or DataFrame
+        The targets; a DataFrame as in `Catalog.from_table`.
     instrument : Instrument or str
         The instrument, the name of a preset, or the path of a TOML file.
-    center : SkyCoord
-        Field center; north is that of its frame.
+    center : SkyCoord or str, optional
+        Field center; north is that of its frame. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees)
+        is ICRS. None: the mean direction of the catalog.
     position_angle : Quantity, optional
         Angle from north toward east by which +y of the focal plane is turned.
     equinox : str, optional
@@ -104,12 +105,14 @@ def plan_tile(
     catalog = as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    center = north_of_date(center, equinox)
+    center = north_of_date(catalog.mean_direction if center is None else center, equinox)
     plane = instrument.projection(center, position_angle)
     instrument = add_keep_out(instrument, plane, keep_out, keep_out_radius)
     options = asked.for_instrument(instrument)
     everything, radius = catalog, field_radius_rad(instrument)
+    _warn_of_unknown_categories(asked, catalog)
     if epoch is not None:
+        to_time(epoch, "epoch")
         if not catalog.has_proper_motion:
             warn("without proper motions the epoch changes nothing")
         catalog = catalog[catalog.arrays.rows_near(center, radius, epoch)].at_epoch(epoch)
@@ -119,6 +122,7 @@ def plan_tile(
         raise InputError(
             f"no target lies within {instrument.field_radius:.4g} of the field center "
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
+            f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
     is_required, given = find_required(everything.id, catalog.id, required), rows
     if catalog.kind is not None and not options.requirements:
@@ -183,6 +187,26 @@ def plan_tile(
         kind=plan.kind,
         software=packages(options),
     )
+
+
+def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
+    """Warn of requirements on categories that no target of the catalog has, but for those of the instrument."""
+    if isinstance(options.requirements, str) or not options.requirements:
+        return
+    there = set() if catalog.category is None else set(np.unique(catalog.category).tolist())
+    for one in options.requirements:
+        hint = hint_of_name(one.what, there) if one.minimum else ""
+        if hint:
+            warn(f"no target of the catalog is {one.what!r}, as the requirement '{one}' asks for; {hint}")
+
+
+def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
+    """Return a remedy if right ascensions look like hours: all below 24, and targets in the field if they are."""
+    if coord.ra.deg.max() >= 24:
+        return ""
+    n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
+    remedy = "give their unit (units={'ra': 'hourangle'}, --unit ra=hourangle)"
+    return f"; {n} would lie there if right ascensions are in hours: {remedy}" if n else ""
 
 
 def _known(value):

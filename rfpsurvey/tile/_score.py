@@ -25,7 +25,7 @@ def score_tile(
     table: Table,
     instrument: Instrument | str,
     *,
-    center: SkyCoord | None = None,
+    center: SkyCoord | str | None = None,
     position_angle: u.Quantity | None = None,
     equinox: str | None = None,
     epoch: Time | str | float | None = None,
@@ -46,8 +46,8 @@ def score_tile(
         without a positioner, and those whose column ``assigned`` is 0, are not looked at.
     instrument : Instrument or str
         The instrument, the name of a preset, or the path of a TOML file.
-    center : SkyCoord, optional
-        Field center; without it the columns or meta entries ``racen`` and ``deccen`` are used.
+    center : SkyCoord or str, optional
+        Field center, as in `plan_tile`; without it the columns or meta entries ``racen`` and ``deccen`` are used.
     position_angle : Quantity, optional
         Position angle of +y, from the north of the center's frame; without it ``position_angle`` or
         ``field_pa`` of the table.

@@ -10,8 +10,8 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
 from rfpsurvey.allocation import AllocationOptions, as_options
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, is_table
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, shown, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
@@ -50,7 +50,7 @@ def place_tiles(
 
     Parameters
     ----------
-    field : Catalog, PartitionedCatalog, SkyCoord, Table or Region
+    field : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
         The targets (partitions are read as a whole), or a region to cover (``hexagonal`` and ``spiral``).
     instrument : Instrument or str, optional
         Gives the radius of the field and the number of fibers; not needed where both are given.
@@ -152,8 +152,8 @@ def place_tiles(
             "min_separation": fibers.min_separation,
         }
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
-    if not isinstance(field, Catalog | PartitionedCatalog | SkyCoord | Table):
-        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
+    if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
+        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {shown(field)}")
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
