@@ -4,6 +4,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from textwrap import fill as wrap
 from typing import Annotated
 
 import astropy.units as u
@@ -74,4 +75,4 @@ def compare(
         for title, part in parts_of(table).items():
             print(f"\n{title}")
             _app.print_table(part)
-        print(f"\n{fill(table.meta['comparable'], 100)}")
+        print(f"\n{wrap(table.meta['comparable'], 100)}")

@@ -132,7 +132,7 @@ def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
 
 
 def _with_index(table: Table, metadata: dict) -> Table:
-    """Return the table with the index, if it has a name, that pandas wrote as its first number, last number and step."""
+    """Return the table with its index, if that has a name and pandas wrote only its limits and step."""
     for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
         if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
             numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))

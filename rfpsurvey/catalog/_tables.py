@@ -69,8 +69,8 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     if lacking:
         raise find.missing(" and ".join(lacking) + ("" if equatorial else f" of the frame {frame!r}"))
     names = [find.name_of(role) for role in roles]
-    motion = _motion(find, equatorial=equatorial)
     lon, lat = (_angle(find, role, u.hourangle if role == "ra" else u.deg) for role in roles)
+    motion = _motion(find, equatorial=equatorial)
     bad = np.abs(lat) > 90 * u.deg
     if bad.any():
         raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
