@@ -45,8 +45,8 @@ def test_wrong_units_are_units_errors_too(call):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: rs.plan_tile(allocater=1), "plan_tile has no parameter 'allocater'; did you mean 'allocator'?"),
-        (lambda: rs.Catalog.read("a", colums={}), "Catalog.read has no parameter 'colums'; did you mean 'columns'?"),
+        (lambda: rs.plan_tile(allokator=1), "plan_tile has no parameter 'allokator'; did you mean 'allocator'?"),
+        (lambda: rs.Catalog.read("a", columnz={}), "Catalog.read has no parameter 'columnz'; did you mean 'columns'?"),
         (lambda: rs.AllocationOptions(timelimit=1), "AllocationOptions has no parameter 'timelimit'; did you mean"),
         (lambda: rs.allocate(method="lamost"), "allocate has no parameter 'method'; write allocator=..."),
         (lambda: rs.design.explore_designs(l1=1), "explore_designs has no parameter 'l1'; write central_arm=..."),

@@ -30,6 +30,8 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
     begin, end = lines[0]
     delimiter = _delimiter(path, content[begin:end], content[slice(*lines[min(1, len(lines) - 1)])])
     names = _split(content[begin:end], delimiter)
+    if len(names) == 1 and len(names[0].split()) > 1:
+        raise InputError(f"{path}: commas must separate the names of the columns, got blanks in {names[0]!r}")
     if all(_is_number(name) for name in names):
         before = content.rfind(b"\n", 0, max(begin - 1, 0)) + 1
         comment = content[before:begin].strip()

@@ -1,6 +1,7 @@
 """Tables in any of the formats."""
 
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,9 @@ def read_table(path: str | os.PathLike) -> QTable:
     if not _is_file(path):
         raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
     try:
-        table = QTable(READERS[FORMATS[suffix]](path))
+        with warnings.catch_warnings():  # sexagesimal text may have a unit, such as h:m:s
+            warnings.filterwarnings("ignore", message="column .* has a unit but is kept as a")
+            table = QTable(READERS[FORMATS[suffix]](path))
         for name in table.colnames:
             _make_text(table, name, path)
         check_size(table.meta, path)

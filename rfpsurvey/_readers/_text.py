@@ -27,7 +27,7 @@ def read_csv(path: Path) -> Table:
     content, delimiter, units = find_names(path, _checked_content(path))
     n_lines = count_lines(path, content, 0, delimiter)
     if n_lines == 0:
-        return Table()
+        raise InputError(f"{path}: the first row must hold the names of the columns, got no row")
     if delimiter == b"\t" and b'"' not in content:  # values between commas lose blanks in any case
         content = re.sub(rb" *\t *", b"\t", content)
     text = content.decode("utf-8")

@@ -232,7 +232,12 @@ class Finder:
 
     def missing(self, what: str) -> InputError:
         """Return the error for a column that is needed and not there."""
-        return InputError(f"there is no column for {what}; {self.listing()}")
+        text = f"there is no column for {what}; {self.listing()}"
+        if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
+            return InputError(f"{text}; give the frame of these coordinates, as frame='galactic' or --frame galactic")
+        role = what.split()[0]
+        remedy = f"; name it, as columns={{{role!r}: ...}} or --column {role}=..." if self.table.colnames else ""
+        return InputError(text + remedy)
 
     def listing(self) -> str:
         """Return a phrase that names the columns."""

@@ -1,5 +1,6 @@
-"""Tables of other packages: DataFrames of pandas and Polars, tables of Arrow; none of these packages is needed."""
+"""Tables of other packages: DataFrames of pandas and Polars, tables of Arrow, structured arrays of numpy."""
 
+import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._readers import table_of_arrow
@@ -11,7 +12,7 @@ __all__ = ["as_table", "is_table"]
 
 def is_table(given: object) -> bool:
     """Return whether an object is a table, of astropy or of another package."""
-    return isinstance(given, Table) or _is_pandas(given) or _is_arrow(given)
+    return isinstance(given, Table) or _is_records(given) or _is_pandas(given) or _is_arrow(given)
 
 
 def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
@@ -24,6 +25,8 @@ def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
     if not isinstance(columns, dict | None):
         raise InputError(f"columns must be a dict from role to column, got {shown(columns)}")
     try:
+        if _is_records(given):
+            return Table(given), True
         if _is_pandas(given):
             return _of_pandas(given, columns), True
         if _is_arrow(given):
@@ -34,6 +37,10 @@ def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
     except Exception as error:  # the packages raise what they like
         raise InputError(f"{shown(given)} cannot be used as a table: {error}") from error
     raise InputTypeError(f"table must be an astropy Table or QTable, or a DataFrame, got {shown(given)}")
+
+
+def _is_records(given) -> bool:
+    return isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names is not None
 
 
 def _is_pandas(given) -> bool:

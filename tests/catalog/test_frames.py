@@ -122,6 +122,29 @@ def test_tables_of_arrow(frame):
     assert catalog.visits[:2].tolist() == [1, 2]
 
 
+def test_structured_arrays():
+    rows = np.array([(1.0, 2.0, 7)], dtype=[("ra", float), ("dec", float), ("id", int)])
+    assert rs.Catalog.from_table(rows).id.tolist() == [7]
+    assert len(rs.place_tiles(rows, "sdss_apo")) == 1
+
+
+def test_sexagesimal_text_may_have_a_unit(tmp_path):
+    """Warnings of the table reader were passed on."""
+    from astropy.io import fits
+
+    columns = {"RA": ("h:m:s", ["06:20:00", "06:24:00"]), "DEC": ("d:m:s", ["+20:00:00", "-01:00:00"])}
+    columns = [fits.Column(name, "10A", array=texts, unit=unit) for name, (unit, texts) in columns.items()]
+    fits.BinTableHDU.from_columns(columns).writeto(tmp_path / "a.fits")
+    assert rs.Catalog.read(tmp_path / "a.fits").coord.ra.deg.tolist() == pytest.approx([95, 96])
+
+
+def test_a_missing_column_has_a_remedy():
+    with pytest.raises(rs.InputError, match=r"are: x; name it, as columns=.'ra': .... or --column ra=..."):
+        rs.Catalog.from_table(Table({"x": [1.0]}))
+    with pytest.raises(rs.InputError, match="give the frame of these coordinates, as frame='galactic'"):
+        rs.Catalog.from_table(Table({"l": [1.0], "b": [1.0]}))
+
+
 def test_a_table_without_any_unit_is_read_with_a_warning():
     table = Table({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "pmra": [1, 2], "pmdec": [3, 4]})
     with pytest.warns(rs.RfpsurveyWarning, match="assumed are ra in deg, dec in deg, pmra in mas / yr, pmdec in mas"):

@@ -48,6 +48,15 @@ def test_two_delimiters_are_told_apart_by_the_first_row(tmp_path):
     assert "one delimiter must separate the columns, got semicolon and vertical bar; put commas" in refusal(path)
 
 
+def test_files_without_names_or_delimiters_are_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("ra dec\n10 20\n")
+    assert "commas must separate the names of the columns, got blanks in 'ra dec'" in refusal(path)
+    for text in ("", "# nothing\n", "\n\n"):
+        path.write_text(text)
+        assert "the first row must hold the names of the columns, got no row" in refusal(path)
+
+
 def test_decimal_commas_are_refused_with_a_remedy(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("ra;dec\n10,5;20,5\n")
@@ -75,7 +84,7 @@ def test_tables_of_vizier_have_units(tmp_path):
     assert catalog.id.tolist() == [2**60 + 1, 2**60 + 2]
     np.testing.assert_allclose(catalog.coord.pm_ra_cosdec.to_value(u.mas / u.yr), [1, np.nan])
     path.write_text('RAJ2000;DEJ2000\n"h:m:s";"d:m:s"\n-----;---\n06 20 00;+23 00 00\n')
-    assert rs.Catalog.read(path).coord.ra.deg.tolist() == [95]
+    assert rs.Catalog.read(path).coord.ra.deg.tolist() == pytest.approx([95])
     path.write_text("ra;dec\n--;--\n10;20\n")  # dashes without units
     assert len(rs.Catalog.read(path)) == 1
 
