@@ -14,7 +14,6 @@ KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
 FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))\s*(?:/\s*(.+))?")
 MOST = 10**9
-MOST_NAMES = 8
 
 
 @check_keywords
@@ -201,11 +200,11 @@ class Group:
 
 def hint_of_name(what: str, names: Iterable[str]) -> str:
     """Say what a name may mean that is neither a kind of targets nor among ``names``, the categories that exist."""
-    names = sorted({*KINDS, *names} - {""})
+    names = {*KINDS, *names} - {""}
     if what in names:
         return ""
-    few = ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
-    return close_to(what, names, cutoff=0.5) or f"there are: {few}"
+    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # skies are not like sky
+    return close_to(what, names) or close_to(singular, names)
 
 
 def as_requirements(given: object) -> tuple[Requirement, ...]:

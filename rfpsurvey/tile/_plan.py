@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, hint_of_name, packages, sentences
+from rfpsurvey.allocation import KINDS, AllocationOptions, TargetColumns, as_options, hint_of_name, packages, sentences
 from rfpsurvey.catalog import Catalog, as_catalog, to_time
 from rfpsurvey.errors import InputError, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
@@ -195,8 +195,8 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
         return
     there = set() if catalog.category is None else set(np.unique(catalog.category).tolist())
     for one in options.requirements:
-        hint = hint_of_name(one.what, there) if one.minimum else ""
-        if hint:
+        if one.minimum and one.what not in {*KINDS, *there}:
+            hint = hint_of_name(one.what, there) or f"its categories are: {', '.join(sorted(there)[:8]) or 'none'}"
             warn(f"no target of the catalog is {one.what!r}, as the requirement '{one}' asks for; {hint}")
 
 
