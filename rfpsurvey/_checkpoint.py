@@ -1,9 +1,8 @@
 """Continue work that was begun: only the same request is continued."""
 
-import warnings
 from pathlib import Path
 
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["check_request", "warn_of_software"]
 
@@ -34,11 +33,11 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
         )
 
 
-def warn_of_software(path: Path, before: object, now: object, parts: str, level: int) -> None:
+def warn_of_software(path: Path, before: object, now: object, parts: str) -> None:
     """Warn if the work was begun with other versions of the software."""
     if before != now:
         text = f"{path} was begun with other versions of the software; its {parts} may differ in rounding"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=level)
+        warn(text)
 
 
 def _short(value: object) -> str:

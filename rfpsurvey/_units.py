@@ -20,6 +20,8 @@ MOST_VISITS = 255
 
 __all__ = [
     "locked",
+    "rows_of",
+    "to_center",
     "to_direction",
     "to_flags",
     "to_generator",
@@ -110,6 +112,32 @@ def to_direction(coord: object, name: str = "coord") -> SkyCoord:
     return SkyCoord(coord.frame.realize_frame(place, **kind))
 
 
+def to_center(center: object, name: str = "center") -> SkyCoord:
+    """Return one direction from a SkyCoord, or from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
+    if not isinstance(center, str):
+        center = to_direction(center, name)
+        if not center.isscalar:
+            raise InputError(f"{name} must be one direction, got the shape {center.shape}")
+        return center
+    words = center.replace(",", " ").split()
+    try:
+        if len(words) == 2 and all(_is_number(word) for word in words):
+            return SkyCoord(float(words[0]), float(words[1]), unit="deg")
+        return SkyCoord(" ".join(words), unit=("hourangle", "deg"))
+    except Exception as error:  # astropy's parsers raise what they like
+        raise InputError(
+            f"{name} must be coordinates such as '06h20m00s +23d00m00s' or '95.0 23.0', got {short(center)} ({error})"
+        ) from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:
     """Return directions as ICRS unit vectors, shape (n, 3); distances do not matter."""
     direction = to_direction(coord, name)
@@ -181,15 +209,27 @@ def to_labels(value: object, name: str) -> np.ndarray:
     """Return names as an array of int64 or of text without blanks around it."""
     blank = np.asarray(getattr(value, "mask", False))
     if blank.any() and np.asarray(value).dtype.kind in "iu":
-        raise InputError(f"{name} must be integers or text for every row, but {int(blank.sum())} rows have none")
+        raise InputError(f"{name} must be integers or text for every row, but {rows_of(blank)} have none")
     values = to_plain(value, name)
+    if values.dtype.kind == "f" and (np.abs(values) < 2.0 ** (np.finfo(values.dtype).nmant + 1)).all():
+        whole = values.astype(np.int64)
+        values = whole if (whole == values).all() else values
     if values.dtype.kind in "iu" and (values.size == 0 or values.max() < 2**63):
         return values.astype(np.int64)
     if values.dtype.kind == "f" and values.size:
-        raise InputError(f"{name} must be integers or text for every row, got numbers such as {values.flat[0]}")
+        where = np.isnan(values)
+        what = f"but {rows_of(where)} have none" if where.any() else f"got numbers such as {values.flat[0]}"
+        raise InputError(f"{name} must be integers or text for every row, {what}")
     if values.size == 0:  # numpy cannot replace in nothing
         return values.astype(str)
     return np.char.strip(np.char.replace(values.astype(str), "\n", " "))
+
+
+def rows_of(mask: np.ndarray) -> str:
+    """Return a phrase for marked rows: their number, and the first few of them, counted from 1."""
+    rows = np.flatnonzero(mask)
+    few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
+    return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:

@@ -1,8 +1,12 @@
 """Exceptions and warnings of rfpsurvey."""
 
-from collections.abc import Iterable
+import inspect
+import warnings
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from functools import wraps
 from numbers import Integral, Number
+from typing import TypeVar
 
 from astropy.units import UnitsError
 
@@ -12,11 +16,37 @@ __all__ = [
     "InputUnitsError",
     "RfpsurveyWarning",
     "check_choice",
+    "check_keywords",
     "check_switch",
     "check_whole",
+    "close_to",
     "refusal",
     "short",
+    "warn",
 ]
+
+T = TypeVar("T", bound=Callable)
+LONGEST = 60
+# Parameters of earlier versions: where the function has the second name, the third says what to write.
+RENAMED = (
+    ("method", "allocator", "allocator=..."),
+    ("l1", "central_arm", "central_arm=..."),
+    ("tiles", "tiling", "tiling=..."),
+    ("n_targets", "targets", "targets=RandomTargets(number=...)"),
+    ("target_radius", "targets", "targets=RandomTargets(radius=...)"),
+    ("min_separation", "targets", "targets=RandomTargets(min_separation=...)"),
+    ("min_separation", "fibers", "fibers=Fibers(min_separation=...)"),
+    *((name, "precision", f"precision=Precision({name}=...)") for name in ("max_iterations", "confidence", "interval")),
+    *(
+        (name, "loss", f"loss=LossOptions({name}=...)")
+        for name in ("estimand", "method", "targets_per_positioner", "target_density", "n_skies", "time_limit")
+    ),
+    *(
+        (name, parameter, f"{parameter}=AllocationOptions({name}=...)")
+        for name in ("requirements", "sky_separation", "objective", "time_limit", "start", "parked_obstacles")
+        for parameter in ("allocator", "options")
+    ),
+)
 
 
 class InputError(ValueError):
@@ -47,6 +77,21 @@ def check_whole(value: object, name: str, low: int = 1, high: int | None = None)
         raise refusal(f"{name} must be a whole number {limits}", value, Number)
 
 
+def warn(text: str) -> None:
+    """Issue an `RfpsurveyWarning` that points to the first caller outside the package."""
+    level, frame = 2, inspect.currentframe().f_back
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "rfpsurvey":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, RfpsurveyWarning, stacklevel=level)
+
+
+def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return a question that names the choice most like ``name``, or empty text where none is like it."""
+    lower = {str(one).lower(): str(one) for one in choices}
+    close = get_close_matches(str(name).lower(), sorted(lower), n=1, cutoff=cutoff)
+    return f"did you mean {lower[close[0]]!r}?" if close else ""
+
+
 def check_choice(name: object, choices: Iterable[str], what: str) -> str:
     """Return ``name`` if it is one of ``choices``, otherwise raise an error that lists them."""
     choices = sorted(choices)
@@ -54,8 +99,7 @@ def check_choice(name: object, choices: Iterable[str], what: str) -> str:
         return name
     if not isinstance(name, str):
         raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {', '.join(choices)}.")
-    close = get_close_matches(str(name).lower(), choices, n=1)
-    hint = f" Did you mean {close[0]!r}?" if close else ""
+    hint = close_to(name, choices).replace("did", " Did", 1)
     raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}.{hint}")
 
 
@@ -73,6 +117,39 @@ def refusal(text: str, value: object, *types: type) -> InputError:
 
 
 def short(value: object) -> str:
-    """Return a value as text of one short line."""
+    """Return a value as text of one short line; a table is told by its type and length."""
+    name = type(value).__name__
+    if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, also one of another package
+        return f"a {name} of {len(value)} rows"
     text = " ".join(repr(value).split())
-    return text if len(text) < 60 else f"{type(value).__name__} {text[:40]}..."
+    return text if len(text) < LONGEST else f"{name} {text[:40]}..."
+
+
+def check_keywords(function: T) -> T:
+    """Let a function, or the constructor of a class, name the parameter that may have been meant by an unknown one."""
+    if inspect.isclass(function):
+        function.__init__ = _checked(function.__init__, function.__qualname__)
+        return function
+    return _checked(function, function.__qualname__)
+
+
+def _checked(function, title):
+    parameters = inspect.signature(function).parameters
+
+    @wraps(function)
+    def checked(*args, **kwargs):
+        for name in kwargs:
+            if name not in parameters:
+                raise InputTypeError(f"{title} has no parameter {name!r}; {_instead_of(name, [*parameters])}")
+        return function(*args, **kwargs)
+
+    return checked
+
+
+def _instead_of(name, parameters):
+    """Say what to write instead of an unknown parameter."""
+    for old, needed, new in RENAMED:
+        if old == name and needed in parameters:
+            return f"write {new}"
+    names = [one for one in parameters if one not in ("self", "cls")]
+    return close_to(name, names) or f"its parameters are: {', '.join(names)}"

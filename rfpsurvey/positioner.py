@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords
 
 __all__ = ["HANDEDNESS", "Positioner", "PositionerNumbers"]
 
@@ -16,6 +16,7 @@ HANDEDNESS = ("right", "left", "both")
 ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class Positioner:
     """A two-arm fiber positioner.

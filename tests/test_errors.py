@@ -1,10 +1,15 @@
 """Errors are sentences, and of the kinds that callers of astropy and the standard library expect."""
 
+import inspect
+import pickle
+import warnings
+
 import astropy.units as u
 import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey.errors import shown, warn
 
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 PLANE = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, ROBOT)
@@ -35,3 +40,51 @@ def test_wrong_units_are_units_errors_too(call):
     with pytest.raises(rs.InputError) as told:
         call()
     assert isinstance(told.value, u.UnitsError)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rs.plan_tile(allokator=1), "plan_tile has no parameter 'allokator'; did you mean 'allocator'?"),
+        (lambda: rs.Catalog.read("a", columnz={}), "Catalog.read has no parameter 'columnz'; did you mean 'columns'?"),
+        (lambda: rs.AllocationOptions(timelimit=1), "AllocationOptions has no parameter 'timelimit'; did you mean"),
+        (lambda: rs.allocate(method="lamost"), "allocate has no parameter 'method'; write allocator=..."),
+        (lambda: rs.design.explore_designs(l1=1), "explore_designs has no parameter 'l1'; write central_arm=..."),
+        (
+            lambda: rs.plan_survey(sky_separation=1),
+            "plan_survey has no parameter 'sky_separation'; write allocator=AllocationOptions(sky_separation=...)",
+        ),
+        (lambda: rs.Requirement(zzz=1), "Requirement has no parameter 'zzz'; its parameters are: what, minimum, "),
+    ],
+)
+def test_unknown_keywords_name_the_parameter_that_was_meant(call, message):
+    with pytest.raises(TypeError) as told:
+        call()
+    assert str(told.value).startswith(message)
+    assert isinstance(told.value, rs.InputError)
+
+
+def test_functions_that_check_keywords_keep_their_signature():
+    assert list(inspect.signature(rs.plan_tile).parameters)[:3] == ["catalog", "instrument", "center"]
+    assert next(iter(inspect.signature(rs.AllocationOptions).parameters)) == "allocator"
+    assert pickle.loads(pickle.dumps(rs.plan_tile)) is rs.plan_tile
+
+
+def test_warnings_point_to_the_caller_of_the_package():
+    center = SkyCoord(95 * u.deg, 23 * u.deg)
+    stars = rs.Catalog(SkyCoord([95.3, 95.4] * u.deg, [23.4, 23.3] * u.deg), id=[1, 1])
+    with pytest.warns(rs.RfpsurveyWarning, match="share their id") as caught:
+        rs.plan_tile(stars, "sdss_apo", center)
+    assert [one.filename for one in caught] == [__file__]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn("directly")
+    assert caught[0].filename == __file__
+
+
+def test_tables_are_never_pasted_into_errors():
+    table = PLANE.to_table()
+    assert shown(table) == "a QTable of 2 rows"
+    assert shown("a") == "'a'"
+    assert "\n" not in shown("a\nb" * 50)
+    assert len(shown("a" * 500)) < 60

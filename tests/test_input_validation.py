@@ -44,14 +44,16 @@ CALLS = {
     "epoch must be one time or shape (2,), got (3,)": lambda: rs.Catalog(
         TWO, epoch=Time([2000, 2001, 2002], format="jyear")
     ),
-    "id must be integers or text for every row, but 1 rows have none": lambda: rs.Catalog(
+    "id must be integers or text for every row, but 1 of 2 rows (row 2) have none": lambda: rs.Catalog(
         TWO, id=MaskedColumn([1, 2], mask=[False, True])
     ),
     "columns must be a dict from role to column, got ['ra']": lambda: rs.Catalog.from_table(
         sky_table(), columns=["ra"]
     ),
     "columns must name a column for ra, got 3": lambda: rs.Catalog.from_table(sky_table(), columns={"ra": 3}),
-    "table must be an astropy Table or QTable, got dict": lambda: rs.Catalog.from_table({"ra": [1], "dec": [1]}),
+    "table must be an astropy Table or QTable, or a DataFrame, got {'ra': [1], 'dec': [1]}": lambda: (
+        rs.Catalog.from_table({"ra": [1], "dec": [1]})
+    ),
     "must lie between -360 and 360 deg, got 400.0 deg": lambda: rs.Catalog.from_table(
         QTable({"ra": [400.0] * DEG, "dec": [1.0] * DEG})
     ),

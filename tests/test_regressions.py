@@ -49,8 +49,9 @@ def test_decimal_text_is_not_sexagesimal():
         (Table({"ra": Column(["95.5"], unit="deg"), "dec": Column(["23.0"], unit="deg")}), {}),
     ):
         assert rs.Catalog.from_table(table, units=units).coord.ra[0].deg == pytest.approx(95.5)
-    with pytest.raises(rs.InputError, match="column 'ra' has no unit"):
-        rs.Catalog.from_table(Table({"ra": ["95.5"], "dec": ["23.0"]}))
+    with pytest.warns(rs.RfpsurveyWarning, match="assumed are ra in deg, dec in deg"):
+        catalog = rs.Catalog.from_table(Table({"ra": ["95.5"], "dec": ["23.0"]}))
+    assert catalog.coord.ra[0].deg == pytest.approx(95.5)
     table = Table({"l": ["12:00:00"], "b": ["0:30:00"]})
     assert rs.Catalog.from_table(table, frame="galactic").coord.l[0].deg == pytest.approx(12)
 

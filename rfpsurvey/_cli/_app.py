@@ -13,7 +13,6 @@ from typing import Annotated
 
 import astropy.units as u
 import typer
-from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from rfpsurvey._cli._compiling import announce_compilation
@@ -27,7 +26,8 @@ from rfpsurvey._cli._print import (
     finish_tiling,
     print_table,
 )
-from rfpsurvey._io import WRITABLE, check_output, read_table
+from rfpsurvey._io import WRITABLE, check_output, read_table, suffix_of
+from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.report import check_report
@@ -126,25 +126,9 @@ def _flush(code: int) -> int:
     return code
 
 
-def parse_center(text: str):
-    """Return a SkyCoord from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
-    words = text.replace(",", " ").split()
-    try:
-        if len(words) == 2 and all(_is_number(word) for word in words):
-            return SkyCoord(float(words[0]), float(words[1]), unit="deg")
-        return SkyCoord(" ".join(words), unit=("hourangle", "deg"))
-    except Exception as error:  # astropy's parsers raise what they like
-        raise rs.InputError(
-            f"--center must be coordinates such as '06h20m00s +23d00m00s' or '95.0 23.0', got {text!r} ({error})"
-        ) from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+def parse_center(text: str | None):
+    """Return the field center that an option states, None without one."""
+    return None if text is None else to_center(text, "--center")
 
 
 def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
@@ -171,30 +155,25 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
     return instrument
 
 
-def read_catalog(path: Path, column, unit, frame: str, keep: list[str] | None = None):
+def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | None = None):
     """Return the catalog of a file, or of a folder of partitions."""
-    columns, units = parse_pairs(column, "--column"), parse_pairs(unit, "--unit")
+    columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
-        return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, keep=keep)
+        return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
     common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # of all rows, where no column says it
     if common:
         del columns["epoch"]
-    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, keep=keep)
+    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
     return replace(catalog, epoch=common[0]) if common else catalog
 
 
-def targets_and_center(path, center, model, seed, column, unit, frame, keep=None):
-    """Return the catalog of a file, or a synthetic one, and the field center."""
-    field = None if center is None else parse_center(center)
+def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
+    """Return the catalog of a file, or a synthetic one, and the field center; None is that of the catalog."""
+    field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
-    targets = as_catalog(read_catalog(path, column, unit, frame, keep))
-    if field is None and len(targets) == 0:
-        field = parse_center(DEFAULT_CENTER)
-    elif field is None:
-        field = targets.mean_direction
-    return targets, field
+    return as_catalog(read_catalog(path, column, unit, frame, fill, keep)), field
 
 
 def allocation_options(
@@ -231,7 +210,7 @@ def read_assignment(path: Path, select: list[str] | None):
 
 def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
     """Return the units that were given, after the usual ones of a CSV file, which carries none."""
-    usual = {role: str(u) for role, u in UNITS.items()} if path.suffix.lower() == ".csv" else {}
+    usual = {role: str(u) for role, u in UNITS.items()} if suffix_of(path) in (".csv", ".tsv") else {}
     return {**usual, **parse_pairs(unit, "--unit")}
 
 

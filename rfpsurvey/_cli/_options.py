@@ -12,7 +12,10 @@ CatalogArgument = Annotated[
         "catalog."
     ),
 ]
-CenterOption = Annotated[str | None, typer.Option(help="Field center, ICRS. None: the middle of the catalog.")]
+CenterOption = Annotated[
+    str | None,
+    typer.Option(help="Field center, ICRS, as '95.1 23.0' (deg) or '06:20:24 +23:00:00'. None: the mean direction."),
+]
 PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of random numbers.", min=0)]
 FrameOption = Annotated[str, typer.Option(help="Frame of the catalog's coordinates.")]
@@ -46,6 +49,9 @@ KeepOption = Annotated[
     list[str] | None, typer.Option(help="Column of the catalog that the results shall carry, such as a magnitude.")
 ]
 UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without one, as ra=deg.")]
+FillOption = Annotated[
+    list[str] | None, typer.Option(help="ROLE=VALUE of rows that have none, as priority=0 or visits=1.")
+]
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]

@@ -19,14 +19,14 @@ __all__ = ["run", "targets_of", "workers"]
 MANY = 0.05  # collision rate
 
 
-def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, keep):
+def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep):
     """Return the catalog of a file or of a folder of partitions, or a synthetic one that is wider than a field."""
     if path is None:
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
-    return _app.read_catalog(path, column, unit, frame, keep)
+    return _app.read_catalog(path, column, unit, frame, fill, keep)
 
 
 def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):

@@ -4,7 +4,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill as wrap
 from typing import Annotated
 
 import astropy.units as u
@@ -40,6 +40,7 @@ def compare(
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
+    fill: _options.FillOption = None,
     output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
     plot: _options.ChartOption = None,
     report: _options.ReportOption = None,
@@ -50,9 +51,9 @@ def compare(
     options = _app.allocation_options("lamost", require, sky_separation, time_limit)
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
-            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame),
+            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill),
             instruments,
-            center=None if center is None else _app.parse_center(center),
+            center=_app.parse_center(center),
             allocators=allocator or ("lamost", "optimal"),
             targets_per_positioner=targets,
             density=None if density is None else density / u.deg**2,
@@ -74,4 +75,4 @@ def compare(
         for title, part in parts_of(table).items():
             print(f"\n{title}")
             _app.print_table(part)
-        print(f"\n{fill(table.meta['comparable'], 100)}")
+        print(f"\n{wrap(table.meta['comparable'], 100)}")

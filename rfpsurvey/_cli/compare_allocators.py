@@ -31,6 +31,7 @@ def compare_allocators(
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
+    fill: _options.FillOption = None,
     output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
     plot: _options.ChartOption = None,
     report: _options.ReportOption = None,
@@ -39,7 +40,7 @@ def compare_allocators(
     """Plan one field by several methods, side by side."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame)
+    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
     options = _app.allocation_options("lamost", require, sky_separation, time_limit, objective=objective, parked=parked)
     table = rs.compare_allocators(
         targets,

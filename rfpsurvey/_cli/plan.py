@@ -28,6 +28,7 @@ def plan(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     keep: _options.KeepOption = None,
+    fill: _options.FillOption = None,
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
     report: _options.ReportOption = None,
@@ -36,7 +37,9 @@ def plan(
     """Assign one field and find the arms that collide."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, keep)
+    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep)
+    if field is None and equinox is not None:
+        field = targets.mean_direction
     options = _app.allocation_options(
         allocator, require, sky_separation, time_limit, objective=objective, parked=parked
     )

@@ -29,6 +29,7 @@ def survey(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     keep: _options.KeepOption = None,
+    fill: _options.FillOption = None,
     plot: _options.SurveyPlotOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
@@ -36,7 +37,7 @@ def survey(
     """Plan tile after tile until targets are observed as often as they are wanted."""
     _app.check_outputs(None, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, keep)
+    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
         "allocator": _app.allocation_options(allocator, require, sky_separation, time_limit, parked=parked),
         "visits": visits,

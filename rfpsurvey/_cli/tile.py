@@ -20,6 +20,7 @@ def tile(
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
+    fill: _options.FillOption = None,
     output: _options.TilingOutputOption = None,
     plot: _options.TilingPlotOption = None,
     report: _options.ReportOption = None,
@@ -33,7 +34,7 @@ def tile(
     if region is not None:
         field = rs.Region.parse(region)
     else:
-        field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame)
+        field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill)
     options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
     options["visits"] = visits
     tiling = rs.place_tiles(field, model, method=method, **options)

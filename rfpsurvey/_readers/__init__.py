@@ -3,7 +3,7 @@
 from rfpsurvey._readers._documents import parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes
 from rfpsurvey._readers._limits import content_of, sentence
-from rfpsurvey._readers._parquet import import_parquet, read_parquet
+from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, suffix_of, to_path
 
 __all__ = [
@@ -18,5 +18,6 @@ __all__ = [
     "read_toml",
     "sentence",
     "suffix_of",
+    "table_of_arrow",
     "to_path",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers._limits import open_content, sentence
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["META_KEY", "read_fits", "read_fits_bytes"]
 
@@ -34,7 +34,7 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
         table, n_rows = _read(file, found[number or 0])
         if number is None and len(found) > 1 and META_KEY not in table.meta:
             text = f"{path}: the file has {len(found)} tables, of which the first was read"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+            warn(text)
     if len(table) != n_rows:
         raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")
     return table

@@ -138,7 +138,7 @@ def _fields(line: bytes, delimiter: bytes) -> int:
         return line.count(delimiter) + 1
     n, place = 1, 0
     while True:
-        while line[place : place + 1] in (b" ", b"\t"):
+        while line[place : place + 1] in (b" ", b"\t") and line[place : place + 1] != delimiter:
             place += 1
         if line[place : place + 1] == b'"':
             place = line.find(b'"', place + 1)

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable, Table
 
+from rfpsurvey._readers._documents import parse_json
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey.errors import InputError
 
-__all__ = ["import_parquet", "read_parquet"]
+__all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
 
 # The values of all rows take at most this many times the size of the file, or this many bytes: equal values take little
 # in the file.
@@ -31,7 +32,7 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
 
     Times are read as they are; lists, structures and durations are left out.
     """
-    parquet = import_parquet()
+    parquet, reads_all = import_parquet(), names is None
     try:
         with parquet.ParquetFile(path) as file:
             n_rows, schema, size = file.metadata.num_rows, file.schema_arrow, path.stat().st_size
@@ -41,11 +42,19 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
             content = file.read(columns=names)
         if content.num_rows != n_rows:
             raise InputError(f"{path}: the table must have {n_rows} rows, got {content.num_rows}")
-        return _with_units(_to_table(content, names, path), schema.metadata or {})
+        table = _with_units(_to_table(content, names, path), schema.metadata or {})
+        return _with_index(table, schema.metadata or {}) if reads_all else table
     except InputError:
         raise
     except Exception as error:  # pyarrow raises what it likes
         raise InputError(f"{path} cannot be read as parquet: {sentence(error)}") from error
+
+
+def table_of_arrow(content: object) -> Table:
+    """Return a table of one of Arrow in memory, with the columns that numpy can hold."""
+    names = [name for name in content.schema.names if _is_plain(content.schema.field(name).type)]
+    metadata = content.schema.metadata or {}
+    return _with_index(_with_units(_to_table(content, names, None), metadata), metadata)
 
 
 def _is_plain(kind) -> bool:
@@ -73,12 +82,12 @@ def _is_plain(kind) -> bool:
     return any(getattr(types, f"is_{name}", lambda _: False)(kind) for name in tests)
 
 
-def _to_table(content, names: list[str], path: Path) -> Table:
+def _to_table(content, names: list[str], path: Path | None) -> Table:
     """Return a table of columns of Arrow, missing values masked."""
     return Table({name: _to_array(content[name], name, path) for name in names}, copy=False)
 
 
-def _to_array(column, name: str, path: Path) -> np.ndarray:
+def _to_array(column, name: str, path: Path | None) -> np.ndarray:
     import pyarrow as pa
     from pyarrow import types
 
@@ -105,19 +114,31 @@ def _to_array(column, name: str, path: Path) -> np.ndarray:
     return values if missing is None else np.ma.array(values, mask=missing)
 
 
-def _texts(column, path: Path, name: str) -> np.ndarray:
+def _texts(column, path: Path | None, name: str) -> np.ndarray:
     import pyarrow.compute as pc
 
     longest = pc.max(pc.utf8_length(column)).as_py() or 0
-    check_width(path, len(column), longest, path.stat().st_size, f"a value of the column {name!r}")
+    if path is not None:
+        check_width(path, len(column), longest, path.stat().st_size, f"a value of the column {name!r}")
     return column.fill_null("").to_numpy().astype(f"U{max(longest, 1)}")
 
 
-def _decoded(value: bytes | None, path: Path, name: str) -> str:
+def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
     try:
         return "" if value is None else value.decode("utf-8")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: column {name!r} must hold numbers or text, got the bytes {value[:20]!r}") from None
+        where = "" if path is None else f"{path}: "
+        raise InputError(f"{where}column {name!r} must hold numbers or text, got the bytes {value[:20]!r}") from None
+
+
+def _with_index(table: Table, metadata: dict) -> Table:
+    """Return the table with its index, if that has a name and pandas wrote only its limits and step."""
+    for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
+        if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
+            numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))
+            if len(numbers) == len(table) and index["name"] not in table.colnames:
+                table[index["name"]] = np.arange(numbers.start, numbers.stop, numbers.step)
+    return table
 
 
 def _with_units(table: Table, metadata: dict) -> Table:

@@ -1,6 +1,7 @@
 """Tables in any of the formats."""
 
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ FORMATS = {
     ".fit": "fits",
     ".ecsv": "ascii.ecsv",
     ".csv": "ascii.csv",
+    ".tsv": "ascii.csv",
     ".vot": "votable",
     ".xml": "votable",
     ".votable": "votable",
@@ -29,7 +31,7 @@ FORMATS = {
 def _read_text(path: Path) -> Table:
     from rfpsurvey._readers import _text  # imported when a file is read, as the next
 
-    return _text.read_csv(path) if suffix_of(path) == ".csv" else _text.read_ecsv(path)
+    return _text.read_csv(path) if FORMATS[suffix_of(path)] == "ascii.csv" else _text.read_ecsv(path)
 
 
 def _read_votable(path: Path) -> Table:
@@ -74,7 +76,9 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
         raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
     try:
         options = {} if number is None else {"number": number}
-        table = QTable(READERS[FORMATS[suffix]](path, **options))
+        with warnings.catch_warnings():  # sexagesimal text may have a unit, such as h:m:s
+            warnings.filterwarnings("ignore", message="column .* has a unit but is kept as a")
+            table = QTable(READERS[FORMATS[suffix]](path, **options))
         for name in table.colnames:
             _make_text(table, name, path)
         check_size(table.meta, path)

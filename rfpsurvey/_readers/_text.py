@@ -1,4 +1,4 @@
-"""CSV and ECSV, of which every line is a row."""
+"""CSV, also with other delimiters, and ECSV, of which every line is a row."""
 
 import re
 import warnings
@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
+from astropy.units import Unit, UnrecognizedUnit, dimensionless_unscaled
 
+from rfpsurvey._readers._header import find_names
 from rfpsurvey._readers._limits import content_of
 from rfpsurvey._readers._lines import count_lines, line_number
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["read_csv", "read_ecsv"]
 
@@ -21,16 +23,21 @@ WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
 
 
 def read_csv(path: Path) -> Table:
-    """Return the table of a CSV file; comments begin with #."""
-    content = _checked_content(path)
-    n_lines = count_lines(path, content, 0, b",")
+    """Return the table of a CSV file, also one with semicolons, tabs or bars; comments begin with #."""
+    content, delimiter, units = find_names(path, _checked_content(path))
+    n_lines = count_lines(path, content, 0, delimiter)
     if n_lines == 0:
-        return Table()
+        raise InputError(f"{path}: the first row must hold the names of the columns, got no row")
+    if delimiter == b"\t" and b'"' not in content:  # values between commas lose blanks in any case
+        content = re.sub(rb" *\t *", b"\t", content)
     text = content.decode("utf-8")
     del content
     from astropy.io import ascii as text_tables
 
-    options = {"format": "csv", "guess": False, "comment": "#"}
+    # of the two kinds only "tab" keeps an empty first value
+    options = {"format": "tab" if delimiter == b"\t" else "csv", "guess": False, "comment": "#"}
+    if delimiter not in b",\t":
+        options["delimiter"] = delimiter.decode()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         if text.isascii():
@@ -41,8 +48,13 @@ def read_csv(path: Path) -> Table:
             lines = [line for line in text.split("\n") if _is_data(line)]
             table = text_tables.read(lines, fast_reader=False, **options)
     for message in dict.fromkeys(str(w.message) for w in caught if "FloatType" in str(w.message)):
-        warnings.warn(f"{path}: {message}", RfpsurveyWarning, stacklevel=4)
+        warn(f"{path}: {message}")
     table.meta.clear()
+    for name in set(units) & set(table.colnames):
+        unit = Unit(units[name], parse_strict="silent")
+        is_known = not isinstance(unit, UnrecognizedUnit) and unit != dimensionless_unscaled
+        if is_known and table[name].dtype.kind in "if":
+            table[name].unit = unit
     return _with_all_rows(path, table, n_lines - 1)
 
 
@@ -76,6 +88,8 @@ def _checked_content(path: Path) -> bytes:
     content = content_of(path).removeprefix(b"\xef\xbb\xbf")  # the mark that spreadsheets put before a file
     if b"\r" in content and content.count(b"\r") != content.count(b"\r\n"):
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: the file must be text in UTF-8, got UTF-16; save it as UTF-8")
     where = content.find(b"\0")
     if where >= 0:
         raise InputError(f"{path}: line {line_number(content, where)} must be text, got a NUL byte")

@@ -5,10 +5,11 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
-from rfpsurvey.allocation._requirements import Requirement, Shortfall, as_requirements, sentences
+from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 
 __all__ = [
     "ALLOCATORS",
+    "KINDS",
     "Allocation",
     "AllocationAnswer",
     "AllocationOptions",
@@ -21,6 +22,7 @@ __all__ = [
     "as_options",
     "as_requirements",
     "assign",
+    "hint_of_name",
     "packages",
     "sentences",
 ]

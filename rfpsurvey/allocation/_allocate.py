@@ -16,7 +16,7 @@ from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, L
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.collision import check_plane
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 __all__ = ["allocate", "assign"]
@@ -24,6 +24,7 @@ __all__ = ["allocate", "assign"]
 NO_POINTS = np.empty((0, 2))
 
 
+@check_keywords
 def allocate(
     focal_plane: FocalPlane,
     xy: u.Quantity,

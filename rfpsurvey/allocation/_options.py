@@ -1,6 +1,5 @@
 """The options of an allocation, which tiles, surveys, tilings and comparisons share."""
 
-import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
@@ -10,10 +9,24 @@ import astropy.units as u
 from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
-from rfpsurvey.errors import InputError, RfpsurveyWarning, check_choice, check_switch, refusal
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    InputUnitsError,
+    check_choice,
+    check_keywords,
+    check_switch,
+    refusal,
+    short,
+    warn,
+)
 
 __all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
 
+SEPARATION = (
+    "sky_separation, the least distance of sky positions from all targets, must be an angle on the sky such as "
+    "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
+)
 OBJECTIVES = ("priority", "count")
 ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
@@ -21,6 +34,7 @@ GROUP = "rfpsurvey.allocators"
 """Entry points by which packages add allocators."""
 
 
+@check_keywords
 @dataclass(frozen=True)
 class AllocationOptions:
     """How targets are assigned: the allocator, and what the plan of each tile must hold.
@@ -101,6 +115,10 @@ class AllocationOptions:
         check_choice(self.objective, OBJECTIVES, "objective")
         to_scalar(self.time_limit, u.s, "time_limit", low=0)
         if self.sky_separation is not None:
+            if not isinstance(self.sky_separation, u.Quantity):
+                raise InputTypeError(f"{SEPARATION}, got {short(self.sky_separation)} without a unit")
+            if not (_is_angle(self.sky_separation) or self.sky_separation.unit.is_equivalent(u.mm)):
+                raise InputUnitsError(f"{SEPARATION}, got {short(self.sky_separation)}")
             unit = self.sky_separation.unit if _is_angle(self.sky_separation) else u.mm
             to_scalar(self.sky_separation, unit, "sky_separation", low=0)
         if not self._of_instrument:
@@ -173,7 +191,7 @@ class AllocationOptions:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
             text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+            warn(text)
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)

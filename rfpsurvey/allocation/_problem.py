@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import cached_property
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ from scipy.sparse import csr_array
 
 from rfpsurvey._units import locked
 from rfpsurvey.allocation._options import AllocationOptions
-from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall
+from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
@@ -376,11 +375,7 @@ class AllocationProblem:
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
             return f"all requirements ask for {asked} fibers, and there are {there}" if asked > there and enough else ""
-        if group.requirement.what in KINDS:
-            return ""
-        names = {*KINDS, *np.unique(self.category).tolist()} - {""}
-        close = get_close_matches(group.requirement.what.lower(), sorted(names), n=1)
-        return f"did you mean {close[0]!r}?" if close else ""
+        return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:
         """How many targets of a group are in reach of a fiber that would count."""

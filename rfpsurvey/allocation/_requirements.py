@@ -7,9 +7,9 @@ from numbers import Number
 
 import numpy as np
 
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, refusal, short
 
-__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "sentences"]
+__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "hint_of_name", "sentences"]
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
@@ -17,6 +17,7 @@ FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\
 MOST = 10**9
 
 
+@check_keywords
 @dataclass(frozen=True)
 class Requirement:
     """So many targets of one kind or category must, or may at most, be observed.
@@ -98,7 +99,7 @@ class Requirement:
         if found is None:
             raise InputError(
                 f"a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, "
-                f"got {text!r}"
+                f"got {short(text)}"
             )
         what, fiber, least, low, high, per = found.groups()
         most = None if high is None else int(high)
@@ -198,6 +199,15 @@ class Group:
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 
 
+def hint_of_name(what: str, names: Iterable[str]) -> str:
+    """Say what a name may mean that is neither a kind of targets nor among ``names``, the categories that exist."""
+    names = {*KINDS, *names} - {""}
+    if what in names:
+        return ""
+    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # skies are not like sky
+    return close_to(what, names) or close_to(singular, names)
+
+
 def as_requirements(given: object) -> tuple[Requirement, ...]:
     """Return requirements from themselves or from text, one or several."""
     if given is None:
@@ -208,6 +218,7 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
     found = []
     for one in given:
         if not isinstance(one, str | Requirement):
-            raise InputError(f"a requirement must be a Requirement or text such as 'sky=20/spectrograph', got {one!r}")
+            text = "a requirement must be a Requirement or text such as 'sky=20/spectrograph'"
+            raise InputError(f"{text}, got {short(one)}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
     return tuple(dict.fromkeys(found))  # one that is given twice is one

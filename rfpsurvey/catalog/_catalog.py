@@ -1,7 +1,6 @@
 """The catalog of targets."""
 
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from dataclasses import fields as dataclass_fields
@@ -15,13 +14,13 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
-from rfpsurvey._units import to_direction, to_labels, to_plain, to_scalar, to_visits
+from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._extra import extra_columns, pick_columns, result_name
 from rfpsurvey.catalog._motion import move
 from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short, warn
 
 __all__ = ["Catalog"]
 
@@ -30,6 +29,7 @@ _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
 _TYPES = {"priority": float, "visits": float}
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class Catalog:
     """Targets on the sky, a row each, with what an allocator may want to know about them.
@@ -117,11 +117,8 @@ class Catalog:
         if "kind" in columns:
             for kind in np.unique(columns["kind"]):
                 check_choice(str(kind), KINDS, "kind of target")
-        if "priority" in columns and np.isnan(columns["priority"]).any():
-            raise InputError(
-                f"priority must be a number for every target, "
-                f"but {int(np.isnan(columns['priority']).sum())} of {n} have none"
-            )
+        if "priority" in columns and (lacking := np.isnan(columns["priority"])).any():
+            raise InputError(f"priority must be a number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
@@ -134,11 +131,7 @@ class Catalog:
             extra = None if extra is None else extra[keep]
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
-            warnings.warn(
-                f"{n_bad} of {n} targets have no finite coordinates and were dropped",
-                RfpsurveyWarning,
-                stacklevel=3,
-            )
+            warn(f"{n_bad} of {n} targets have no finite coordinates and were dropped")
         for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
             object.__setattr__(self, name, value)
         for name, kind in (("n_dropped", int | np.integer), ("meta", Mapping)):
@@ -191,6 +184,7 @@ class Catalog:
         return SkyCoord(x=x, y=y, z=z, representation_type="cartesian", frame="icrs")
 
     @classmethod
+    @check_keywords
     def from_table(
         cls,
         table: Table,
@@ -198,25 +192,33 @@ class Catalog:
         columns: dict | None = None,
         units: dict | None = None,
         frame: str = "icrs",
+        fill: dict | None = None,
         keep: list | None = None,
     ) -> "Catalog":
-        """Make a catalog from a table, its columns found by their usual names and UCDs.
+        """Make a catalog from a table or DataFrame, its columns found by their usual names and UCDs.
 
         Parameters
         ----------
-        table : Table or QTable
+        table : Table, QTable or DataFrame
             With a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
             ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b``
             (with ``frame="galactic"``). Found too: ``pmra`` (with cos dec) and ``pmdec``, ``ref_epoch``,
-            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``, ``visits``.
+            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``, ``visits``. A DataFrame is one of pandas or
+            Polars, or a table of Arrow.
         columns : dict, optional
             Role to column name where the usual names do not serve, for example ``{"id": "star"}``.
             ``{"priority": "-rank"}`` flips the sign, for lists in which smaller is more important.
         units : dict, optional
-            Role to unit for columns that carry none, for example ``{"ra": "deg", "dec": "deg"}``.
+            Role to unit for columns that carry none, for example ``{"ra": "hourangle", "dec": "deg"}``. In a table
+            without any unit, positions are taken in degrees and proper motions in mas / yr: with a warning, except for
+            DataFrames, which cannot carry units. ``meta["assumed_units"]`` lists the columns.
         frame : str, optional
             Frame of the coordinates: ``icrs``, ``fk5`` and ``fk4`` look for right ascension and declination, others
             for longitude and latitude.
+        fill : dict, optional
+            Role to the value of rows that have none (masked or NaN), for ``priority``, ``visits``, ``kind``,
+            ``category`` and ``fiber_type``, for example ``{"priority": 0}``. The sign of a ``-`` in ``columns`` does
+            not apply to it.
         keep : list of str, optional
             Names of further columns that results shall carry, see ``extra``.
 
@@ -228,16 +230,29 @@ class Catalog:
         Raises
         ------
         InputError
-            If coordinates are missing, or have no unit or a wrong one.
+            If coordinates are missing, have a wrong unit, or no unit where other columns have one, or if some rows
+            have no priority or visits and ``fill`` has no value for them.
+
+        Examples
+        --------
+        >>> from astropy.table import Table
+        >>> import rfpsurvey as rs
+        >>> table = Table({"RAJ2000": ["06:20:00", "06:20:24"], "DEJ2000": [23.0, 23.1], "Vmag": [11.5, float("nan")]})
+        >>> stars = rs.Catalog.from_table(
+        ...     table, columns={"priority": "-Vmag"}, units={"dec": "deg"}, fill={"priority": -99}
+        ... )
+        >>> stars.priority
+        array([-11.5, -99. ])
         """
-        return cls._from_table(table, columns, units, frame, keep, assume_units=False)
+        return cls._from_table(table, columns, units, frame, fill, keep)
 
     @classmethod
-    def _from_table(cls, table, columns, units, frame, keep, *, assume_units):
-        found = _tables.read_columns(table, columns, units, frame, assume_units=assume_units)
-        return cls(**found, extra=pick_columns(table, keep))
+    def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
+        found = _tables.read_columns(table, columns, units, frame, fill, assume_units=assume_units)
+        return cls(**found, extra=None if keep is None else pick_columns(_tables.as_table(table, columns)[0], keep))
 
     @classmethod
+    @check_keywords
     def read(
         cls,
         path: str | os.PathLike,
@@ -245,12 +260,13 @@ class Catalog:
         columns: dict | None = None,
         units: dict | None = None,
         frame: str = "icrs",
+        fill: dict | None = None,
         keep: list | None = None,
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        CSV carries no units: there positions are taken in degrees and proper motions in mas / yr, unless
-        ``units`` says otherwise.
+        CSV carries no units, and Parquet need not: without units, positions are taken in degrees and proper motions in
+        mas / yr, unless ``units`` says otherwise. Semicolons, tabs or vertical bars may take the place of the commas.
 
         Parameters
         ----------
@@ -259,6 +275,8 @@ class Catalog:
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
+            As in `from_table`.
+        fill : dict, optional
             As in `from_table`.
         keep : list of str, optional
             As in `from_table`.
@@ -276,7 +294,8 @@ class Catalog:
         path = _io.to_path(path)
         table = _io.read_table(path)
         try:
-            catalog = cls._from_table(table, columns, units, frame, keep, assume_units=_io.suffix_of(path) == ".csv")
+            plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
+            catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         catalog.meta["file"] = path.name
@@ -373,13 +392,13 @@ class Catalog:
         )
         return self._take(slice(None), coord=coord, epoch=time)
 
-    def within(self, center: SkyCoord, radius: u.Quantity) -> "Catalog":
+    def within(self, center: SkyCoord | str, radius: u.Quantity) -> "Catalog":
         """Return the targets inside a circle on the sky.
 
         Parameters
         ----------
-        center : SkyCoord
-            Center of the circle.
+        center : SkyCoord or str
+            Center of the circle; text as in `plan_tile`.
         radius : Quantity
             Angular radius.
 
@@ -393,4 +412,5 @@ class Catalog:
         InputError
             If the center is not one direction, or the radius not one angle of at least 0.
         """
-        return self._take(self.arrays.rows_within(center, to_scalar(radius, u.rad, "radius", low=0, closed=True)))
+        radius_rad = to_scalar(radius, u.rad, "radius", low=0, closed=True)
+        return self._take(self.arrays.rows_within(to_center(center), radius_rad))

@@ -6,8 +6,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._units import to_labels, to_plain
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey._units import rows_of, to_labels, to_plain
+from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
 
@@ -53,6 +53,10 @@ UNITS = {
     "x": u.mm,
     "y": u.mm,
 }
+# What stands in columns of numbers where there is none, beside nothing at all.
+NOTHING = ("", "null", "none", "na", "n/a", "--", "---")
+# Roles whose missing values can be filled, and whether these are numbers.
+FILLED = {"priority": True, "visits": True, "kind": False, "category": False, "fiber_type": False}
 # One degree a day: nothing outside of the solar system moves as fast.
 MOST_MOTION = 1.3e9 * u.mas / u.yr
 
@@ -68,15 +72,24 @@ class Finder:
     """Role to unit, for columns that carry none."""
     assume_units: bool = False
     """May a missing unit be taken as the usual one (formats that cannot carry units)?"""
+    fill: dict = field(default_factory=dict)
+    """Role to the value of rows that have none."""
+    assumed: dict = field(default_factory=dict, init=False)
+    """Role to unit, of the columns whose unit was assumed so far."""
 
     def __post_init__(self):
-        for given, what in ((self.columns, "columns"), (self.units, "units")):
+        for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
             if not isinstance(given, dict):
-                raise refusal(f"{what} must be a dict from role to {what[:-1]}", given, dict)
+                name = "fill" if what == "value" else f"{what}s"
+                raise refusal(f"{name} must be a dict from role to {what}", given, dict)
+        for role, value in self.fill.items():
+            check_choice(role, FILLED, "column role to fill")
+            if FILLED[role] and not _is_decimal(value):
+                raise InputError(f"fill must have a number for {role}, got {short(value)}")
         for role, name in self.columns.items():
             check_choice(role, ROLES, "column role")
             if not isinstance(name, str):
-                raise InputError(f"columns must name a column for {role}, got {name!r}")
+                raise InputError(f"columns must name a column for {role}, got {short(name)}")
         for role in self.units:
             check_choice(role, UNITS, "column role with a unit")
 
@@ -104,11 +117,13 @@ class Finder:
         """Return the unit of the column with this role: its own, or the one that was given; None if there is none."""
         name = self.name_of(role)
         own = getattr(self.table[name], "unit", None)
-        own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else u.Unit(own)
+        own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else _unit(own, role)
         try:
-            given = u.Unit(self.units[role]) if role in self.units else None
+            given = _unit(self.units[role], role) if role in self.units else None
+            if isinstance(given, u.UnrecognizedUnit):
+                raise ValueError
         except (ValueError, TypeError):
-            raise InputError(f"units of {role} must be a unit, got {self.units[role]!r}") from None
+            raise InputError(f"units of {role} must be a unit, got {short(self.units[role])}") from None
         if own is not None and given is not None and own != given:
             raise InputError(f"column {name!r} has the unit {own}, but units says {given}")
         return own or given
@@ -126,7 +141,7 @@ class Finder:
                     f"column {name!r} has no unit; say which, for example units={{{role!r}: '{UNITS[role]}'}} "
                     f"or --unit {role}={str(UNITS[role]).replace(' ', '')}"
                 )
-            unit = UNITS[role]
+            unit = self.assumed[role] = UNITS[role]
         try:
             values = u.Quantity(values, unit).to(UNITS[role])
         except (TypeError, ValueError):  # units that do not convert, or that are not known
@@ -152,15 +167,14 @@ class Finder:
         values = self._plain(role)
         try:
             if values.dtype.kind == "U":
-                values = np.where(np.char.strip(values) == "", "nan", values)
+                values = np.where(np.isin(np.char.lower(np.char.strip(values)), NOTHING), "nan", values)
             sign = -1.0 if self.columns.get(role, "").startswith("-") else 1.0
             return sign * values.astype(float)
         except (TypeError, ValueError):
             what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
             row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not _is_decimal(v))
-            raise InputError(
-                f"column {name!r} ({role}) must hold {what}, but holds text such as {text[:60]!r} (row {row + 1})"
-            ) from None
+            text = f"column {name!r} ({role}) must hold {what}, but holds text such as {text[:60]!r} (row {row + 1})"
+            raise InputError(text) from None
 
     def _plain(self, role: str) -> np.ndarray:
         """Return the column as numbers or text, one value a row."""
@@ -175,6 +189,11 @@ class Finder:
             sizes = " x ".join(map(str, shape))
             raise InputError(f"column {name!r} ({role}) must have one value per row, got {sizes} values per row")
 
+    def texts(self, role: str) -> np.ndarray:
+        """Return the column as text, empty where there is no value."""
+        texts = self.labels(role)
+        return np.where(np.isin(np.char.lower(texts), NOTHING), "", texts)
+
     def is_text(self, role: str) -> bool:
         """Tell whether the column holds text that does not read as decimal numbers."""
         try:
@@ -184,10 +203,21 @@ class Finder:
         return False
 
     def numbers(self, role: str) -> np.ndarray | None:
-        """Return the column as float64, masked values as NaN."""
+        """Return the column as float64, with the value to fill in, or NaN, where the column has none."""
         if self.name_of(role) is None:
             return None
-        return self._decimal(role)
+        values = self._decimal(role)
+        return np.where(np.isnan(values), float(self.fill[role]), values) if role in self.fill else values
+
+    def complete(self, role: str) -> np.ndarray | None:
+        """Return the column as float64, of which every row must have a value."""
+        values = self.numbers(role)
+        if values is not None and (lacking := np.isnan(values)).any():
+            raise InputError(
+                f"column {self.name_of(role)!r} ({role}) must have a number in every row, but {rows_of(lacking)} have "
+                f"none; say which they get, for example fill={{{role!r}: 0}} or --fill {role}=0"
+            )
+        return values
 
     def labels(self, role: str) -> np.ndarray | None:
         """Return the column as integers or text, masked text as ''."""
@@ -197,15 +227,30 @@ class Finder:
         if name is None:
             return None
         self._check_shape(role)
-        return to_labels(self.table[name], f"column {name!r} ({role})")
+        labels = to_labels(self.table[name], f"column {name!r} ({role})")
+        return np.where(labels == "", str(self.fill[role]), labels) if role in self.fill else labels
 
     def missing(self, what: str) -> InputError:
         """Return the error for a column that is needed and not there."""
-        return InputError(f"there is no column for {what}; {self.listing()}")
+        text = f"there is no column for {what}; {self.listing()}"
+        if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
+            return InputError(f"{text}; give the frame of these coordinates, as frame='galactic' or --frame galactic")
+        role = what.split()[0]
+        remedy = f"; name it, as columns={{{role!r}: ...}} or --column {role}=..." if self.table.colnames else ""
+        return InputError(text + remedy)
 
     def listing(self) -> str:
         """Return a phrase that names the columns."""
         return f"the columns are: {', '.join(self.table.colnames) or 'none'}"
+
+
+def _unit(given: object, role: str) -> u.UnitBase:
+    """Return a unit, also from such text as ``Degrees``; hours of right ascension are hour angles."""
+    unit = u.Unit(given, parse_strict="silent")
+    if isinstance(unit, u.UnrecognizedUnit):
+        known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")
+        unit = unit if isinstance(known, u.UnrecognizedUnit) else known
+    return u.Unit(u.hourangle * unit.to(u.hour)) if role == "ra" and unit.is_equivalent(u.hour) else unit
 
 
 def _is_decimal(text) -> bool:

@@ -1,21 +1,21 @@
 """Catalogs in many Parquet files, one for each HEALPix pixel, that are read where they are needed (HATS)."""
 
 import os
-import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import BaseCoordinateFrame, SkyCoord
 from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
 from rfpsurvey._readers import content_of, import_parquet
 from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._frames import is_table
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short, warn
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
@@ -25,6 +25,7 @@ MOST_ORDER = 13
 MOST_PROPERTIES = 2**20
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class PartitionedCatalog:
     """A catalog in a folder, laid out as HATS: Parquet files by HEALPix order and pixel (nested, ICRS).
@@ -39,6 +40,8 @@ class PartitionedCatalog:
     columns, units : dict, optional
         As in `Catalog.from_table`; positions are in degrees where nothing else is said.
     frame : str, optional
+        As in `Catalog.from_table`.
+    fill : dict, optional
         As in `Catalog.from_table`.
     keep : list of str, optional
         As in `Catalog.from_table`.
@@ -58,7 +61,7 @@ class PartitionedCatalog:
     --------
     >>> import tempfile
     >>> import astropy.units as u
-    >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.coordinates import BaseCoordinateFrame, SkyCoord
     >>> import rfpsurvey as rs
     >>> stars = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 5 * u.deg, n_targets=1000, rng=1)
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -71,21 +74,22 @@ class PartitionedCatalog:
     columns: dict = field(default_factory=dict)
     units: dict = field(default_factory=dict)
     frame: str = "icrs"
+    fill: dict = field(default_factory=dict)
     keep: list | None = None
     kept_rows: int = 10_000_000
 
     def __post_init__(self):
         object.__setattr__(self, "folder", to_path(self.folder))
-        for name in ("columns", "units"):
+        for name, what in (("columns", "column"), ("units", "unit"), ("fill", "value")):
             if not isinstance(getattr(self, name), dict | None):
-                raise InputError(f"{name} must be a dict from role to {name[:-1]}, got {getattr(self, name)!r}")
+                raise InputError(f"{name} must be a dict from role to {what}, got {short(getattr(self, name))}")
         keep = [self.keep] if isinstance(self.keep, str) else list(self.keep or [])
         object.__setattr__(self, "keep", keep)
         if not isinstance(self.frame, str):
-            raise InputError(f"frame must be the name of a frame, got {self.frame!r}")
+            raise InputError(f"frame must be the name of a frame, got {short(self.frame)}")
         kept = self.kept_rows
         if isinstance(kept, bool) or not isinstance(kept, int | np.integer) or kept < 1:
-            raise InputError(f"kept_rows must be a whole number of at least 1, got {kept!r}")
+            raise InputError(f"kept_rows must be a whole number of at least 1, got {short(kept)}")
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
         if not self.parts.files:
@@ -95,11 +99,12 @@ class PartitionedCatalog:
         said = given.pop("nrows", None)
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
+        object.__setattr__(self, "fill", dict(self.fill or {}))
         self.parts.refuse_overlaps()
         self.parts.names, self.parts.rows  # noqa: B018  (raise where columns are missing)
         if said is not None and said != str(len(self)):
             text = f"{self.folder}: the catalog must have {said} rows, as its properties say, but {len(self)} are there"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+            warn(text)
 
     @cached_property
     def parts(self) -> Partitions:
@@ -138,6 +143,7 @@ class PartitionedCatalog:
         return self.parts.to_catalog(merged, self.folder)
 
 
+@check_keywords
 def partition_catalog(
     catalog: Catalog | SkyCoord | Table, folder: str | os.PathLike, *, order: int | None = None
 ) -> PartitionedCatalog:
@@ -145,7 +151,7 @@ def partition_catalog(
 
     Parameters
     ----------
-    catalog : Catalog, SkyCoord or Table
+    catalog : Catalog, SkyCoord, Table or DataFrame
         The targets, at their epoch.
     folder : str or path-like
         A folder that does not exist yet; it appears whole or not at all.
@@ -166,7 +172,7 @@ def partition_catalog(
     --------
     >>> import tempfile
     >>> import astropy.units as u
-    >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.coordinates import BaseCoordinateFrame, SkyCoord
     >>> import rfpsurvey as rs
     >>> stars = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 5 * u.deg, n_targets=1000, rng=1)
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -208,14 +214,18 @@ def partition_catalog(
 
 
 def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Catalog:
-    """Return a catalog from itself, from coordinates, a table or all partitions."""
+    """Return a catalog from itself, from coordinates, a table, a DataFrame or all partitions."""
     if isinstance(catalog, PartitionedCatalog):
         return catalog.read()
     if isinstance(catalog, str | os.PathLike):
         raise InputError(f"the catalog must be read first: Catalog.read({str(catalog)!r})")
     if isinstance(catalog, Catalog):
         return catalog
-    return Catalog.from_table(catalog) if isinstance(catalog, Table) else Catalog(catalog)
+    if is_table(catalog):
+        return Catalog.from_table(catalog)
+    if not isinstance(catalog, SkyCoord | BaseCoordinateFrame):
+        raise InputTypeError(f"catalog must be a Catalog, SkyCoord, Table or DataFrame, got {short(catalog)}")
+    return Catalog(catalog)
 
 
 def _joined(columns: list) -> np.ndarray:

@@ -153,6 +153,7 @@ class Partitions:
     def digest(self) -> str:
         """Return a digest of the files: of the stored bytes of the columns that are read, and of nothing else."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
+        about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
         found = hashlib.sha256(repr(about).encode())
         for order, pixel, path in self.files:
             found.update(f"{order}/{pixel}".encode())
@@ -169,7 +170,7 @@ class Partitions:
         try:
             asked = self.catalog
             return Catalog._from_table(
-                table, asked.columns, asked.units, asked.frame, asked.keep or None, assume_units=True
+                table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None, assume_units=True
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

@@ -7,18 +7,19 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from scipy.spatial import cKDTree
 
-from rfpsurvey._units import to_generator, to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import to_center, to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
 __all__ = ["synthetic_catalog"]
 
 MOST = 1e9  # targets, beyond which memory is the limit
 
 
+@check_keywords
 def synthetic_catalog(
     kind: str,
-    center: SkyCoord,
+    center: SkyCoord | str,
     radius: u.Quantity,
     *,
     n_targets: int | None = None,
@@ -38,8 +39,8 @@ def synthetic_catalog(
         sequential addition), as many as asked or, without ``n_targets`` and ``density``, until fewer than
         one dart in a thousand finds room. ``clustered``: a Thomas process, clusters with a Gaussian profile,
         whose centers and members are Poisson distributed.
-    center : SkyCoord
-        Center of the circle.
+    center : SkyCoord or str
+        Center of the circle; text as in `plan_tile`.
     radius : Quantity
         Angular radius of the circle, at most 180 deg.
     n_targets : int, optional
@@ -81,8 +82,7 @@ def synthetic_catalog(
     check_choice(kind, _MAKERS, "kind of synthetic catalog")
     cap = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
     cap = np.deg2rad(min(cap, 180.0))
-    if not isinstance(center, SkyCoord) or not center.isscalar:
-        raise refusal("center must be one SkyCoord", center, SkyCoord)
+    center = to_center(center)
     expected = _expected_number(kind, cap, n_targets, density)
     rng = to_generator(rng)
     options = {"min_separation": min_separation, "cluster_size": cluster_size, "cluster_scale": cluster_scale}

@@ -1,27 +1,28 @@
 """A catalog as a table: coordinates, epochs and kinds from the columns that people use."""
 
-import warnings
-
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord, frame_transform_graph
+from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
 from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.catalog._frames import as_table
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
-__all__ = ["read_columns"]
+__all__ = ["has_units", "read_columns"]
 
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
-def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> dict:
-    """Return the arguments of a Catalog that a table describes."""
-    if not isinstance(table, Table):
-        raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
-    find = Finder(table, columns or {}, units or {}, assume_units)
+def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
+    """Return the arguments of a Catalog that a table describes.
+
+    Where units may be assumed, nothing is said; they are assumed with a warning for a table without any unit.
+    """
+    table, is_plain = as_table(table, columns)
+    find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
     category = find.labels("category")
     kind = find.labels("kind")
     if kind is not None:
@@ -29,17 +30,29 @@ def read_columns(table: Table, columns, units, frame, *, assume_units: bool) -> 
     elif category is not None:
         kind = _kind_of_category(category)
     coord = _coordinates(find, frame)
+    meta = _plain_meta(table.meta)
+    if find.assumed:
+        meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
+        if not (assume_units or is_plain):
+            warn(
+                f"no column of the table has a unit: assumed are {meta['assumed_units']}; units= or --unit state others"
+            )
     return {
         "coord": coord,
         "id": find.labels("id"),
-        "priority": find.numbers("priority"),
+        "priority": find.complete("priority"),
         "kind": kind,
         "category": category,
         "fiber_type": find.labels("fiber_type"),
-        "visits": find.numbers("visits"),
+        "visits": find.complete("visits"),
         "epoch": _epoch(find, coord),
-        "meta": _plain_meta(table.meta),
+        "meta": meta,
     }
+
+
+def has_units(table: Table) -> bool:
+    """Return whether a column of a table has a unit."""
+    return any(getattr(column, "unit", None) is not None for column in table.columns.values())
 
 
 def _coordinates(find: Finder, frame: str) -> SkyCoord:
@@ -58,15 +71,8 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     if lacking:
         raise find.missing(" and ".join(lacking) + ("" if equatorial else f" of the frame {frame!r}"))
     names = [find.name_of(role) for role in roles]
+    lon, lat = (_angle(find, role, u.hourangle if role == "ra" else u.deg) for role in roles)
     motion = _motion(find, equatorial=equatorial)
-    if all(find.is_text(role) for role in roles):
-        units = [find.unit_of(role) for role in roles]
-        units = (units[0] or (u.hourangle if equatorial else u.deg), units[1] or u.deg)
-        try:
-            return SkyCoord(find.labels(roles[0]), find.labels(roles[1]), unit=units, frame=frame, **motion)
-        except ValueError as error:
-            raise InputError(f"columns {names[0]!r} and {names[1]!r} are not sexagesimal: {error}") from error
-    lon, lat = find.quantity(roles[0]), find.quantity(roles[1])
     bad = np.abs(lat) > 90 * u.deg
     if bad.any():
         raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
@@ -79,17 +85,43 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
         raise InputError(f"frame {frame!r} cannot be used: {error}") from error
 
 
+def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
+    """Return the column with this role in degrees; ``unit`` is that of sexagesimal text without a unit of its own."""
+    if not find.is_text(role):
+        return find.quantity(role)
+    own, texts = find.unit_of(role), find.texts(role)
+    unit = own if own is not None and own.is_equivalent(u.deg) else unit
+    there = texts != ""
+    angles = np.full(len(texts), np.nan)
+    try:
+        if own is None and any(text.replace(".", "", 1).isdecimal() for text in texts[there]):
+            raise ValueError("decimal numbers and sexagesimal text are in one column, give its unit")
+        angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
+    except ValueError as error:
+        text = _not_an_angle(texts[there], unit)
+        remedy = "; write a point for the decimal comma" if text.replace(",", "", 1).isdecimal() else f": {error}"
+        what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
+        raise InputError(f"{what}, got {text!r}{remedy}") from error
+    return angles * u.deg
+
+
+def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
+    """Return the first text that is no angle."""
+    for text in texts.tolist():
+        try:
+            Angle(text, unit)
+        except ValueError:
+            return text
+    return ""
+
+
 def _motion(find: Finder, *, equatorial: bool) -> dict:
     """Proper motions as arguments of SkyCoord, where the table has them."""
     names = [find.name_of(role) for role in ("pmra", "pmdec")]
     if names == [None, None]:
         return {}
     if not equatorial:
-        warnings.warn(
-            f"the proper motions {names} are not those of the frame asked for, and are not used",
-            RfpsurveyWarning,
-            stacklevel=2,
-        )
+        warn(f"the proper motions {names} are not those of the frame asked for, and are not used")
         return {}
     if None in names:
         raise find.missing("pmra" if names[0] is None else "pmdec")

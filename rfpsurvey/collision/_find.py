@@ -20,7 +20,7 @@ from rfpsurvey.collision._arms import (
 from rfpsurvey.collision._exact_arithmetic import closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
-from rfpsurvey.errors import InputError, check_choice, check_switch, check_whole
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["find_collisions", "touching"]
@@ -29,6 +29,7 @@ MOST_POINTS = 10_000
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
 
 
+@check_keywords
 def find_collisions(
     focal_plane: FocalPlane,
     tips: object = None,

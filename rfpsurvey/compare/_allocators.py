@@ -8,10 +8,10 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.table import QTable, Table
 
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions
-from rfpsurvey.catalog import Catalog
+from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
 from rfpsurvey.errors import RfpsurveyWarning
 from rfpsurvey.instrument import Instrument, as_instrument
@@ -25,9 +25,9 @@ log = logging.getLogger("rfpsurvey")
 
 
 def compare_allocators(
-    catalog: Catalog | SkyCoord,
+    catalog: Catalog | SkyCoord | Table,
     instrument: Instrument | str,
-    center: SkyCoord,
+    center: SkyCoord | str | None = None,
     *,
     allocators: list[str | Callable] | None = None,
     options: AllocationOptions | None = None,
@@ -37,12 +37,12 @@ def compare_allocators(
 
     Parameters
     ----------
-    catalog : Catalog or SkyCoord
+    catalog : Catalog, SkyCoord, Table or DataFrame
         The targets.
     instrument : Instrument or str
         The instrument, the name of a preset, or the path of a TOML file.
-    center : SkyCoord
-        Field center.
+    center : SkyCoord or str, optional
+        Field center, as in `plan_tile`.
     allocators : list of str or callable, optional
         Allocators, see `AllocationOptions`; by default all built-in ones.
     options : AllocationOptions, optional
@@ -78,7 +78,7 @@ def compare_allocators(
     np.int64(0)
     """
     methods = allocators_of(ALLOCATORS if allocators is None else allocators, options, others)
-    instrument = as_instrument(instrument)
+    instrument, catalog = as_instrument(instrument), as_catalog(catalog)
     tiles = {}
     for method in [replace(methods[0], allocator=BLIND), *methods]:
         if method in tiles:

@@ -13,10 +13,10 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_with_progress
-from rfpsurvey._units import to_generator
+from rfpsurvey._units import to_center, to_generator
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_whole, refusal, short
+from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_whole, refusal, short, warn
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -101,6 +101,7 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     centers = catalog.mean_direction if center is None else center
+    centers = to_center(centers) if isinstance(centers, str) else centers
     if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
         raise refusal("center must be a SkyCoord, one or in a row", center, SkyCoord)
     centers = centers.reshape(-1)
@@ -124,7 +125,7 @@ def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[Allocati
         warnings.simplefilter("always", RfpsurveyWarning)
         found = {name: [one.for_instrument(model) for one in allocators] for name, model in models.items()}
     for text in dict.fromkeys(str(one.message) for one in told):
-        warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+        warn(text)
     return found
 
 

@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, packages
@@ -79,10 +79,10 @@ log = logging.getLogger("rfpsurvey")
 
 
 def compare_instruments(
-    catalog: Catalog | SkyCoord | str = "poisson",
+    catalog: Catalog | SkyCoord | Table | str = "poisson",
     instruments: Sequence[Instrument | str] | None = None,
     *,
-    center: SkyCoord | None = None,
+    center: SkyCoord | str | None = None,
     allocators: Sequence[str | Callable] = ALLOCATORS,
     targets_per_positioner: float | None = None,
     density: u.Quantity | None = None,

@@ -1,6 +1,5 @@
 """Scan many designs of fiber positioners."""
 
-import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 
@@ -18,7 +17,7 @@ from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES, to_table
 from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
-from rfpsurvey.errors import InputTypeError, RfpsurveyWarning, short
+from rfpsurvey.errors import InputTypeError, check_keywords, short, warn
 
 __all__ = ["explore_designs", "scan"]
 
@@ -26,6 +25,7 @@ CHUNK = 8
 """Designs of one task. Results do not depend on it."""
 
 
+@check_keywords
 def explore_designs(
     *,
     central_arm: u.Quantity,
@@ -209,8 +209,8 @@ def _warn(table):
         text = (
             f"{len(strange)} of {len(table)} designs have no figures ({strange['reason'][0]}): see the column 'reason'"
         )
-        warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+        warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
         text = f"the time limit cut searches for {cut} of {len(table)} designs short: their loss is at most so large"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=4)
+        warn(text)

@@ -9,7 +9,7 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.design._losses import ESTIMANDS, METHODS
 from rfpsurvey.design._work import MOST_TARGETS
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
 __all__ = ["LossOptions"]
 
@@ -17,6 +17,7 @@ PER_POSITIONER = 4.0
 """Targets per positioner where nothing says how many."""
 
 
+@check_keywords
 @dataclass(frozen=True)
 class LossOptions:
     """Which fraction of the fibers a design loses to collisions, and how it is found.

@@ -7,13 +7,14 @@ from astropy.table import QTable
 
 from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._rows import set_formats
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_keywords
 
 __all__ = ["design_sensitivities"]
 
 DEGREE = 4
 
 
+@check_keywords
 def design_sensitivities(
     table: QTable, *, figures: Sequence[str] = ("coverage", "loss", "usable", "usable_per_area")
 ) -> QTable:

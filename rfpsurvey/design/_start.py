@@ -1,13 +1,12 @@
 """The design of an instrument, from which a scan starts."""
 
-import warnings
 from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey.design._axes import AXES
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 from rfpsurvey.instrument import Instrument, arm_facts
 
 __all__ = ["Start", "start_of"]
@@ -42,7 +41,7 @@ def start_of(model: Instrument) -> Start:
     unit = model.focal_plane.positioner
     if unit.arm_model != "elbow_to_tip":
         text = f"the arms of {model.name} collide as {unit.arm_model}; those of designs collide from elbow to tip"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+        warn(text)
     central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
     if not moved < 1:

@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from rfpsurvey._units import to_points_mm
+from rfpsurvey.errors import check_keywords
 from rfpsurvey.focal_plane import _tables
 from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._checks import check_columns
@@ -20,6 +21,7 @@ from rfpsurvey.positioner import Positioner
 __all__ = ["FocalPlane"]
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
     """The positioners of an instrument, a row each, and the fixed obstacles between them.

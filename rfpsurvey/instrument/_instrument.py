@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
 from numbers import Number
 from pathlib import Path
@@ -15,7 +14,15 @@ from astropy.table import Table
 from rfpsurvey._display import to_html
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, refusal, short
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    refusal,
+    short,
+    warn,
+)
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
@@ -28,6 +35,7 @@ GROUP = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class Instrument:
     """A fiber positioner instrument at its telescope.
@@ -332,7 +340,7 @@ def every_instrument() -> dict[str, Instrument]:
         try:
             found[name] = Instrument.preset(name)
         except InputError as error:
-            warnings.warn(str(error), RfpsurveyWarning, stacklevel=3)
+            warn(str(error))
     return found
 
 

@@ -1,6 +1,5 @@
 """Estimate collision probabilities by any method."""
 
-import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 from numbers import Number
@@ -14,7 +13,16 @@ from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_spawner
 from rfpsurvey.allocation import Allocation, AllocationOptions, as_options, packages
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_whole, refusal, short
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    check_whole,
+    refusal,
+    short,
+    warn,
+)
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
@@ -28,6 +36,7 @@ from rfpsurvey.probability._targets import make_source
 __all__ = ["collision_probability"]
 
 
+@check_keywords
 def collision_probability(
     focal_plane: FocalPlane | Instrument | str,
     *,
@@ -180,11 +189,9 @@ def collision_probability(
     found = _zero(plane, source) if nothing_can_touch and name in MOST_ITERATIONS else answer(question)
     wanted = precision.standard_error
     if wanted is not None and not found.pop("met", True):
-        warnings.warn(
+        warn(
             f"after {found['n']} iterations{', the most allowed,' if name in MOST_ITERATIONS else ''} the standard "
-            f"error is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} asks for",
-            RfpsurveyWarning,
-            stacklevel=2,
+            f"error is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} asks for"
         )
     found.pop("met", None)
     meta = {

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, check_choice, check_whole, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, refusal
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
 __all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
@@ -21,6 +21,7 @@ STANDARD_ERROR = 1e-3
 MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 
 
+@check_keywords
 @dataclass(frozen=True)
 class RandomTargets:
     """Random targets on the focal plane, drawn anew for each realization.
@@ -83,6 +84,7 @@ class RandomTargets:
         return _short(self, repr(self.kind))
 
 
+@check_keywords
 @dataclass(frozen=True)
 class Precision:
     """When iterations end, and how the confidence interval is computed.

@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._kernels import sky
 from rfpsurvey._units import to_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
 __all__ = ["RadialMap"]
 
@@ -17,6 +17,7 @@ _FORMS = {"theta": sky.THETA, "tan_theta": sky.TAN_THETA, "sine": sky.SINE}
 _SCALE = u.mm / u.rad
 
 
+@check_keywords
 @dataclass(frozen=True)
 class RadialMap:
     """Distance from the field center on the focal plane as a function of the field angle.

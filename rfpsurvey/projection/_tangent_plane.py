@@ -7,8 +7,8 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._units import to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
-from rfpsurvey.errors import InputError, refusal
+from rfpsurvey._units import to_center, to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
+from rfpsurvey.errors import InputError, check_keywords, refusal
 from rfpsurvey.projection._field import FieldProjection, field_basis
 from rfpsurvey.projection._radial_map import RadialMap
 
@@ -17,6 +17,7 @@ __all__ = ["TangentPlane"]
 _SCALE = u.mm / u.rad
 
 
+@check_keywords
 @dataclass(frozen=True, eq=False)
 class TangentPlane:
     """Projection of the sky around a field center onto the focal plane.
@@ -58,8 +59,7 @@ class TangentPlane:
     distortion: RadialMap | dict[str, RadialMap] | None = None
 
     def __post_init__(self):
-        if not isinstance(self.center, SkyCoord) or not self.center.isscalar:
-            raise refusal("center must be one SkyCoord", self.center, SkyCoord)
+        object.__setattr__(self, "center", to_center(self.center))
         maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
         if self.distortion is not None and not (maps and all(isinstance(m, RadialMap) for m in maps)):
             raise refusal("distortion must be a RadialMap or a dict of them by fiber type", self.distortion, dict)

@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey import _healpix
-from rfpsurvey._units import to_scalar, to_vectors
+from rfpsurvey._units import to_center, to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_choice, refusal
 from rfpsurvey.region import _shapes
 from rfpsurvey.region._sphere import is_inside
@@ -54,13 +54,13 @@ class Region:
     nside: int = 0
 
     @classmethod
-    def cap(cls, center: SkyCoord, radius: u.Quantity) -> "Region":
+    def cap(cls, center: SkyCoord | str, radius: u.Quantity) -> "Region":
         """Make a circle.
 
         Parameters
         ----------
-        center : SkyCoord
-            Its center.
+        center : SkyCoord or str
+            Its center; text as in `plan_tile`.
         radius : Quantity
             Its angular radius, at most 180 deg.
 
@@ -75,7 +75,7 @@ class Region:
             If the center is not one direction or the radius is impossible.
         """
         radius_rad = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
-        vector = to_vectors(center, "center", one=True)[0]
+        vector = to_vectors(to_center(center))[0]
         return cls("cap", np.append(vector, min(np.deg2rad(radius_rad), np.pi)))
 
     @classmethod

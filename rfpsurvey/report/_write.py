@@ -10,7 +10,7 @@ from astropy.table import Table
 
 from rfpsurvey._io import check_output, output_path, to_path
 from rfpsurvey.compare import PARTS
-from rfpsurvey.errors import InputTypeError, check_whole, refusal
+from rfpsurvey.errors import InputTypeError, check_keywords, check_whole, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._html import html_of
@@ -51,6 +51,7 @@ def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
     return check_output(path, ENDINGS, overwrite=overwrite)
 
 
+@check_keywords
 def write_report(
     result: "Tile | Survey | Tiling | Estimate | Table",
     path: str | os.PathLike,

@@ -11,7 +11,7 @@ from pathlib import Path
 from astropy.table import QTable
 
 from rfpsurvey._io import check_output, output_path, to_path, write_table
-from rfpsurvey.errors import InputError, check_choice, check_whole
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
 from rfpsurvey.plot import draw_reproduction
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table
 from rfpsurvey.reproduction._designs import Settings
@@ -43,6 +43,7 @@ TABLES = {
 """Name to the tables that the experiment writes."""
 
 
+@check_keywords
 def reproduce(
     experiment: str = "all",
     folder: str | os.PathLike = "reproduction",

@@ -8,7 +8,6 @@ import hashlib
 import json
 import re
 import shutil
-import warnings
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from filelock import FileLock, Timeout
 from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes
 from rfpsurvey._readers import content_of, parse_json
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
 
@@ -92,7 +91,7 @@ class Folder:
             self._known = {name: entry for name, entry in known.items() if _belongs(name, self._n)}
             if n_strange or len(self._known) < len(known):
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
-                warnings.warn(text, RfpsurveyWarning, stacklevel=5)
+                warn(text)
         for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # by a run that was killed
             if left_over.is_dir():
                 shutil.rmtree(left_over, ignore_errors=True)
@@ -108,7 +107,7 @@ class Folder:
     def _compare(self, before: dict):
         """Refuse to continue another survey than the one that was begun."""
         now = dict(self._request)
-        warn_of_software(self.path, before.pop("software", None), now.pop("software", None), "tiles", 6)
+        warn_of_software(self.path, before.pop("software", None), now.pop("software", None), "tiles")
         if "method" in before:
             raise InputError(f"{self.path} was begun by version 0.1, which recorded other options; give another folder")
         check_request(self.path, before, now, "survey", "folder")
@@ -127,7 +126,7 @@ class Folder:
     def distrust(self, tile: int, reason: str) -> None:
         """Say that a part cannot be used."""
         text = f"tile {tile} (by row) is planned again: {reason}"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=2)
+        warn(text)
 
     def put_part(self, tile: int, content: bytes) -> None:
         """Write the part of a tile."""

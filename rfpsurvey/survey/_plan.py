@@ -1,7 +1,6 @@
 """Plan a survey: tile after tile, until targets are observed as often as they are wanted."""
 
 import logging
-import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from time import perf_counter
@@ -12,9 +11,17 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import AllocationOptions, as_options
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_switch, short
+from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, to_time
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    check_switch,
+    short,
+    warn,
+)
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import make_request
@@ -28,6 +35,7 @@ __all__ = ["plan_survey"]
 log = logging.getLogger("rfpsurvey")
 
 
+@check_keywords
 def plan_survey(
     catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     instrument: Instrument | str,
@@ -52,7 +60,7 @@ def plan_survey(
 
     Parameters
     ----------
-    catalog : Catalog, PartitionedCatalog, SkyCoord or Table
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
         The targets; those of the kind ``standard`` and ``sky`` serve requirements, without which they are not
         used, and are never used up.
     instrument : Instrument or str
@@ -138,12 +146,14 @@ def plan_survey(
     if check_switch(resume, "resume") and folder is None:
         raise InputError("resume needs the folder of the survey to continue")
     instrument = as_instrument(instrument)
+    if epoch is not None:
+        to_time(epoch, "epoch")
     if isinstance(catalog, PartitionedCatalog):
         source = Partitioned(catalog, epoch)
     else:
         catalog = as_catalog(catalog)
         if epoch is not None and not catalog.has_proper_motion:
-            warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
+            warn("without proper motions the epoch changes nothing")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     request = make_request(
         source,
@@ -160,7 +170,7 @@ def plan_survey(
     _warn_of_lacks(request)
     survey = run(request, folder, executor, progress, resume=resume)
     if request.visits.any() and not survey.summary["n_visits_observed"]:
-        warnings.warn("no target was observed: are the tiles where the targets are?", RfpsurveyWarning, stacklevel=2)
+        warn("no target was observed: are the tiles where the targets are?")
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
     return survey
 
@@ -168,7 +178,7 @@ def plan_survey(
 def _warn_of_lacks(request) -> None:
     """Tell what would go wrong in every tile."""
     if request.source.has_twins:
-        warnings.warn("some targets share their id with another", RfpsurveyWarning, stacklevel=3)
+        warn("some targets share their id with another")
     asked = {one.what: one for one in request.options.requirements if one.minimum}
     if request.options.sky_separation is not None:
         asked.pop("sky", None)
@@ -178,6 +188,6 @@ def _warn_of_lacks(request) -> None:
         there |= set() if column is None else set(np.unique(column).tolist())
     for what, one in asked.items():
         if what not in there:
-            hint = "; sky_separation would find blank sky" if what == "sky" else ""
-            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint}"
-            warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+            hint = "sky_separation would find blank sky" if what == "sky" else hint_of_name(what, there)
+            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint and '; ' + hint}"
+            warn(text)

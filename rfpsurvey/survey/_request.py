@@ -1,7 +1,6 @@
 """What a survey is asked to do, checked, and how to tell it from another."""
 
 import json
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._units import to_plain, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey.errors import InputError, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import blank_ids, field_radius_rad
 from rfpsurvey.survey._bookkeeping import Bookkeeping
@@ -169,7 +168,7 @@ def make_request(
         text = (
             f"the tiles were placed for fields of {made_for:.4g} deg, those of {instrument.name} have {radius:.4g} deg"
         )
-        warnings.warn(text, RfpsurveyWarning, stacklevel=3)
+        warn(text)
     wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
     if visits is not None and np.ndim(visits):
         wanted = source.to_slots(wanted)

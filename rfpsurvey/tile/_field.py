@@ -5,11 +5,11 @@ import numpy as np
 from astropy.coordinates import FK5, SkyCoord
 from astropy.time import Time
 
-from rfpsurvey._units import to_direction, to_plain
+from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
 
-__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "one_direction", "where"]
+__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
 
 # where planners write the field: names of columns (one value throughout) or of entries in the table's meta
 FIELD = {
@@ -19,14 +19,6 @@ FIELD = {
 }
 # the same in a tile of ours
 OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
-
-
-def one_direction(center: SkyCoord) -> SkyCoord:
-    """Return a field center as a plain direction in its own frame."""
-    center = to_direction(center, "center")
-    if not center.isscalar:
-        raise InputError(f"center must be one direction, got the shape {center.shape}")
-    return center
 
 
 def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:

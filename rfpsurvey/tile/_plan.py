@@ -1,7 +1,6 @@
 """Plan one tile: catalog, projection, reach, allocation, arms, collisions, score."""
 
 import logging
-import warnings
 from collections.abc import Callable
 from time import perf_counter
 
@@ -11,16 +10,16 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._units import to_generator
-from rfpsurvey.allocation import AllocationOptions, TargetColumns, as_options, packages, sentences
-from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.errors import InputError, RfpsurveyWarning
+from rfpsurvey._units import to_center, to_generator
+from rfpsurvey.allocation import KINDS, AllocationOptions, TargetColumns, as_options, hint_of_name, packages, sentences
+from rfpsurvey.catalog import Catalog, as_catalog, to_time
+from rfpsurvey.errors import InputError, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
 from rfpsurvey.region import Region
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._constraints import absent_required, add_keep_out, as_keep_out, find_required
-from rfpsurvey.tile._field import epoch_text, one_direction, where
+from rfpsurvey.tile._field import epoch_text, where
 from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
 from rfpsurvey.tile._tile import Tile
 
@@ -32,10 +31,11 @@ STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
 
+@check_keywords
 def plan_tile(
     catalog: Catalog | SkyCoord | Table,
     instrument: Instrument | str,
-    center: SkyCoord,
+    center: SkyCoord | str | None = None,
     *,
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
@@ -52,13 +52,14 @@ def plan_tile(
 
     Parameters
     ----------
-    catalog : Catalog, SkyCoord or Table
-        The targets.
+    catalog : Catalog, SkyCoord, Table or DataFrame
+        The targets; a DataFrame as in `Catalog.from_table`.
     instrument : Instrument or str
         The instrument, the name of a preset, or the path of a TOML file.
-    center : SkyCoord
+    center : SkyCoord or str, optional
         Field center; north is that of its frame, so that position angles of a center in ``FK5(equinox="J2026")`` are
-        measured from the north of that date.
+        measured from the north of that date. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees) is
+        ICRS. None: the mean direction of the catalog.
     position_angle : Quantity, optional
         Angle from north toward east by which +y of the focal plane is turned.
     epoch : Time, str or float, optional
@@ -103,15 +104,17 @@ def plan_tile(
     catalog = as_catalog(catalog)
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    center = one_direction(center)
+    center = to_center(catalog.mean_direction if center is None else center)
     plane = instrument.projection(center, position_angle)
     circles = as_keep_out(keep_out)
     instrument = add_keep_out(instrument, plane, circles)
     options = asked.for_instrument(instrument)
     everything, radius = catalog, field_radius_rad(instrument)
+    _warn_of_unknown_categories(asked, catalog)
     if epoch is not None:
+        to_time(epoch, "epoch")
         if not catalog.has_proper_motion:
-            warnings.warn("without proper motions the epoch changes nothing", RfpsurveyWarning, stacklevel=2)
+            warn("without proper motions the epoch changes nothing")
         catalog = catalog[catalog.arrays.rows_near(center, radius, epoch)].at_epoch(epoch)
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
@@ -119,6 +122,7 @@ def plan_tile(
         raise InputError(
             f"no target lies within {instrument.field_radius:.4g} of the field center "
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
+            f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
     is_required, given = find_required(everything.id, catalog.id, required), rows
     if catalog.kind is not None and not options.requirements:
@@ -130,7 +134,7 @@ def plan_tile(
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"{n_twice} targets in the field share their id with another; each row is planned by itself"
-        warnings.warn(text, RfpsurveyWarning, stacklevel=2)
+        warn(text)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["is_required"] = is_required[given] if is_required.any() else None
@@ -196,6 +200,26 @@ def _objectives(levels: list) -> list:
         return rows
     rest = rows[MOST_OBJECTIVES - 1 :]
     return [*rows[: MOST_OBJECTIVES - 1], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]]
+
+
+def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
+    """Warn of requirements on categories that no target of the catalog has, but for those of the instrument."""
+    if isinstance(options.requirements, str) or not options.requirements:
+        return
+    there = set() if catalog.category is None else set(np.unique(catalog.category).tolist())
+    for one in options.requirements:
+        if one.minimum and one.what not in {*KINDS, *there}:
+            hint = hint_of_name(one.what, there) or f"its categories are: {', '.join(sorted(there)[:8]) or 'none'}"
+            warn(f"no target of the catalog is {one.what!r}, as the requirement '{one}' asks for; {hint}")
+
+
+def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
+    """Return a remedy if right ascensions look like hours: all below 24, and targets in the field if they are."""
+    if coord.ra.deg.max() >= 24:
+        return ""
+    n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
+    remedy = "give their unit (units={'ra': 'hourangle'}, --unit ra=hourangle)"
+    return f"; {n} would lie there if right ascensions are in hours: {remedy}" if n else ""
 
 
 def _known(value):

@@ -1,6 +1,5 @@
 """Score an assignment that another planner made."""
 
-import warnings
 from time import perf_counter
 
 import astropy.units as u
@@ -9,24 +8,32 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._units import to_flags, to_plain
+from rfpsurvey._units import to_center, to_flags, to_plain
 from rfpsurvey.catalog import Catalog, Finder
 from rfpsurvey.collision import find_collisions, place_arms
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, check_switch
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    check_switch,
+    warn,
+)
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, one_direction, where
+from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
 from rfpsurvey.tile._tile import Tile
 
 __all__ = ["score_tile"]
 
 
+@check_keywords
 def score_tile(
     table: Table,
     instrument: Instrument | str,
     *,
-    center: SkyCoord | None = None,
+    center: SkyCoord | str | None = None,
     position_angle: u.Quantity | None = None,
     equinox: str | None = None,
     epoch: Time | str | float | None = None,
@@ -47,8 +54,8 @@ def score_tile(
         without a positioner, and those whose column ``assigned`` is 0, are not looked at.
     instrument : Instrument or str
         The instrument, the name of a preset, or the path of a TOML file.
-    center : SkyCoord, optional
-        Field center; without it the columns or meta entries ``racen`` and ``deccen`` are used.
+    center : SkyCoord or str, optional
+        Field center, as in `plan_tile`; without it the columns or meta entries ``racen`` and ``deccen`` are used.
     position_angle : Quantity, optional
         Position angle of +y, from the north of the center's frame; without it ``position_angle`` or
         ``field_pa`` of the table.
@@ -122,7 +129,7 @@ def score_tile(
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = north_of_date(field_center(part), equinox) if center is None else one_direction(center)
+        center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
         xy = instrument.projection(center, position_angle).plain.project(catalog.arrays.vectors, fibers)
@@ -135,11 +142,7 @@ def score_tile(
         given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
         unused = [name for name, value in given.items() if value is not None]
         if unused:
-            warnings.warn(
-                f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')",
-                RfpsurveyWarning,
-                stacklevel=2,
-            )
+            warn(f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')")
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
@@ -157,11 +160,9 @@ def score_tile(
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
     if 2 * n_out > len(part):
-        warnings.warn(
+        warn(
             f"{n_out} of {len(part)} targets are out of reach of their positioners: check instrument, field center, "
-            f"position angle and units",
-            RfpsurveyWarning,
-            stacklevel=2,
+            f"position angle and units"
         )
     report = find_collisions(plane, posed)
     summary = {

@@ -1,7 +1,6 @@
 """Place the tiles of a survey."""
 
 import logging
-import warnings
 from collections.abc import Callable
 from numbers import Number
 
@@ -12,8 +11,16 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
 from rfpsurvey.allocation import AllocationOptions, as_options
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_choice, refusal
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, is_table
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    refusal,
+    short,
+    warn,
+)
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region, is_inside
 from rfpsurvey.tiling._cover import cover_region
@@ -27,6 +34,7 @@ __all__ = ["place_tiles"]
 log = logging.getLogger("rfpsurvey")
 
 
+@check_keywords
 def place_tiles(
     field: Catalog | PartitionedCatalog | SkyCoord | Table | Region,
     instrument: Instrument | str | None = None,
@@ -51,7 +59,7 @@ def place_tiles(
 
     Parameters
     ----------
-    field : Catalog, PartitionedCatalog, SkyCoord, Table or Region
+    field : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
         The targets (partitions are read as a whole), or a region to cover (``hexagonal`` and ``spiral``).
     instrument : Instrument or str, optional
         Gives the radius of the field and the number of fibers; not needed where both are given.
@@ -153,8 +161,8 @@ def place_tiles(
             "min_separation": fibers.min_separation,
         }
         return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
-    if not isinstance(field, Catalog | PartitionedCatalog | SkyCoord | Table):
-        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table or Region, got {type(field).__name__}")
+    if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
+        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
@@ -188,13 +196,9 @@ def place_tiles(
     summary.update(fibers=number, **_account(state, neighbors))
     if completeness is not None and state.completeness < completeness - 1e-12:
         limit = "" if n_tiles is None or len(state.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
-        warnings.warn(
-            f"{len(state.rows)} tiles reach a completeness of {state.completeness:.4f}, not {completeness:g}{limit}",
-            RfpsurveyWarning,
-            stacklevel=2,
-        )
+        warn(f"{len(state.rows)} tiles reach a completeness of {state.completeness:.4f}, not {completeness:g}{limit}")
     if not state.rows:
-        warnings.warn("no tile serves any target", RfpsurveyWarning, stacklevel=2)
+        warn("no tile serves any target")
     centers_, number, n_targets, n_new, so_far = zip(*state.rows, strict=True) if state.rows else [()] * 5
     columns = {
         "n_targets": np.array(n_targets, dtype=np.int64),
@@ -214,11 +218,7 @@ def _place_on_region(region, method, radius_rad, passes, allowed, exclude, posit
     found, quality = cover_region(region, radius_rad, COVERINGS[method], passes, allowed, exclude)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
     if quality["covering_fraction"] < 1:
-        warnings.warn(
-            f"the centers that may be cover {quality['covering_fraction']:.4f} of the region",
-            RfpsurveyWarning,
-            stacklevel=3,
-        )
+        warn(f"the centers that may be cover {quality['covering_fraction']:.4f} of the region")
     number = np.repeat(np.arange(passes) + 1, [len(one) for one in found])
     return _build(np.vstack(found), number, position_angle, summary, {})
 

@@ -9,7 +9,7 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
-from rfpsurvey.errors import refusal
+from rfpsurvey.errors import check_keywords, refusal
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldTargets, assign_field
 from rfpsurvey.tiling._tiling import to_ra_dec
@@ -17,6 +17,7 @@ from rfpsurvey.tiling._tiling import to_ra_dec
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 
 
+@check_keywords
 @dataclass(frozen=True)
 class Fibers:
     """What a tile observes at most: a number of targets, none closer to another than an angle.

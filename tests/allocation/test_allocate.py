@@ -180,7 +180,7 @@ def test_bad_input_is_named(arguments, message):
     [
         ({"requirements": "instrument"}, "requirements='instrument' needs an instrument"),
         ({"requirements": "sky=1", "sky_separation": 3 * u.arcsec}, "sky_separation=3.0 arcsec needs an instrument"),
-        ({"sky_separation": 3 * u.s}, "sky_separation must have a unit convertible to mm"),
+        ({"sky_separation": 3 * u.s}, "or a length on the focal plane such as 0.5 .* got <Quantity 3. s>"),
         ({"start": 5}, "start must be an Allocation or the name of an allocator, got 5"),
         ({"objective": "most"}, "unknown objective 'most'"),
         ({"time_limit": 5}, "time_limit must be a Quantity"),

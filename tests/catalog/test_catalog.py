@@ -260,16 +260,24 @@ def test_within_agrees_with_astropy(center, rng):
     [
         ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
         ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
-        ({"ra": [1.0], "dec": [1.0]}, "column 'ra' has no unit; say which, for example"),
+        ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; say which, for example"),
         ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
         ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
-        ({"ra": ["x"], "dec": ["y"]}, "are not sexagesimal"),
+        ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
+        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; write a point for the decimal comma"),
+        ({"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]}, "decimal numbers and sexagesimal text are in one column"),
+        ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
         (
             {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},
             "column 'priority' .priority. must hold numbers",
         ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]}, "unknown kind of target 'galaxy'; choose one of"),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": [np.nan]}, "priority must be a number for every target"),
+        (
+            {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
+            r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
+            r"none; say which they get, for example fill=.'priority': 0. or --fill priority=0",
+        ),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; say which"),
         (
             {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
             "must hold Julian years for targets with a proper motion, but 1 have none, such as 12",

@@ -141,9 +141,12 @@ def test_columns_units_and_toml(run, tmp_path):
     t.write(tmp_path / "t.ecsv")
     arguments = ("plan", tmp_path / "t.ecsv", "--center", center, "--instrument", "moons")
     names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
-    assert "has no unit; say which" in sentence(*run(*arguments, *names)[::2])
-    code, out, _ = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
+    code, out, err = run(*arguments, *names)
     assert code == 0
+    assert "no column of the table has a unit: assumed are a in deg, b in deg; units= or --unit state others" in err
+    code, out, err = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
+    assert code == 0
+    assert "unit" not in err
     assert "in reach of a positioner" in out
 
 
@@ -189,7 +192,7 @@ def test_bad_input_is_one_sentence(run, tmp_path, arguments, message):
         "empty": {"ra": [] * deg, "dec": [] * deg},
         "noname": {"x": [1.0], "y": [2.0]},
         "units": {"ra": [1.0] * u.mm, "dec": [2.0] * deg},
-        "unitless": {"ra": [1.0], "dec": [2.0]},
+        "unitless": {"ra": [1.0], "dec": [2.0] * u.deg},
         "good": {"ra": [10.0] * deg, "dec": [20.0] * deg},
     }.items():
         QTable(content).write(tmp_path / f"{name}.ecsv")

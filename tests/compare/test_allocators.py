@@ -193,7 +193,11 @@ def test_fields_without_science_and_misspelled_names(crowded):
         rs.InputError, match="none of the 1[12].. targets in the field is science; requirements such as"
     ):
         rs.plan_tile(sky, "moons", CENTER)
-    tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions("optimal", requirements=["sky_fiant=20"]))
+    options = rs.AllocationOptions("optimal", requirements=["sky_fiant=20"])
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="no target of the catalog is 'sky_fiant', .* did you mean 'sky_faint'"
+    ):
+        tile = rs.plan_tile(sky, "moons", CENTER, allocator=options)
     assert tile.summary["unmet"] == [
         "sky_fiant targets: 0 of 20, 20 missing; none is in reach; did you mean 'sky_faint'?"
     ]

@@ -199,7 +199,7 @@ def test_distances_and_representations_do_not_matter(rng):
 
 
 def test_center_must_be_one_coordinate():
-    with pytest.raises(rs.InputError, match="center must be one SkyCoord"):
+    with pytest.raises(rs.InputError, match="center must be a SkyCoord, got"):
         rs.TangentPlane((0, 0), 1 * u.mm / u.deg)
     with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
         rs.TangentPlane(SkyCoord(0, 0, unit="deg"), 1 * u.mm / u.deg).to_focal_plane([1, 2])

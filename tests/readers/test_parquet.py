@@ -62,7 +62,7 @@ def test_text_may_be_missing_and_in_categories(tmp_path, column):
     ],
 )
 def test_numbers_may_be_missing_decimal_and_in_categories(tmp_path, column):
-    with pytest.raises(rs.InputError, match="priority must be a number for every target, but 1 of 6 have none"):
+    with pytest.raises(rs.InputError, match="must have a number in every row, but 1 of 6 rows .row 3. have none"):
         both(tmp_path, {"priority": column})
     whole = pa.concat_arrays([column[:2], column[3:], column[:1]])
     for catalog in both(tmp_path, {"priority": whole, "other": column}):
@@ -70,7 +70,9 @@ def test_numbers_may_be_missing_decimal_and_in_categories(tmp_path, column):
 
 
 def test_missing_ids_are_refused(tmp_path):
-    with pytest.raises(rs.InputError, match="id.* must be integers or text for every row, but 1 rows have none"):
+    with pytest.raises(
+        rs.InputError, match="id.* must be integers or text for every row, but 1 of 6 rows .row 3. have none"
+    ):
         both(tmp_path, {"id": pa.array([1, 2, None, 4, 5, 6])})
 
 

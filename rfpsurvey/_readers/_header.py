@@ -1,0 +1,84 @@
+"""The first lines of a table of text: what separates its columns, their names and their units."""
+
+import re
+from itertools import islice
+from pathlib import Path
+
+from rfpsurvey.errors import InputError
+
+__all__ = ["find_names"]
+
+DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
+DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
+# The names are sought up to here: files may be longer than that, but not what comes before the rows.
+MOST_BYTES = 2**22
+QUOTED = re.compile(rb'"[^"]*"')
+
+
+def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
+    """Return the content with the names of the columns in its first row, the delimiter, and the units by name.
+
+    The delimiter is the one in the line of names; if there are several, the one that the next line has as often. Names
+    may stand in a comment before the first row. Lines that are no rows become comments: ``sep=;``, which spreadsheets
+    read, and those with units and dashes after the names, as VizieR writes them.
+    """
+    if content[:4].lower() == b"sep=":
+        content = b"#" + content
+    lines = _data_lines(content)
+    if not lines:
+        return content, b",", {}
+    begin, end = lines[0]
+    delimiter = _delimiter(path, content[begin:end], content[slice(*lines[min(1, len(lines) - 1)])])
+    names = _split(content[begin:end], delimiter)
+    if len(names) == 1 and len(names[0].split()) > 1:
+        raise InputError(f"{path}: commas must separate the names of the columns, got blanks in {names[0]!r}")
+    if all(_is_number(name) for name in names):
+        before = content.rfind(b"\n", 0, max(begin - 1, 0)) + 1
+        comment = content[before:begin].strip()
+        words = _split(comment.lstrip(b"#"), delimiter)
+        if not comment.startswith(b"#") or len(words) != len(names) or any(_is_number(word) for word in words):
+            raise InputError(f"{path}: the first row must hold the names of the columns, got {names[0]!r}")
+        return content[:before] + content[before:begin].replace(b"#", b"", 1) + content[begin:], delimiter, {}
+    for k in (1, 2):
+        if (
+            len(lines) > k
+            and set(content[slice(*lines[k])].strip()) <= set(b"- " + delimiter)
+            and (b"-" in content[slice(*lines[k])])
+        ):
+            words = _split(content[slice(*lines[1])], delimiter) if k == 2 else []
+            for start, _ in reversed(lines[1 : k + 1]):
+                content = content[:start] + b"#" + content[start:]
+            return content, delimiter, dict(zip(names, words, strict=False))
+    return content, delimiter, {}
+
+
+def _data_lines(content: bytes) -> list[tuple[int, int]]:
+    """Return where the first three lines begin and end that are neither blank nor comments."""
+    return [line.span() for line in islice(DATA.finditer(content, 0, MOST_BYTES), 3)]
+
+
+def _delimiter(path: Path, header: bytes, row: bytes) -> bytes:
+    header, row = QUOTED.sub(b"", header), QUOTED.sub(b"", row)
+    there = [one for one in DELIMITERS if one in header]
+    if len(there) > 1:
+        there = [one for one in there if header.count(one) == row.count(one)] or there
+    if b"," in there or not there:
+        return b","
+    if len(there) > 1:
+        names = " and ".join(DELIMITERS[one] for one in there)
+        raise InputError(
+            f"{path}: one delimiter must separate the columns, got {names}; put commas between all columns"
+        )
+    return there[0]
+
+
+def _split(line: bytes, delimiter: bytes) -> list[str]:
+    return [word.decode("utf-8").strip(' "\r\t') for word in line.split(delimiter)]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,71 @@
+"""Tables of other packages: DataFrames of pandas and Polars, tables of Arrow, structured arrays of numpy."""
+
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey._readers import table_of_arrow
+from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.errors import InputError, InputTypeError, short
+
+__all__ = ["as_table", "is_table"]
+
+
+def is_table(given: object) -> bool:
+    """Return whether an object is a table, of astropy or of another package."""
+    return isinstance(given, Table) or _is_records(given) or _is_pandas(given) or _is_arrow(given)
+
+
+def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
+    """Return a table of astropy, and whether it is of a kind that cannot carry units.
+
+    The index of a DataFrame is kept as columns if it has names; otherwise it is ``id`` where no other column is.
+    """
+    if isinstance(given, Table):
+        return given, False
+    if not isinstance(columns, dict | None):
+        raise InputError(f"columns must be a dict from role to column, got {short(columns)}")
+    try:
+        if _is_records(given):
+            return Table(given), True
+        if _is_pandas(given):
+            return _of_pandas(given, columns), True
+        if _is_arrow(given):
+            given = given.to_arrow() if hasattr(given, "to_arrow") else given
+            return table_of_arrow(given), not (given.schema.metadata or {}).get(b"table_meta_yaml")
+    except InputError:
+        raise
+    except Exception as error:  # the packages raise what they like
+        raise InputError(f"{short(given)} cannot be used as a table: {error}") from error
+    raise InputTypeError(f"table must be an astropy Table or QTable, or a DataFrame, got {short(given)}")
+
+
+def _is_records(given) -> bool:
+    return isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names is not None
+
+
+def _is_pandas(given) -> bool:
+    return _has_type(given, "pandas", "DataFrame")
+
+
+def _is_arrow(given) -> bool:
+    return _has_type(given, "polars", "DataFrame") or _has_type(given, "pyarrow", "Table")
+
+
+def _has_type(given, package: str, name: str) -> bool:
+    """Return whether an object has a type of a package, which need not be installed."""
+    return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
+
+
+def _of_pandas(frame, columns) -> Table:
+    names = [str(name) for name in frame.columns]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"the columns of a DataFrame must have different names, got {twice[0]!r} more than once")
+    has_names = any(name is not None for name in frame.index.names)
+    index, meta = frame.index, dict(frame.attrs)
+    frame = frame.reset_index() if has_names else frame.set_axis(names, axis=1)
+    table = Table.from_pandas(frame)
+    table.meta.update(meta)
+    if not has_names and index.nlevels == 1 and names and Finder(table, columns or {}).name_of("id") is None:
+        table["id"] = index.to_numpy()
+    return table

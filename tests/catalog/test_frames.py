@@ -1,0 +1,221 @@
+"""Catalogs from tables of other packages, and from tables without units."""
+
+import subprocess
+import sys
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import MaskedColumn, QTable, Table
+
+import rfpsurvey as rs
+
+pd = pytest.importorskip("pandas")
+N = 300
+DEG = u.deg
+
+
+@pytest.fixture
+def frame(rng):
+    return pd.DataFrame(
+        {
+            "RA": 95 + rng.uniform(-1, 1, N),
+            "Dec": 23 + rng.uniform(-1, 1, N),
+            "source_id": 2**60 + rng.permutation(N),
+            "priority": rng.integers(0, 3, N).astype(float),
+        }
+    )
+
+
+def test_a_tile_of_a_dataframe_is_that_of_its_table(frame):
+    tile = rs.plan_tile(frame, "sdss_apo", "95 23")
+    table = QTable.from_pandas(frame)
+    table["RA"].unit = table["Dec"].unit = DEG
+    expected = rs.plan_tile(table, "sdss_apo", SkyCoord(95 * DEG, 23 * DEG))
+    assert (tile.table["target_id"] == expected.table["target_id"]).all()
+    assert tile.provenance["catalog"]["assumed_units"] == "RA in deg, Dec in deg"
+    assert "assumed_units" not in expected.provenance["catalog"]
+
+
+def test_all_functions_of_catalogs_take_dataframes(frame, tmp_path):
+    assert len(rs.place_tiles(frame, "sdss_apo")) > 0
+    tiling = SkyCoord([95] * DEG, [23] * DEG)
+    assert rs.plan_survey(frame, "sdss_apo", tiling).summary["n_visits_observed"] > 0
+    assert len(rs.compare_allocators(frame, "sdss_apo", allocators=["lamost"])) == 1
+    assert len(rs.compare_instruments(frame, ["sdss_apo"], allocators=["lamost"], center="95 23")) == 1
+    pytest.importorskip("pyarrow")
+    assert len(rs.partition_catalog(frame, tmp_path / "parts")) == N
+
+
+def test_missing_and_odd_columns_of_dataframes(frame):
+    frame["visits"] = pd.array([1, None] * (N // 2), dtype="Int64")
+    frame["category"] = pd.Categorical(["sky_a", None] * (N // 2))
+    frame["when"], frame["list"] = pd.Timestamp("2020-01-01", tz="UTC"), [[1, 2]] * N
+    frame["period"], frame["flag"] = pd.period_range("2020-01", periods=N, freq="D"), pd.array([True, None] * (N // 2))
+    with pytest.raises(rs.InputError, match=r"'visits' .visits. must have a number .* 150 of 300 rows .rows 2, 4, 6, "):
+        rs.Catalog.from_table(frame)
+    catalog = rs.Catalog.from_table(frame, fill={"visits": 3, "category": "none"})
+    assert catalog.visits[:2].tolist() == [1, 3]
+    assert catalog.category[:2].tolist() == ["sky_a", "none"]
+
+
+def test_the_index_of_a_dataframe_identifies_its_rows(frame):
+    assert rs.Catalog.from_table(frame.set_index("source_id")).id.tolist() == frame["source_id"].tolist()
+    part = frame.drop(columns="source_id")[frame["priority"] > 0]
+    assert rs.Catalog.from_table(part).id.tolist() == part.index.tolist()
+    assert rs.Catalog.from_table(part, columns={"id": "priority"}).id.tolist() == part["priority"].tolist()
+    part.index = [f"s{k}" for k in range(len(part))]
+    assert rs.Catalog.from_table(part).id[0] == "s0"
+
+
+def test_dataframes_that_are_refused_are_not_pasted(frame):
+    for call, message in (
+        (lambda: rs.Catalog.from_table(pd.concat([frame, frame], axis=1)), "must have different names, got 'Dec' more"),
+        (lambda: rs.plan_tile(frame[:0], "sdss_apo"), "the catalog must have at least one target"),
+        (lambda: rs.plan_tile(pd.DataFrame(), "sdss_apo"), "no column for ra and dec; the columns are: none"),
+        (lambda: rs.plan_tile([1], "sdss_apo"), "catalog must be a Catalog, SkyCoord, Table or DataFrame, got [1]"),
+        (lambda: rs.plan_tile(frame, frame), "TOML file, got a DataFrame of 300 rows"),
+        (lambda: rs.plan_tile(frame, "sdss_apo", frame), "center must be a SkyCoord, got a DataFrame of 300 rows"),
+        (lambda: rs.plan_tile(frame, "sdss_apo", epoch=frame), "or a date, got a DataFrame of 300 rows"),
+        (lambda: rs.plan_tile(frame, "sdss_apo", rng=frame), "or None, got a DataFrame of 300 rows"),
+        (lambda: rs.AllocationOptions(sky_separation=frame), "got a DataFrame of 300 rows without a unit"),
+        (lambda: rs.AllocationOptions(frame), "unknown allocator a DataFrame of 300 rows"),
+        (lambda: rs.Catalog(frame), "coord must be a SkyCoord, got a DataFrame of 300 rows"),
+        (lambda: rs.Catalog.from_table(frame, columns=frame), "columns must be a dict from role to column, got a Data"),
+    ):
+        with pytest.raises(rs.InputError) as told:
+            call()
+        assert message in str(told.value)
+        assert "\n" not in str(told.value)
+
+
+def test_pandas_is_imported_by_the_user_alone():
+    code = (
+        "import sys, rfpsurvey as rs; from astropy.coordinates import SkyCoord; "
+        "import astropy.units as u; "
+        "rs.plan_tile(rs.synthetic_catalog('uniform', '95 23', .2 * u.deg, n_targets=50, rng=1), 'moons'); "
+        "assert 'pandas' not in sys.modules and 'pyarrow' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_parquet_of_pandas(frame, tmp_path):
+    """The identifiers were lost if they follow each other: pandas writes the first and the last alone."""
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "a.parquet"
+    frame.to_parquet(path)
+    catalog = rs.Catalog.read(path)
+    assert catalog.id.tolist() == frame["source_id"].tolist()
+    assert catalog.meta["assumed_units"] == "RA in deg, Dec in deg"
+    frame["source_id"] = 2**60 + 2 * np.arange(N)
+    frame.set_index("source_id").to_parquet(path)
+    assert rs.Catalog.read(path).id.tolist() == frame["source_id"].tolist()
+
+
+def test_tables_of_arrow(frame):
+    pa = pytest.importorskip("pyarrow")
+    frame["visits"] = pd.array([1, None] * (N // 2), dtype="Int64")
+    table = pa.Table.from_pandas(frame)
+    catalog = rs.Catalog.from_table(table, fill={"visits": 2})
+    assert catalog.id.tolist() == frame["source_id"].tolist()
+    assert catalog.visits[:2].tolist() == [1, 2]
+
+
+def test_structured_arrays():
+    rows = np.array([(1.0, 2.0, 7)], dtype=[("ra", float), ("dec", float), ("id", int)])
+    assert rs.Catalog.from_table(rows).id.tolist() == [7]
+    assert len(rs.place_tiles(rows, "sdss_apo")) == 1
+
+
+def test_sexagesimal_text_may_have_a_unit(tmp_path):
+    """Warnings of the table reader were passed on."""
+    from astropy.io import fits
+
+    columns = {"RA": ("h:m:s", ["06:20:00", "06:24:00"]), "DEC": ("d:m:s", ["+20:00:00", "-01:00:00"])}
+    columns = [fits.Column(name, "10A", array=texts, unit=unit) for name, (unit, texts) in columns.items()]
+    fits.BinTableHDU.from_columns(columns).writeto(tmp_path / "a.fits")
+    assert rs.Catalog.read(tmp_path / "a.fits").coord.ra.deg.tolist() == pytest.approx([95, 96])
+
+
+def test_a_missing_column_has_a_remedy():
+    with pytest.raises(rs.InputError, match=r"are: x; name it, as columns=.'ra': .... or --column ra=..."):
+        rs.Catalog.from_table(Table({"x": [1.0]}))
+    with pytest.raises(rs.InputError, match="give the frame of these coordinates, as frame='galactic'"):
+        rs.Catalog.from_table(Table({"l": [1.0], "b": [1.0]}))
+
+
+def test_a_table_without_any_unit_is_read_with_a_warning():
+    table = Table({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "pmra": [1, 2], "pmdec": [3, 4]})
+    with pytest.warns(rs.RfpsurveyWarning, match="assumed are ra in deg, dec in deg, pmra in mas / yr, pmdec in mas"):
+        catalog = rs.Catalog.from_table(table)
+    assert catalog.coord.pm_dec[1].to_value(u.mas / u.yr) == pytest.approx(4)
+    units = {"ra": "deg", "dec": "deg", "pmra": "mas/yr", "pmdec": "mas/yr"}
+    assert "assumed_units" not in rs.Catalog.from_table(table, units=units).meta
+    table["mag"] = [1.0, 2.0] * u.mag  # it can carry units: that the positions have none is a mistake
+    with pytest.raises(rs.InputError, match="column 'ra' has no unit"):
+        rs.Catalog.from_table(table)
+
+
+@pytest.mark.parametrize("unit", ["hourangle", "h", "hour", "Hours", "hr"])
+def test_right_ascensions_in_hours(unit):
+    assert rs.Catalog.from_table(
+        QTable({"ra": [6.5], "dec": [1.0]}), units={"ra": unit, "dec": "deg"}
+    ).coord.ra.deg == pytest.approx(97.5)
+
+
+def test_right_ascensions_in_hours_by_the_unit_of_the_column():
+    for unit in (u.hourangle, u.h):
+        catalog = rs.Catalog.from_table(Table({"ra": [6.5] * unit, "dec": [1.0] * DEG}))
+        assert catalog.coord.ra.deg == pytest.approx(97.5)
+    table = Table({"ra": ["06:30:00", "", "null"], "dec": [1.0, 2, 3] * DEG})
+    with pytest.warns(rs.RfpsurveyWarning, match="2 of 3 targets have no finite coordinates"):
+        assert rs.Catalog.from_table(table).coord.ra.deg == pytest.approx(97.5)
+    with pytest.raises(rs.InputError, match="units of ra must be a unit, got 'somewhere'"):
+        rs.Catalog.from_table(Table({"ra": [1.0], "dec": [1.0] * DEG}), units={"ra": "somewhere"})
+
+
+def test_hours_are_suspected_only_where_they_explain_an_empty_field(frame):
+    hours = frame.assign(RA=frame["RA"] / 15)
+    with pytest.raises(rs.InputError, match="; 300 would lie there if right ascensions are in hours: give their unit"):
+        rs.plan_tile(hours, "sdss_apo", "95 23")
+    with pytest.raises(rs.InputError, match="deg away$"):
+        rs.plan_tile(hours, "sdss_apo", "50 23")
+    with pytest.raises(rs.InputError, match="deg away$"):
+        rs.plan_tile(frame, "sdss_apo", "50 23")
+
+
+def test_values_for_missing_priorities():
+    table = QTable({"ra": [1.0, 2, 3] * DEG, "dec": [1.0, 2, 3] * DEG})
+    table["mag"] = MaskedColumn([15.0, 0, np.nan], mask=[False, True, False])
+    columns = {"priority": "-mag"}
+    with pytest.raises(
+        rs.InputError, match="'mag' .priority. must have a number in every row, but 2 of 3 rows .rows 2, 3"
+    ):
+        rs.Catalog.from_table(table, columns=columns)
+    for fill in (-99, "-99"):
+        catalog = rs.Catalog.from_table(table, columns=columns, fill={"priority": fill})
+        assert catalog.priority.tolist() == [-15, -99, -99]
+    for fill, message in (
+        ({"id": 1}, "unknown column role to fill 'id'"),
+        ({"priority": "low"}, "fill must have a number for priority, got 'low'"),
+        ([1], "fill must be a dict from role to value, got .1."),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            rs.Catalog.from_table(table, columns=columns, fill=fill)
+    with pytest.raises(
+        rs.InputError, match=r"priority must be a number for every target, but 1 of 2 rows .row 2. have"
+    ):
+        rs.Catalog(SkyCoord([1, 2] * DEG, [1, 2] * DEG), priority=[1, np.nan])
+
+
+def test_identifiers_that_are_whole_numbers_may_be_floats():
+    coord = SkyCoord([1, 2] * DEG, [1, 2] * DEG)
+    assert rs.Catalog(coord, id=[1.0, 7.0]).id.tolist() == [1, 7]
+    for ids, message in (
+        ([1.5, 2.0], "got numbers such as 1.5"),
+        ([2.0**60, 1.0], "got numbers such as 1.15"),
+        ([1.0, np.nan], "1 of 2 rows .row 2. have none"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            rs.Catalog(coord, id=ids)

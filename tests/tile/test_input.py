@@ -1,0 +1,98 @@
+"""What a user gives to a tile: centers as text, requirements on unknown categories, epochs."""
+
+import astropy.units as u
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from refusals import sentence
+
+CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
+STARS = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=500, rng=1)
+TEXTS = ["95 23", "95.0, 23.0", "06:20:00 +23:00:00", "6h20m +23d", "06 20 00 +23 00 00"]
+
+
+def places(tile):
+    return [tile.provenance["parameters"][name] for name in ("ra_deg", "dec_deg")]
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_a_center_may_be_text(text):
+    assert places(rs.plan_tile(STARS, "sdss_apo", text)) == pytest.approx([95, 23])
+    projection = rs.Instrument.preset("sdss_apo").projection(text)
+    assert projection.center.separation(CENTER) < 1e-6 * u.arcsec
+    assert len(STARS.within(text, 1 * u.deg)) == len(STARS.within(CENTER, 1 * u.deg))
+    assert rs.Region.cap(text, 1 * u.deg).contains(CENTER)
+    assert len(rs.synthetic_catalog("uniform", text, 1 * u.deg, n_targets=9, rng=1)) == 9
+
+
+def test_a_center_that_is_no_place_is_refused():
+    for given, message in (
+        ("M35", "center must be coordinates such as '06h20m00s .23d00m00s' or '95.0 23.0', got 'M35'"),
+        ("95 123", "got '95 123'"),
+        ("", "got ''"),
+        ((95, 23), r"center must be a SkyCoord, got \(95, 23\)"),
+        (SkyCoord([1, 2] * u.deg, [1, 2] * u.deg), r"center must be one direction, got the shape \(2,\)"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            rs.plan_tile(STARS, "sdss_apo", given)
+
+
+def test_a_center_that_is_left_out_is_the_same_in_python_and_at_the_command_line(run, tmp_path):
+    path = tmp_path / "stars.ecsv"
+    STARS.write(path)
+    mean = STARS.mean_direction.spherical
+    expected = [mean.lon.deg, mean.lat.deg]
+    assert places(rs.plan_tile(STARS, "sdss_apo")) == pytest.approx(expected)
+    code, out, _ = run("plan", path, "--instrument", "sdss_apo")
+    assert code == 0
+    assert f"center {expected[0]:.6f} {expected[1]:+.6f} deg" in out
+    assert rs.compare_allocators(STARS, "sdss_apo", allocators=["lamost"]).meta["parameters"][
+        "ra_deg"
+    ] == pytest.approx(expected[0])
+
+
+def test_an_impossible_epoch_is_refused_before_anything_is_said():
+    for call in (
+        lambda: rs.plan_tile(STARS, "sdss_apo", CENTER, epoch="tomorrow"),
+        lambda: rs.plan_survey(STARS, "sdss_apo", SkyCoord([95] * u.deg, [23] * u.deg), epoch="tomorrow"),
+    ):
+        with pytest.raises(rs.InputError, match="epoch must be a Time, a Julian year .* got 'tomorrow'"):
+            call()
+
+
+def test_a_requirement_on_an_unknown_category_is_told(run, tmp_path):
+    stars = rs.Catalog(STARS.coord, category=["quasar", "galaxy"] * 250)
+    for what, hint in (
+        ("skies", "did you mean 'sky'?"),
+        ("qasar", "did you mean 'quasar'?"),
+        ("zz", "its categories are: galaxy, quasar."),
+    ):
+        options = rs.AllocationOptions(requirements=f"{what}=2")
+        with pytest.warns(
+            rs.RfpsurveyWarning, match=f"no target of the catalog is '{what}', as the .* asks for; {hint[:-1]}"
+        ):
+            tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=options)
+        assert (hint in tile.summary["unmet"][0]) == ("did you mean" in hint)
+    for what in ("quasar=2", "sky=2", "zz=-2"):  # what the catalog has, kinds, and limits that are met
+        rs.plan_tile(stars, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements=what))
+    stars.write(tmp_path / "a.ecsv")
+    code, _, err = run("plan", tmp_path / "a.ecsv", "--instrument", "sdss_apo", "--require", "skies=20")
+    assert code == 0
+    assert "did you mean 'sky'?" in err
+
+
+def test_values_are_filled_at_the_command_line(run, tmp_path):
+    path = tmp_path / "stars.csv"
+    rows = [f"{c.ra.deg},{c.dec.deg},{'' if k % 7 else k}" for k, c in enumerate(STARS.coord)]
+    path.write_text("\n".join(["ra,dec,mag", *rows]) + "\n")
+    arguments = ("plan", path, "--instrument", "sdss_apo", "--column", "priority=-mag")
+    told = sentence(*run(*arguments)[::2])
+    assert "428 of 500 rows (rows 2, 3, 4, ...) have none; say which they get, for example fill={'priority': 0}" in told
+    assert run(*arguments, "--fill", "priority=-99")[0] == 0
+
+
+def test_the_message_on_a_sky_separation_says_what_it_is():
+    for given, kind in ((10, TypeError), (10 * u.s, u.UnitsError)):
+        with pytest.raises(kind, match="an angle on the sky such as 10 . u.arcsec, or a length on the focal plane"):
+            rs.AllocationOptions(sky_separation=given)
