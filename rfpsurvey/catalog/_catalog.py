@@ -18,7 +18,7 @@ from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_pla
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._extra import extra_columns, pick_columns, result_name
-from rfpsurvey.catalog._motion import move
+from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short, warn
 
@@ -376,21 +376,8 @@ class Catalog:
             )
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")
-        icrs = self.coord.icrs
-        lon, lat = icrs.ra.rad, icrs.dec.rad
-        motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
-        known = np.isfinite(motion).all(axis=1)
         years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))
-        moved = move(lon[known], lat[known], motion[known], years[known])
-        lon, lat, motion = lon.copy(), lat.copy(), np.where(known[:, None], motion, np.nan)
-        lon[known], lat[known], motion[known] = moved
-        coord = SkyCoord(
-            lon * u.rad,
-            lat * u.rad,
-            pm_ra_cosdec=(motion[:, 0] * u.rad / u.yr).to(u.mas / u.yr),
-            pm_dec=(motion[:, 1] * u.rad / u.yr).to(u.mas / u.yr),
-        )
-        return self._take(slice(None), coord=coord, epoch=time)
+        return self._take(slice(None), coord=move_coordinates(self.coord, years), epoch=time)
 
     def within(self, center: SkyCoord | str, radius: u.Quantity) -> "Catalog":
         """Return the targets inside a circle on the sky.

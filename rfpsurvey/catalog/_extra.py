@@ -8,7 +8,7 @@ from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, short
 
 __all__ = ["RESERVED", "extra_columns", "pick_columns", "result_name"]
 
@@ -28,6 +28,8 @@ def pick_columns(table: Table, keep: object) -> QTable | None:
     """Return the columns of a table that are to be kept, None for none."""
     if keep is None:
         return None
+    if not isinstance(keep, str | list | tuple):
+        raise InputTypeError(f"keep must be a list of names of columns, got {short(keep)}")
     names = [keep] if isinstance(keep, str) else list(keep)
     for name in names:
         if name not in table.colnames:

@@ -1,10 +1,25 @@
 """Motion of stars in straight lines, without parallax and radial velocity."""
 
+import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_lonlat
 
-__all__ = ["move"]
+__all__ = ["move", "move_coordinates"]
+
+
+def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
+    """Return coordinates (ICRS) after some years; those without a whole proper motion stay where they are."""
+    icrs = coord.icrs
+    lon, lat = icrs.ra.rad, icrs.dec.rad
+    motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
+    known = np.isfinite(motion).all(axis=1)
+    moved = move(lon[known], lat[known], motion[known], years[known])
+    lon, lat, motion = lon.copy(), lat.copy(), np.where(known[:, None], motion, np.nan)
+    lon[known], lat[known], motion[known] = moved
+    pm_ra, pm_dec = (motion.T * u.rad / u.yr).to(u.mas / u.yr)
+    return SkyCoord(lon * u.rad, lat * u.rad, pm_ra_cosdec=pm_ra, pm_dec=pm_dec)
 
 
 def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:

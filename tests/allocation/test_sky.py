@@ -154,7 +154,7 @@ def test_without_a_separation_nothing_is_invented(method, rng):
 
 @pytest.mark.parametrize("separation", [0 * MM, -1 * MM, np.nan * MM, 3, [1, 2] * MM, 3 * u.s])
 def test_a_separation_is_a_length(separation):
-    with pytest.raises(rs.InputError, match="sky_separation must"):
+    with pytest.raises(rs.InputError, match="sky_separation.* must"):
         rs.allocate(
             lamost_like(),
             [[0, 0]] * MM,
