@@ -20,7 +20,7 @@ from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._extra import extra_columns, pick_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short, warn
+from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn
 
 __all__ = ["Catalog"]
 
@@ -108,15 +108,13 @@ class Catalog:
                     raise
                 except (TypeError, ValueError) as error:
                     raise InputError(f"{name} must be numbers: {error}") from None
-        extra = extra_columns(self.extra)
-        if extra is not None and len(extra) != n:
-            raise InputError(f"columns of extra must have one value per target, {n}, got {len(extra)}")
+        extra = extra_columns(self.extra, n)
         for name, value in columns.items():
             if value.shape != (n,):
                 raise InputError(f"{name} must have one value per target, shape ({n},), got {value.shape}")
         if "kind" in columns:
-            for kind in np.unique(columns["kind"]):
-                check_choice(str(kind), KINDS, "kind of target")
+            for kind in np.unique(columns["kind"]).tolist():
+                check_choice(kind, KINDS, "kind of target")
         if "priority" in columns and (lacking := np.isnan(columns["priority"])).any():
             raise InputError(f"priority must be a number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
@@ -134,10 +132,9 @@ class Catalog:
             warn(f"{n_bad} of {n} targets have no finite coordinates and were dropped")
         for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
             object.__setattr__(self, name, value)
-        for name, kind in (("n_dropped", int | np.integer), ("meta", Mapping)):
+        for name, kind, what in (("n_dropped", int | np.integer, "a whole number"), ("meta", Mapping, "a dict")):
             if not isinstance(getattr(self, name), kind):
-                what = "a whole number" if name == "n_dropped" else "a dict"
-                raise InputTypeError(f"{name} must be {what}, got {short(getattr(self, name))}")
+                raise refusal(f"{name} must be {what}", getattr(self, name))
         object.__setattr__(self, "n_dropped", self.n_dropped + n_bad)
         object.__setattr__(self, "meta", dict(self.meta))
 
@@ -153,7 +150,7 @@ class Catalog:
 
     def __repr__(self):
         carried = [name for name in (*_PER_TARGET[1:], "epoch") if getattr(self, name) is not None]
-        carried += [] if self.extra is None else self.extra.colnames
+        carried += list(self.arrays.extra)
         return f"<Catalog of {len(self)} targets{' with ' if carried else ''}{', '.join(carried)}>"
 
     def _repr_html_(self) -> str:
@@ -167,7 +164,8 @@ class Catalog:
             if values[name] is not None:
                 values[name] = values[name][index]
         values["coord"] = self.coord[index]
-        values["extra"] = None if self.extra is None else self.extra[index]
+        if self.extra is not None:
+            values["extra"] = self.extra[index]
         if self.epoch is not None and not self.epoch.isscalar:
             values["epoch"] = self.epoch[index]
         return Catalog(**{**values, **changes})
@@ -370,10 +368,8 @@ class Catalog:
         if not self.has_proper_motion or len(self) == 0:
             return self
         if self.epoch is None:
-            raise InputError(
-                "the catalog has proper motions but no epoch to count them from; give Catalog(..., epoch=) or an "
-                "epoch column (--column epoch=J2016)"
-            )
+            remedy = "give Catalog(..., epoch=) or an epoch column (--column epoch=J2016)"
+            raise InputError(f"the catalog has proper motions but no epoch to count them from; {remedy}")
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")
         years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))

@@ -34,11 +34,11 @@ def pick_columns(table: Table, keep: object) -> QTable | None:
     for name in names:
         if name not in table.colnames:
             raise InputError(f"keep must name columns of the table ({', '.join(table.colnames)}), got {name!r}")
-    return extra_columns(QTable({name: table[name] for name in names})) if names else None
+    return extra_columns(QTable({name: table[name] for name in names}), len(table)) if names else None
 
 
-def extra_columns(columns: object) -> QTable | None:
-    """Return columns as plain numbers, quantities, truth values or text, a value per target.
+def extra_columns(columns: object, n: int) -> QTable | None:
+    """Return columns as plain numbers, quantities, truth values or text, a value for each of n targets.
 
     Missing numbers become NaN, missing text is empty.
     """
@@ -47,7 +47,10 @@ def extra_columns(columns: object) -> QTable | None:
     if not isinstance(columns, Mapping | Table):
         raise InputTypeError(f"extra must be a dict or a table of columns, got {type(columns).__name__}")
     names = columns.colnames if isinstance(columns, Table) else list(columns)
-    return QTable({str(name): _plain(columns[name], str(name)) for name in names})
+    found = QTable({str(name): _plain(columns[name], str(name)) for name in names})
+    if len(found) != n:
+        raise InputError(f"columns of extra must have one value per target, {n}, got {len(found)}")
+    return found
 
 
 def result_name(name: str) -> str:
