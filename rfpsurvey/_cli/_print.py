@@ -10,6 +10,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, write_table
+from rfpsurvey.plot import draw_tiling
 from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives
 
 __all__ = [
@@ -70,18 +71,19 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path
 
 
 def finish_tiling(
-    tiling: "rs.Tiling", field, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
+    tiling: "rs.Tiling", shown: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write a tiling, its plot with the targets or the region of ``field``, and its page; print how it was made."""
-    shown = {"region" if isinstance(field, rs.Region) else "targets": field}
+    """Write a tiling, its plot with the targets and the region that are ``shown``, and its page; print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tiling.write),
-        plot=(plot, lambda: rs.plot.plot_tiling(tiling, **shown).figure),
+        plot=(plot, lambda: draw_tiling(tiling, **shown)),
         report=(report, tiling, {"data": output}),
     ):
         for name, value in tiling.summary.items():
-            if value != "":
+            if name == "model":
+                print(f"{name}: {value}")
+            elif value != "":
                 print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
 
 

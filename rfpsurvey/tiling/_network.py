@@ -50,7 +50,8 @@ def _fewest(problem: TilingProblem) -> TilingState:
         elif n >= most or stuck >= 6:
             return best
         else:
-            low, n = n, min(max(int(1.25 * n), n + 1), most)
+            foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))
+            low, n = n, min(max(int(1.25 * n), n + 1, foreseen), most)
     # a run may end before its tiles are used up
     high = len(found.rows)
     while high - low > max(1, high // 100):

@@ -230,12 +230,12 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
             raise InputError(f"{name} is about targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
-        table = where.tiling.table
+        table, vectors = where.tiling.table, where.tiling.vectors
     else:
         found = cover.make_passes(COVERINGS[method], passes, where)
-        table = _table(np.vstack(found), np.repeat(np.arange(passes) + 1, [len(one) for one in found]))
-    tiling = _finish(table, _angles(where, method), summary, {})
-    quality = cover.quality(tiling.vectors, where.limits)
+        vectors = np.vstack(found)
+        table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]))
+    quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
     if quality["covering_fraction"] < 1:
         warnings.warn(
@@ -243,7 +243,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
             RfpsurveyWarning,
             stacklevel=3,
         )
-    return tiling
+    return _finish(table, _angles(where, method), summary, {})
 
 
 def _regions(exclude) -> tuple[Region, ...]:
