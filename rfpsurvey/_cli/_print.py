@@ -11,7 +11,7 @@ from astropy.table import QTable
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, write_table
 from rfpsurvey.plot import draw_tiling
-from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives
+from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
 
 __all__ = [
     "PICTURES",
@@ -80,11 +80,9 @@ def finish_tiling(
         plot=(plot, lambda: draw_tiling(tiling, **shown)),
         report=(report, tiling, {"data": output}),
     ):
-        for name, value in tiling.summary.items():
-            if name == "model":
-                print(f"{name}: {value}")
-            elif value != "":
-                print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
+        for label, value in tiling_facts(tiling).items():
+            text = f"{value:.4f}" if isinstance(value, float) else str(value)
+            print(f"{label:<44}{text:>10}")
 
 
 def finish_comparison(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:

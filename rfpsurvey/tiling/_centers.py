@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._units import to_lonlat, to_scalar, to_unit, to_vectors
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
 
 __all__ = ["Centers", "Declinations", "as_centers"]
@@ -72,6 +72,8 @@ class Centers:
         if self.coord is None:
             return None
         given = self.coord
+        if not isinstance(given, SkyCoord | Tiling | Table):
+            raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {given!r:.60}")
         if isinstance(given, SkyCoord):
             vectors = to_vectors(given, "centers")
             given = SkyCoord(*to_ra_dec(vectors[np.isfinite(vectors).all(axis=1)]), unit="deg")

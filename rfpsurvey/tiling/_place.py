@@ -50,7 +50,7 @@ def place_tiles(
     A tile is a circle of the instrument's field radius. What it observes is decided as in a survey, by an allocator
     and the collisions of its arms; or, where ``fibers`` or ``radius`` is given or no instrument, it is up to a number of
     the targets in it, wherever they are, which gives an upper limit of the completeness. Each target is observed at
-    most once by a tile; of a catalog that has kinds, the science targets count. ``summary["model"]`` says which.
+    most once by a tile; of a catalog that has kinds, the science targets count. ``summary["completeness_means"]`` says which.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def place_tiles(
             tell=tell,
         )
         state = METHODS[method](problem)
-    summary.update(fibers=number, **_account(state, neighbors), **account, model=serve.model)
+    summary.update(fibers=number, **_account(state, neighbors), **account, completeness_means=serve.means)
     if account:
         summary["n_targets"] += account["n_beyond_declination"]
     _warn(state, account.get("n_beyond_declination", 0), where.limits)

@@ -77,14 +77,7 @@ class FreeFibers:
 
     def __init__(self, fibers: int, priority: np.ndarray | None, neighbors: tuple | None):
         self.fibers, self.priority, self.neighbors = fibers, priority, neighbors
-
-    @property
-    def model(self) -> str:
-        """What the completeness means."""
-        return (
-            "Each fiber reaches any target of its field, and no arms collide: the completeness of the tiles is an upper "
-            "limit."
-        )
+        self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
         """Return the positions that are served, of those in the field that still want a visit."""
@@ -162,7 +155,7 @@ class FocalPlaneFibers:
         self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
         self.science = None if catalog.kind is None else self.columns["kind"] == "science"
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
-        self.model = f"The allocator {options.name} plans each tile; a target whose arm collides {lost}."
+        self.means = f"the allocator {options.name} plans each tile; a target whose arm collides {lost}"
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
