@@ -81,8 +81,8 @@ RadiusOption = Annotated[
 TilingAllocatorOption = Annotated[
     str | None,
     typer.Option(
-        help="Plan each tile with this allocator, as a survey does: lamost, nearest, balanced, sdss, optimal, repair, or "
-        "that of an installed package. None: lamost, unless --fibers or --radius is given."
+        help="Plan each tile with this allocator, as a survey does: lamost, nearest, balanced, sdss, optimal, repair, "
+        "or that of an installed package. None: lamost, unless --fibers or --radius is given."
     ),
 ]
 TilingPaOption = Annotated[
@@ -97,7 +97,9 @@ TilingMethodOption = Annotated[
 ]
 PassesOption = Annotated[int, typer.Option(help="How often coverings cover everything.")]
 CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this part of the targets, 0 to 1.")]
-FibersOption = Annotated[int | None, typer.Option(help="Targets of a tile at most; without --allocator, wherever they are in the field.")]
+FibersOption = Annotated[
+    int | None, typer.Option(help="Targets of a tile at most; without --allocator, wherever they are in the field.")
+]
 NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
 TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
 ChartOption = Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")]

@@ -24,9 +24,7 @@ WIDE = 1.6
 """Panels are below each other, not beside, where they are so much wider than high."""
 
 
-def draw_tiling(
-    tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None
-) -> "Figure":
+def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> "Figure":
     """Draw the tiles of each pass in a panel of its own, all on the same map.
 
     Tilings with one pass, or with more than eight, are drawn as `plot_tiling` draws them.
@@ -55,7 +53,7 @@ def draw_tiling(
     >>> import rfpsurvey as rs
     >>> tiling = rs.place_tiles(rs.Region.parse("box 100 120 20 30"), "lamost", passes=2)
     >>> [ax.get_title() for ax in rs.plot.draw_tiling(tiling).axes]
-    ['pass 1: 15 tiles', 'pass 2: 15 tiles']
+    ['pass 1: 23 tiles', 'pass 2: 22 tiles']
     """
     from matplotlib.figure import Figure
 

@@ -44,7 +44,7 @@ class Centers:
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
     >>> north = rs.tiling.Centers(declination=(-10 * u.deg, 60 * u.deg))
-    >>> tiling = rs.place_tiles(rs.Region.parse("box 0 20 40 80"), "desi", centers=north)
+    >>> tiling = rs.place_tiles(rs.Region.parse("box 0 20 40 60"), "desi", centers=north)
     >>> tiling.table["dec"].max() <= 60 * u.deg
     np.True_
     """
@@ -56,10 +56,10 @@ class Centers:
     def __post_init__(self):
         if self.position_angle is not None:
             to_scalar(self.position_angle, u.deg, "position_angle", low=-3600, high=3600)
-        limits = self.limits
-        vectors = self.vectors
+        limits, vectors = self.limits, self.vectors
         if vectors is not None and len(vectors) == 0:
-            raise InputError(f"centers must be at least one finite direction{limits.words}, got none")
+            inside = "" if limits.anywhere else " inside the limits of declination"
+            raise InputError(f"centers must be at least one finite direction{inside}, got none")
 
     @cached_property
     def limits(self) -> "Declinations":
@@ -115,7 +115,11 @@ class Declinations:
     @property
     def words(self) -> str:
         """The limits, for a sentence."""
-        return "" if self.anywhere else " from {:g} to {:g} deg declination".format(*np.rad2deg([self.low, self.high]))
+        return (
+            ""
+            if self.anywhere
+            else " of centers from {:g} to {:g} deg declination".format(*np.rad2deg([self.low, self.high]))
+        )
 
     def distance(self, vectors: np.ndarray) -> np.ndarray:
         """Return how far directions are outside, radians; 0 inside."""

@@ -48,9 +48,9 @@ def place_tiles(
     """Decide where the tiles of a survey go.
 
     A tile is a circle of the instrument's field radius. What it observes is decided as in a survey, by an allocator
-    and the collisions of its arms; or, where ``fibers`` or ``radius`` is given or no instrument, it is up to a number of
-    the targets in it, wherever they are, which gives an upper limit of the completeness. Each target is observed at
-    most once by a tile; of a catalog that has kinds, the science targets count. ``summary["completeness_means"]`` says which.
+    and the collisions of its arms. Where ``fibers`` or ``radius`` is given, or no instrument, it observes up to so many
+    of its targets, wherever they are, and the completeness is an upper limit. ``summary["completeness_means"]``
+    says which. Each target is observed at most once by a tile; of a catalog that has kinds, the science targets count.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def place_tiles(
     n_beyond = int(wanted[beyond].sum())
     wanted[beyond] = 0
     if not wanted.any():
-        raise InputError(f"at least one target must be within reach of tiles{where.limits.words}, got none")
+        raise InputError(f"at least one target must be within reach{where.limits.words}, got none")
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise InputError(f"completeness must be a number above 0 and at most 1, got {completeness!r}")
@@ -238,11 +238,10 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
     quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
     if quality["covering_fraction"] < 1:
-        warnings.warn(
-            f"the centers that may be{where.limits.words} cover {quality['covering_fraction']:.4f} of the region",
-            RfpsurveyWarning,
-            stacklevel=3,
-        )
+        words = f"the centers that may be cover {quality['covering_fraction']:.4f} of the region"
+        if quality.get("fraction_beyond_declination"):
+            words += f"; {quality['fraction_beyond_declination']:.4f} of it is out of reach{where.limits.words}"
+        warnings.warn(words, RfpsurveyWarning, stacklevel=3)
     return _finish(table, _angles(where, method), summary, {})
 
 
@@ -270,7 +269,7 @@ def _warn(state: TilingState, n_beyond: int, limits: Declinations) -> None:
         limit = "" if problem.n_tiles is None or n < problem.n_tiles else f", which is all that n_tiles={n} allows"
         sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
     if n_beyond:
-        sentences.append(f"{n_beyond} targets are out of reach of tiles{limits.words}; they count as not observed")
+        sentences.append(f"{n_beyond} targets are out of reach{limits.words}; they count as not observed")
     if not n:
         sentences.append("no tile serves any target")
     for sentence in sentences:
@@ -323,7 +322,9 @@ def _table(vectors, number) -> QTable:
     """Return a table of new tiles."""
     n = len(vectors)
     ra, dec = to_ra_dec(vectors)
-    return QTable({"tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg, "pass": np.array(number, dtype=np.int64)})
+    return QTable(
+        {"tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg, "pass": np.array(number, dtype=np.int64)}
+    )
 
 
 def _finish(table, angles, summary, columns) -> Tiling:

@@ -28,7 +28,7 @@ class TilingProblem:
     passes: int = 1
     n_tiles: int | None = None
     completeness: float | None = None
-    limits: Declinations = Declinations()
+    limits: Declinations = field(default_factory=Declinations)
     """Declinations of the centers."""
     n_beyond: int = 0
     """Visits that no tile within the limits can make; those of ``wanted`` are without them."""

@@ -12,7 +12,9 @@ import rfpsurvey as rs
 
 def tiling_of(passes, dec=20):
     n = len(passes)
-    return rs.Tiling.from_table(QTable({"ra": (350 + 3 * np.arange(n)) % 360 * u.deg, "dec": [dec] * n * u.deg, "pass": passes}))
+    return rs.Tiling.from_table(
+        QTable({"ra": (350 + 3 * np.arange(n)) % 360 * u.deg, "dec": [dec] * n * u.deg, "pass": passes})
+    )
 
 
 def test_each_pass_has_a_panel_on_the_same_map():

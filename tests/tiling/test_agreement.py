@@ -70,7 +70,9 @@ def test_requirements_take_their_fibers():
     catalog, model = clustered("moons", 2, kind=lambda n: np.where(np.arange(n) % 10 == 0, "standard", "science"))
     needs = rs.AllocationOptions(requirements=["standard=100", "sky=200"], sky_separation=5 * u.arcsec)
     tiling = rs.place_tiles(catalog, model, n_tiles=4, allocator=needs)
-    assert delivered(catalog, model, tiling, allocator=needs) == pytest.approx(tiling.summary["completeness"], abs=1e-12)
+    assert delivered(catalog, model, tiling, allocator=needs) == pytest.approx(
+        tiling.summary["completeness"], abs=1e-12
+    )
     without = rs.place_tiles(catalog, model, n_tiles=4)
     assert tiling.table["n_new"].sum() < 0.9 * without.table["n_new"].sum()
     assert tiling.summary["n_targets"] == (catalog.kind == "science").sum()

@@ -266,7 +266,10 @@ def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG)
     assert tiling.table["n_new"][0] == tile.summary["n_assigned"]
     lost = rs.place_tiles(near, instrument, **options)
-    assert lost.table["n_new"][0] == tile.summary["n_assigned"] - (tile.table["in_collision"] & (tile.table["kind"] == "science")).sum()
+    assert (
+        lost.table["n_new"][0]
+        == tile.summary["n_assigned"] - (tile.table["in_collision"] & (tile.table["kind"] == "science")).sum()
+    )
     assert tiling.table["n_targets"][0] == tile.summary["n_in_field"]
     some = rs.place_tiles(near, instrument, method="max_density", allocator="lamost", n_tiles=1, fibers=7)
     assert some.table["n_new"].tolist() == [7]
