@@ -48,9 +48,9 @@ def place_tiles(
     """Decide where the tiles of a survey go.
 
     A tile is a circle of the instrument's field radius. What it observes is decided as in a survey, by an allocator
-    and the collisions of its arms. Where ``fibers`` or ``radius`` is given, or no instrument, it observes up to so many
-    of its targets, wherever they are, and the completeness is an upper limit. ``summary["completeness_means"]``
-    says which. Each target is observed at most once by a tile; of a catalog that has kinds, the science targets count.
+    and the collisions of its arms. Where ``fibers`` or ``radius`` is given, or no instrument, it observes any of its
+    targets, up to the number of fibers, and the completeness is an upper limit: ``summary["completeness_means"]``
+    tells. Each target is observed at most once by a tile; of a catalog that has kinds, the science targets count.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def place_tiles(
         raise InputError("give an instrument, or the radius of a tile")
     by_positioners = allocator is not None or (model is not None and radius is None and not fibers.ideal)
     radius = model.field_radius if radius is None else radius
-    radius_rad = to_scalar(radius, u.rad, "radius", low=0, high=np.pi / 2)
+    radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
     passes = _whole(passes, "passes")
     where, exclude = as_centers(centers), _regions(exclude)
     if method == GIVEN and where.tiling is None:
@@ -152,6 +152,7 @@ def place_tiles(
             "completeness": completeness,
             "visits": visits,
             "allocator": allocator,
+            "fibers": fibers.number,
             "min_separation": fibers.min_separation,
         }
         return _place_on_region(field, method, radius_rad, passes, where, exclude, summary, given)
@@ -160,8 +161,7 @@ def place_tiles(
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)
     beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
-    account = {"n_beyond_declination": int(np.count_nonzero(wanted[beyond]))} if not where.limits.anywhere else {}
-    n_beyond = int(wanted[beyond].sum())
+    n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
     wanted[beyond] = 0
     if not wanted.any():
         raise InputError(f"at least one target must be within reach{where.limits.words}, got none")
@@ -206,10 +206,8 @@ def place_tiles(
             tell=tell,
         )
         state = METHODS[method](problem)
-    summary.update(fibers=number, **_account(state, neighbors), **account, completeness_means=serve.means)
-    if account:
-        summary["n_targets"] += account["n_beyond_declination"]
-    _warn(state, account.get("n_beyond_declination", 0), where.limits)
+    summary.update(fibers=number, **_account(state, neighbors, n_away), completeness_means=serve.means)
+    _warn(state, n_away, where.limits)
     centers_, number, n_targets, n_new, so_far = zip(*state.rows, strict=True) if state.rows else [()] * 5
     columns = {
         "n_targets": np.array(n_targets, dtype=np.int64),
@@ -225,8 +223,8 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
     """Cover a region."""
     if method not in COVERINGS and method != GIVEN:
         raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
-    for name in ("n_tiles", "completeness", "visits", "allocator", "min_separation"):
-        if given[name] is not None:
+    for name, value in given.items():
+        if value is not None:
             raise InputError(f"{name} is about targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
@@ -237,6 +235,8 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
         table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]))
     quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
+    if quality.get("fraction_beyond_declination") == 1:
+        raise InputError(f"at least a part of the region must be within reach{where.limits.words}, got none")
     if quality["covering_fraction"] < 1:
         words = f"the centers that may be cover {quality['covering_fraction']:.4f} of the region"
         if quality.get("fraction_beyond_declination"):
@@ -260,7 +260,7 @@ def _angles(where: Centers, method: str) -> np.ndarray:
     return np.array([where.angle_deg])
 
 
-def _warn(state: TilingState, n_beyond: int, limits: Declinations) -> None:
+def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
     """Warn of goals that are not reached, and of targets that no tile reaches."""
     problem, n = state.problem, len(state.rows)
     sentences = []
@@ -268,8 +268,8 @@ def _warn(state: TilingState, n_beyond: int, limits: Declinations) -> None:
     if goal is not None and state.completeness < goal - 1e-12:
         limit = "" if problem.n_tiles is None or n < problem.n_tiles else f", which is all that n_tiles={n} allows"
         sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
-    if n_beyond:
-        sentences.append(f"{n_beyond} targets are out of reach{limits.words}; they count as not observed")
+    if n_away:
+        sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
     if not n:
         sentences.append("no tile serves any target")
     for sentence in sentences:
@@ -290,15 +290,16 @@ def _wanted(catalog, visits, exclude):
     return wanted
 
 
-def _account(state: TilingState, neighbors) -> dict:
-    """Return what was reached."""
+def _account(state: TilingState, neighbors, n_away: int) -> dict:
+    """Return what was reached; ``n_away`` targets are beyond the limits of declination."""
     problem = state.problem
     wanted, made = problem.wanted, problem.wanted - state.left
     n = len(state.rows)
     tiles = np.reshape([row[0] for row in state.rows], (-1, 3))
     depth = SkyIndex(tiles).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
-        "n_targets": int(np.count_nonzero(wanted)),
+        "n_targets": int(np.count_nonzero(wanted)) + n_away,
+        **({} if problem.limits.anywhere else {"n_beyond_declination": n_away}),
         "n_on_tiles": int(np.count_nonzero(depth)),
         "n_wanted": int(wanted.sum()) + problem.n_beyond,
         "n_observed": int(made.sum()),
