@@ -68,18 +68,47 @@ OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")
 
 RegionOption = Annotated[
     str | None,
-    typer.Option(help="Cover this: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky."),
+    typer.Option(
+        help="Cover this: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky. With a "
+        "catalog: its targets inside."
+    ),
+]
+ExcludeOption = Annotated[
+    list[str] | None,
+    typer.Option(help="Targets or area inside do not count: a region, as --region; several are possible."),
+]
+CentersOption = Annotated[
+    Path | None, typer.Option(help="The only centers that may be: ra, dec, ... With --method given, exactly these.")
+]
+DeclinationOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(help="Lowest and highest declination of a center, deg.", metavar="LOW HIGH"),
+]
+RadiusOption = Annotated[
+    float | None, typer.Option(help="Radius of a tile, deg, instead of the instrument's; fibers reach all of it.")
+]
+TilingAllocatorOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Plan each tile with this allocator, as a survey does: lamost, nearest, balanced, sdss, optimal, repair, "
+        "or that of an installed package. None: lamost, unless --fibers or --radius is given."
+    ),
+]
+TilingPaOption = Annotated[
+    float | None, typer.Option(help="Position angle of +y, deg from north to east. None: that of --centers, or 0.")
 ]
 TilingMethodOption = Annotated[
     str,
     typer.Option(
         help="hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one tile after "
-        "the other, as LAMOST), or sdss (network flow)."
+        "the other, as LAMOST), sdss (network flow), or given (those of --centers)."
     ),
 ]
 PassesOption = Annotated[int, typer.Option(help="How often coverings cover everything.")]
 CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this part of the targets, 0 to 1.")]
-FibersOption = Annotated[int | None, typer.Option(help="Targets of a tile at most. None: one a positioner.")]
+FibersOption = Annotated[
+    int | None, typer.Option(help="Targets of a tile at most; without --allocator, wherever they are in the field.")
+]
 NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
 TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
 ChartOption = Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")]
@@ -185,7 +214,10 @@ TILE_EXAMPLES = """\b
 Examples:
   rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --report tiles.html
   rfpsurvey tile --region sky --method spiral --instrument desi
-  rfpsurvey tile stars.fits --method sdss --fibers 1000 --completeness 0.95
+  rfpsurvey tile stars.fits --method sdss --completeness 0.95 --allocator repair
+  rfpsurvey tile stars.fits --method given --centers tiles.ecsv
+  rfpsurvey tile stars.fits --region "cap 95 23 5" --exclude "cap 92.3 24.3 0.5" --declination -10 60
+  rfpsurvey tile stars.fits --radius 1.5 --fibers 400
 """
 
 DESIGN_EXAMPLES = """\b

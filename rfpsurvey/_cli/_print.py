@@ -10,7 +10,8 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, write_table
-from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives
+from rfpsurvey.plot import draw_tiling
+from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
 
 __all__ = [
     "PICTURES",
@@ -70,19 +71,18 @@ def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path
 
 
 def finish_tiling(
-    tiling: "rs.Tiling", field, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
+    tiling: "rs.Tiling", shown: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write a tiling, its plot with the targets or the region of ``field``, and its page; print how it was made."""
-    shown = {"region" if isinstance(field, rs.Region) else "targets": field}
+    """Write a tiling, its plot with the targets and the region that are ``shown``, and its page; print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tiling.write),
-        plot=(plot, lambda: rs.plot.plot_tiling(tiling, **shown).figure),
+        plot=(plot, lambda: draw_tiling(tiling, **shown)),
         report=(report, tiling, {"data": output}),
     ):
-        for name, value in tiling.summary.items():
-            if value != "":
-                print(f"{name.replace('_', ' '):<24}{value:>14{'.4f' if isinstance(value, float) else ''}}")
+        for label, value in tiling_facts(tiling).items():
+            text = f"{value:.4f}" if isinstance(value, float) else str(value)
+            print(f"{label:<44}{text:>10}")
 
 
 def finish_comparison(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:

@@ -1,5 +1,9 @@
 """``rfpsurvey tile``."""
 
+import sys
+
+import astropy.units as u
+
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey.instrument import as_instrument
@@ -9,12 +13,23 @@ from rfpsurvey.instrument import as_instrument
 def tile(
     catalog: _options.CatalogArgument = None,
     region: _options.RegionOption = None,
+    exclude: _options.ExcludeOption = None,
     instrument: _options.InstrumentOption = "lamost",
     method: _options.TilingMethodOption = "hexagonal",
     passes: _options.PassesOption = 1,
     completeness: _options.CompletenessOption = None,
-    fibers: _options.FibersOption = None,
     n_tiles: _options.NTilesOption = None,
+    centers: _options.CentersOption = None,
+    declination: _options.DeclinationOption = None,
+    pa: _options.TilingPaOption = None,
+    allocator: _options.TilingAllocatorOption = None,
+    require: _options.RequireOption = None,
+    sky_separation: _options.SkyOption = None,
+    time_limit: _options.TimeLimitOption = 60.0,
+    parked: _options.ParkedOption = True,
+    lost: _options.LostOption = True,
+    fibers: _options.FibersOption = None,
+    radius: _options.RadiusOption = None,
     visits: _options.VisitsOption = None,
     seed: _options.SeedOption = 0,
     column: _options.ColumnOption = None,
@@ -29,13 +44,53 @@ def tile(
     """Decide where the tiles of a survey go."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
-    if region is not None and catalog is not None:
-        raise rs.InputError("give a catalog or --region, not both")
-    if region is not None:
-        field = rs.Region.parse(region)
-    else:
+    inside = None if region is None else rs.Region.parse(region)
+    field = inside
+    if catalog is not None or region is None:
         field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill)
-    options = {"passes": passes, "completeness": completeness, "fibers": fibers, "n_tiles": n_tiles, "rng": seed}
-    options["visits"] = visits
-    tiling = rs.place_tiles(field, model, method=method, **options)
-    _app.finish_tiling(tiling, field, output, plot, report, overwrite=overwrite)
+        field = field if inside is None else _targets_inside(field, inside)
+    tiling = rs.place_tiles(
+        field,
+        model,
+        method=method,
+        passes=passes,
+        completeness=completeness,
+        n_tiles=n_tiles,
+        fibers=rs.tiling.Fibers(fibers, lost_in_collision=lost),
+        allocator=_options_of(allocator, require, sky_separation, time_limit, parked, given=fibers or radius),
+        radius=None if radius is None else radius * u.deg,
+        centers=_centers(centers, declination, pa),
+        exclude=[rs.Region.parse(one) for one in exclude or []],
+        visits=visits,
+        progress=sys.stderr.isatty(),
+        rng=seed,
+    )
+    shown = {"region": inside, "targets": None if field is inside else field}
+    _app.finish_tiling(tiling, shown, output, plot, report, overwrite=overwrite)
+
+
+def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
+    """Return the targets inside a region."""
+    inside = region.contains(catalog.coord)
+    if not inside.any():
+        raise rs.InputError(f"--region must hold at least one target, but none of {len(catalog)} is inside")
+    return catalog[inside]
+
+
+def _centers(path, declination, pa):
+    """Return where centers may be."""
+    return rs.tiling.Centers(
+        None if path is None else rs.Tiling.read(path),
+        None if declination is None else declination * u.deg,
+        None if pa is None else pa * u.deg,
+    )
+
+
+def _options_of(allocator, require, sky_separation, time_limit, parked, *, given):
+    """Return the options of an allocation, None for those that are usual."""
+    asked = require is not None or sky_separation is not None or not parked
+    if allocator is None and given and asked:
+        raise rs.InputError("--fibers and --radius need an --allocator where an option of allocators is given")
+    if allocator is None and not asked:
+        return None
+    return _app.allocation_options(allocator or "lamost", require, sky_separation, time_limit, parked=parked)

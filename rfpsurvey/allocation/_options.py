@@ -135,25 +135,21 @@ class AllocationOptions:
     def _of_instrument(self) -> bool:
         return isinstance(self.requirements, str) and self.requirements == "instrument"
 
-    def check_for_fields(self, what: str, *, science_only: bool = False) -> None:
-        """Refuse options that can only hold for one field, or, with ``science_only``, that ask for other targets.
+    def check_for_fields(self, what: str) -> None:
+        """Refuse options that can only hold for one field.
 
         Parameters
         ----------
         what : str
             What is planned, for the error.
-        science_only : bool, optional
-            Whether only science targets are assigned.
 
         Raises
         ------
         InputError
-            If ``start`` is an allocation, or requirements or a sky separation are given where only science counts.
+            If ``start`` is an allocation.
         """
         if not isinstance(self.start, str):
             raise InputError(f"start must be the name of an allocator for {what}, got an allocation of one field")
-        if science_only and (self._of_instrument or self.requirements or self.sky_separation is not None):
-            raise InputError(f"{what} counts science targets only: give an allocator without requirements and sky")
 
     @property
     def name(self) -> str:

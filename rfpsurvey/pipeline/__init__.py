@@ -1,6 +1,6 @@
 """The one pipeline of a field, on plain arrays: projection, reach, allocation, arms, collisions, identifiers.
 
-`plan_tile` calls it once and `plan_survey` for each tile; tiling and collision probabilities use its first half.
+`plan_tile` calls it once, `plan_survey` and `place_tiles` for each tile; collision probabilities use its first half.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids

@@ -11,11 +11,13 @@ from rfpsurvey.plot._probability import plot_probability, plot_residuals
 from rfpsurvey.plot._reproduction import draw_reproduction
 from rfpsurvey.plot._sky import plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
+from rfpsurvey.plot._tiling import draw_tiling
 
 __all__ = [
     "draw_instruments",
     "draw_reproduction",
     "draw_survey",
+    "draw_tiling",
     "plot_allocators",
     "plot_collision_map",
     "plot_completeness",

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
@@ -19,7 +20,7 @@ from rfpsurvey.tiling import Tiling
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_tiling", "radius_of"]
+__all__ = ["draw_field", "draw_tiles", "plot_tiling", "radius_of"]
 
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
@@ -42,7 +43,8 @@ def plot_tiling(
 
     The axes are right ascension and declination; offsets from the mean direction near a pole; or a map of the whole sky
     where tiles are more than 60 deg away from their mean direction. Colors run from the smallest to the largest value.
-    Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be seen.
+    Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be seen; `draw_tiling`
+    draws a panel for each pass.
 
     Parameters
     ----------
@@ -104,18 +106,9 @@ def plot_tiling(
     if ax is None:
         ax = _new_axes(sky_map, rims, scale=len(levels) > 1, legend=several or not (targets is None and region is None))
     sky_map.label(ax)
-    inner = radius * _filled_part(np.asarray(table["pass"]))
-    order = np.argsort(np.asarray(table["pass"]), kind="stable")
-    if whole:
-        polygons, row_of = outlines_of_whole_sky(centers[order], inner[order])
-    else:
-        polygons, row_of = list(sky_map.to_xy(rims_of(centers[order], inner[order]))), np.arange(len(centers))
-    _draw_tiles(ax, polygons, rims, values[order][row_of], levels, color, kwargs)
-    handles = list(_draw_field(ax, sky_map, targets, region))
-    if several:
-        style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
-        handles.insert(0, legend_line(label="field (fill is smaller in later passes)", **style))
-    legend_below(ax, handles)
+    draw_tiles(ax, sky_map, table, radius, color, kwargs)
+    handles = list(draw_field(ax, sky_map, targets, region))
+    legend_below(ax, [*_entry_of_fields(), *handles] if several else handles)
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
     ax.set_title(f"{len(table)} tiles{only}", pad=14 if whole else None)
     return ax
@@ -147,11 +140,22 @@ def _filled_part(number):
     return 1 - step * rank.reshape(-1)
 
 
-def _draw_tiles(ax, polygons, rims, values, levels, name, kwargs):
-    """Fill tiles by value, with a color bar beside the axes: steps for a few whole numbers, none for one value."""
+def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
+    """Fill tiles by a column, with a color bar beside the axes: steps for a few whole numbers, none for one value."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import BoundaryNorm
 
+    order = np.argsort(np.asarray(table["pass"]), kind="stable")
+    table = table[order]
+    centers, values = SkyCoord(table["ra"], table["dec"]), np.asarray(table[name], dtype=float)
+    levels = np.unique(values[np.isfinite(values)])
+    inner = radius * _filled_part(np.asarray(table["pass"]))
+    if sky_map.kind == "whole":
+        rims = None
+        polygons, row_of = outlines_of_whole_sky(centers, inner)
+        values = values[row_of]
+    else:
+        rims, polygons = sky_map.to_xy(rims_of(centers, radius)), list(sky_map.to_xy(rims_of(centers, inner)))
     whole = rims is None
     steps = 1 < len(levels) <= MOST_STEPS and (levels == np.rint(levels)).all()
     style = {"cmap": light_scale(), "alpha": None if len(levels) > 1 else FLAT, "ec": "face", "lw": 0.2 if whole else 0}
@@ -179,7 +183,13 @@ def _draw_tiles(ax, polygons, rims, values, levels, name, kwargs):
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
 
 
-def _draw_field(ax, sky_map: SkyMap, targets, region):
+def _entry_of_fields():
+    """Yield the legend entry of fields whose fills differ in size."""
+    style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
+    yield legend_line(label="field (fill is smaller in later passes)", **style)
+
+
+def draw_field(ax, sky_map: SkyMap, targets, region):
     """Draw targets and the border of a region, and yield legend entries."""
     lines = [] if region is None else outline_of_region(region, sky_map)
     for line in lines:

@@ -1,7 +1,7 @@
 """One self-contained HTML page from any result."""
 
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
-from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives
+from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives, tiling_facts
 from rfpsurvey.report._write import MADE_BY, PAGES, check_report, write_report
 
 __all__ = [
@@ -18,5 +18,6 @@ __all__ = [
     "survey_facts",
     "tile_facts",
     "tile_objectives",
+    "tiling_facts",
     "write_report",
 ]

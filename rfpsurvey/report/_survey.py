@@ -1,6 +1,6 @@
 """The pages of surveys and tilings."""
 
-from rfpsurvey.plot import plot_completeness, plot_tiling
+from rfpsurvey.plot import draw_tiling, plot_completeness, plot_tiling
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section
 from rfpsurvey.report._facts import TILING, survey_facts, tiling_facts
 from rfpsurvey.survey import Survey
@@ -45,7 +45,8 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
     highlights = {"tiles": len(tiling)}
     highlights |= {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}
     rows = Rows("The tiles, in the order in which they are to be observed.", table, where or "Tiling.table")
-    picture = Picture("The tiles on the sky.", plot_tiling(tiling), _about_tiles(table, "pass"))
+    figure = draw_tiling(tiling)
+    picture = Picture("The tiles on the sky.", figure, _about_passes(table, len(figure.axes)))
     sections = [Section("On the sky", [picture]), Section("Tiles", [rows])]
     if summary:
         sections.insert(0, Section("Result", [Facts("", tiling_facts(tiling))]))
@@ -55,12 +56,18 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
     return Page("Tiling", title, lead, highlights, sections, dict(table.meta))
 
 
+def _about_passes(table, n_panels: int) -> str:
+    """Return what the map of a tiling shows."""
+    n = len(set(table["pass"].tolist()))
+    if n_panels != n:
+        return _about_tiles(table, "pass")
+    each = f" There is a panel for each of the {n} passes." if n > 1 else ""
+    return f"Each circle is a field. East is to the left. Where fields overlap, the color is darker or lighter.{each}"
+
+
 def _about_tiles(table, color) -> str:
-    """Return a description of the map of tiles; ``color`` is the meaning of their color."""
-    words = "Each circle is a field. East is to the left."
-    if color == "pass" and len(set(table["pass"].tolist())) == 1:
-        return f"{words} Where fields overlap, the color is darker or lighter."
-    words += f" The color is the {color}."
+    """Return a description of the map of the tiles of a survey; ``color`` is the meaning of their color."""
+    words = f"Each circle is a field. East is to the left. The color is the {color}."
     if len(set(table["pass"].tolist())) > 1:
         words += " Fields of later passes are filled up to a smaller radius, so that those below can be seen."
     return words

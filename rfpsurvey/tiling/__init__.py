@@ -1,8 +1,9 @@
 """Where the tiles of a survey go."""
 
+from rfpsurvey.tiling._centers import Centers
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._serve import Fibers
 from rfpsurvey.tiling._tiling import Tiling, as_tiling
 
-__all__ = ["METHODS", "Fibers", "Tiling", "as_tiling", "place_tiles"]
+__all__ = ["METHODS", "Centers", "Fibers", "Tiling", "as_tiling", "place_tiles"]

@@ -9,10 +9,11 @@ from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.errors import InputError
 from rfpsurvey.region import Region, circle_around, distance_to, is_inside
+from rfpsurvey.tiling._centers import Centers, Declinations
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_all
 
-__all__ = ["cover_region", "cover_targets", "snap"]
+__all__ = ["RegionCover", "cover_targets", "in_any", "snap"]
 
 # Samples of a region: so fine as parts of the tile's radius, as long as there are not more than so many.
 FINE = 1 / 40
@@ -26,44 +27,75 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
     number, whole = 0, problem.open_ended
     while number < problem.passes if whole else not state.done:
         centers = make(center, reach, problem.radius, number)
-        targets = problem.wanted > 0 if whole else state.left > 0
+        points = problem.index.vectors[problem.wanted > 0 if whole else state.left > 0]
         if problem.allowed is not None:
-            centers = snap(centers, problem.allowed, problem.index.vectors[targets], problem.radius)
+            centers = snap(centers, problem.allowed, points, problem.radius)
+        elif not problem.limits.anywhere:
+            # centers that have to be moved onto a limit are used where those inside leave targets
+            outside = problem.limits.distance(centers) > 0
+            moved = problem.limits.fit(centers[outside], problem.radius)
+            inner = np.arange(np.count_nonzero(~outside))
+            centers = _add_needed(inner, np.vstack([centers[~outside], moved]), points, problem.radius)
         number += 1
         if visit_all(state, centers, number, every=whole) == 0:
             break
     return state
 
 
-def cover_region(
-    region: Region, radius: float, make: Callable, passes: int, allowed: np.ndarray | None, exclude: Region | None
-) -> tuple[list, dict]:
-    """Cover a region; returns the centers of each pass and how good the covering is."""
-    center, reach = circle_around(region)
-    samples, margin = _conservative(region, exclude, reach, radius)
-    inside = is_inside(region, samples)
-    if exclude is not None:
-        inside &= ~is_inside(exclude, samples)
-    if len(samples) == 0:
-        raise InputError("exclude must leave something of the region, but nothing is left")
-    index, found = SkyIndex(samples), []
-    for number in range(passes):
-        centers = make(center, reach, radius, number)
-        centers = centers[distance_to(region, centers) <= radius * (1 + 1e-12)]
-        if allowed is not None:
-            centers = snap(centers, allowed, samples[inside] if inside.any() else samples, radius)
-        else:
-            centers = _needed(index, centers, radius, margin)
-        found.append(centers)
-    look = samples[inside] if inside.any() else samples
-    tiles = np.vstack(found)
-    depth = SkyIndex(tiles).sum_near(look, radius, np.ones(len(tiles)))
-    quality = {
-        "covering_fraction": float(np.mean(depth > 0)),
-        "mean_depth": float(depth.mean()),
-        "n_samples": len(look),
-    }
-    return found, quality
+class RegionCover:
+    """Coverings of a region, and how well tiles cover it.
+
+    Parameters
+    ----------
+    region : Region
+        What to cover.
+    radius : float
+        Radius of a tile.
+    exclude : tuple of Region
+        What need not be covered.
+    """
+
+    def __init__(self, region: Region, radius: float, exclude: tuple[Region, ...]):
+        self.region, self.radius = region, radius
+        self.center, self.reach = circle_around(region)
+        self.samples, self.margin = _conservative(region, exclude, self.reach, radius)
+        if len(self.samples) == 0:
+            raise InputError("exclude must leave something of the region, but nothing is left")
+        inside = is_inside(region, self.samples) & ~in_any(exclude, self.samples)
+        self.look = self.samples[inside] if inside.any() else self.samples
+
+    def make_passes(self, make: Callable, passes: int, where: Centers) -> list[np.ndarray]:
+        """Return the centers of each pass."""
+        index, found, allowed = SkyIndex(self.samples), [], where.vectors
+        for number in range(passes):
+            centers = where.limits.fit(make(self.center, self.reach, self.radius, number), self.radius)
+            centers = centers[distance_to(self.region, centers) <= self.radius * (1 + 1e-12)]
+            if allowed is not None:
+                centers = snap(centers, allowed, self.look, self.radius)
+            else:
+                centers = _needed(index, centers, self.radius, self.margin)
+            found.append(centers)
+        return found
+
+    def quality(self, tiles: np.ndarray, limits: Declinations) -> dict:
+        """Return how well tiles cover the region."""
+        depth = SkyIndex(tiles).sum_near(self.look, self.radius, np.ones(len(tiles)))
+        quality = {
+            "covering_fraction": float(np.mean(depth > 0)),
+            "mean_depth": float(depth.mean()),
+            "n_samples": len(self.look),
+        }
+        if not limits.anywhere:
+            quality["fraction_beyond_declination"] = float(np.mean(limits.distance(self.look) > self.radius))
+        return quality
+
+
+def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
+    """Mark the unit vectors inside any of the regions."""
+    inside = np.zeros(len(vectors), dtype=bool)
+    for region in regions:
+        inside |= is_inside(region, vectors)
+    return inside
 
 
 def _conservative(region, exclude, reach, radius):
@@ -74,20 +106,18 @@ def _conservative(region, exclude, reach, radius):
         nside //= 2
     margin = _healpix.pixel_radius(nside)
     samples = _healpix.centers(nside, _healpix.pixels_near(nside, partial(distance_to, region), margin))
-    if exclude is not None:
-        samples = samples[~_all_inside(exclude, samples, margin)]
-    return samples, margin
+    return samples[~_all_inside(exclude, samples, margin)], margin
 
 
-def _all_inside(region, samples, margin):
+def _all_inside(regions, samples, margin):
     """Tell which samples lie inside with all that is as far as ``margin``, as far as eight points can tell."""
     helper = np.eye(3)[np.argmin(np.abs(samples), axis=1)]
     x = np.cross(helper, samples)
     x /= np.linalg.norm(x, axis=1)[:, None]
     y = np.cross(samples, x)
-    inside = is_inside(region, samples)
+    inside = in_any(regions, samples)
     for turn in np.arange(8) * np.pi / 4:
-        inside &= is_inside(region, np.cos(margin) * samples + np.sin(margin) * (np.cos(turn) * x + np.sin(turn) * y))
+        inside &= in_any(regions, np.cos(margin) * samples + np.sin(margin) * (np.cos(turn) * x + np.sin(turn) * y))
     return inside
 
 
@@ -115,6 +145,11 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
     from scipy.spatial import cKDTree
 
     chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)
+    return _add_needed(chosen, allowed, points, radius)
+
+
+def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
+    """Return the chosen of the allowed centers, and others as long as they cover more of the points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

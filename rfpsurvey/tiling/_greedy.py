@@ -56,7 +56,7 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
         seed = seeds.best()
         if seed is None:
             return None
-        center = move(state, seed)
+        center = problem.limits.move_inside(move(state, seed))
         if allowed is not None:
             return allowed.about(center)
         # a hill of density may rise between targets that are all out of its reach
@@ -74,7 +74,8 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
             break
         tries = [center]
         if state.problem.allowed is None:  # a target may be where no positioner gets, but not for a tile beside it
-            tries += [one for step in BESIDE for one in ring(center, step * state.problem.radius)]
+            beside = np.vstack([ring(center, step * state.problem.radius) for step in BESIDE])
+            tries += list(state.problem.limits.move_inside(beside))
         if not any(len(state.observe(one)) for one in tries):
             state.give_up(center)
         for one in lists:
@@ -120,6 +121,7 @@ def _grid(problem: TilingProblem) -> np.ndarray:
     near = _near_targets(problem, _healpix.centers(coarse, np.arange(12 * coarse**2)), _healpix.pixel_radius(coarse))
     children = (fine // coarse) ** 2
     centers = _healpix.centers(fine, (near[:, None] * children + np.arange(children)).ravel())
+    centers = problem.limits.fit(centers, problem.radius)
     return centers[_near_targets(problem, centers, 0.0)]
 
 
@@ -142,7 +144,7 @@ def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:
-        around = ring(center, step)
+        around = state.problem.limits.move_inside(ring(center, step))
         total = index.sum_near(around, radius, weight)
         k = int(np.argmax(total))
         if total[k] > best:

@@ -6,8 +6,11 @@ from rfpsurvey.tiling._cover import cover_targets
 from rfpsurvey.tiling._covering import hexagonal, spiral
 from rfpsurvey.tiling._greedy import density_gradient, max_density, mean_shift
 from rfpsurvey.tiling._network import sdss
+from rfpsurvey.tiling._visit import visit_given
 
-__all__ = ["COVERINGS", "METHODS"]
+__all__ = ["COVERINGS", "GIVEN", "METHODS"]
+
+GIVEN = "given"
 
 # Coverings of a region, which need no targets.
 COVERINGS = {"hexagonal": hexagonal, "spiral": spiral}
@@ -19,4 +22,5 @@ METHODS = {
     "density_gradient": density_gradient,
     "mean_shift": mean_shift,
     "sdss": sdss,
+    GIVEN: visit_given,
 }

@@ -50,7 +50,8 @@ def _fewest(problem: TilingProblem) -> TilingState:
         elif n >= most or stuck >= 6:
             return best
         else:
-            low, n = n, min(max(int(1.25 * n), n + 1), most)
+            foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))
+            low, n = n, min(max(int(1.25 * n), n + 1, foreseen), most)
     # a run may end before its tiles are used up
     high = len(found.rows)
     while high - low > max(1, high // 100):
@@ -74,9 +75,9 @@ def _attempt(problem: TilingProblem, n: int) -> TilingState:
 
 def _covering_number(problem: TilingProblem) -> int:
     center, reach = problem.circle()
-    return len(
-        _with_targets(problem, lattice(center, reach + 2 * problem.radius, np.sqrt(3) * problem.radius, np.zeros(2)))
-    )
+    pitch = np.sqrt(3) * problem.radius
+    centers = lattice(center, reach + 2 * problem.radius, pitch, np.zeros(2))
+    return len(_with_targets(problem, problem.limits.fit(centers, problem.radius)))
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
@@ -84,7 +85,8 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
     center, reach = problem.circle()
 
     def make(pitch):
-        return _with_targets(problem, lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2)))
+        centers = lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2))
+        return _with_targets(problem, problem.limits.fit(centers, problem.radius))
 
     low, high = 0.0, 3 * (reach + problem.radius)
     pitch = np.sqrt(3) * problem.radius
@@ -102,7 +104,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
         guess = pitch * np.sqrt(max(len(centers), 0.5) / n)
         pitch = guess if low < guess < high and guess != pitch else (low + high) / 2
     if not low:
-        enough = np.vstack([centers, problem.index.vectors[problem.wanted > 0][:1]])
+        enough = np.vstack([centers, problem.limits.move_inside(problem.index.vectors[problem.wanted > 0][:1])])
     count = problem.index.sum_near(enough, problem.radius, problem.wanted.astype(np.float64))
     keep = np.sort(np.argsort(-count, kind="stable")[:n])
     enough = enough[keep]
@@ -159,6 +161,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
                 gain = cells.index.sum_near(cells.vectors, radius, left[cells.index.order])
                 centers[k] = cells.vectors[np.argmax(gain)]
                 left[cells.index.order[cells.index.near(centers[k], radius)]] = 0.0
+        centers = problem.limits.move_inside(centers)
     return centers
 
 
@@ -217,5 +220,6 @@ def _allowed(problem: TilingProblem, centers: np.ndarray) -> np.ndarray:
     """Snap centers to those that may be."""
     if problem.allowed is None:
         return centers
-    distance = np.linalg.norm(centers[:, None] - problem.allowed[None], axis=2)
-    return problem.allowed[np.argmin(distance, axis=1)]
+    from scipy.spatial import cKDTree
+
+    return problem.allowed[cKDTree(problem.allowed).query(centers)[1]]

@@ -9,7 +9,8 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
-from rfpsurvey._units import to_generator, to_scalar, to_vectors, to_visits
+from rfpsurvey._progress import Progress
+from rfpsurvey._units import to_scalar, to_seed, to_visits
 from rfpsurvey.allocation import AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, is_table
 from rfpsurvey.errors import (
@@ -22,12 +23,13 @@ from rfpsurvey.errors import (
     warn,
 )
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.region import Region, is_inside
-from rfpsurvey.tiling._cover import cover_region
-from rfpsurvey.tiling._methods import COVERINGS, METHODS
+from rfpsurvey.region import Region
+from rfpsurvey.tiling._centers import Centers, Declinations, as_centers
+from rfpsurvey.tiling._cover import RegionCover, in_any
+from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
-from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
+from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
 __all__ = ["place_tiles"]
 
@@ -46,29 +48,31 @@ def place_tiles(
     fibers: Fibers | int | None = None,
     allocator: AllocationOptions | str | Callable | None = None,
     radius: u.Quantity | None = None,
-    position_angle: u.Quantity = 0 * u.deg,
-    centers: SkyCoord | None = None,
-    exclude: Region | None = None,
+    centers: Centers | SkyCoord | Tiling | Table | None = None,
+    exclude: Region | list[Region] | None = None,
     visits: np.ndarray | None = None,
+    progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Tiling:
     """Decide where the tiles of a survey go.
 
-    A tile is a circle of the instrument's field radius that observes up to ``fibers`` of the targets in it, each at
-    most once; of a catalog that has kinds, the science targets count.
+    A tile is a circle of the instrument's field radius. What it observes is decided as in a survey, by an allocator
+    and the collisions of its arms. Where ``fibers`` or ``radius`` is given, or no instrument, it observes any of its
+    targets, up to the number of fibers, and the completeness is an upper limit: ``summary["completeness_means"]``
+    tells. Each target is observed at most once by a tile; of a catalog that has kinds, the science targets count.
 
     Parameters
     ----------
     field : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
-        The targets (partitions are read as a whole), or a region to cover (``hexagonal`` and ``spiral``).
+        The targets (partitions are read as a whole), or a region to cover (``hexagonal``, ``spiral`` and ``given``).
     instrument : Instrument or str, optional
-        Gives the radius of the field and the number of fibers; not needed where both are given.
-    method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss"}, optional
+        Gives the radius of the field and the positioners; not needed where ``radius`` and ``fibers`` are given.
+    method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss", "given"}, optional
         ``hexagonal``: a lattice without gaps about the middle of the field, for up to a hemisphere. ``spiral``: a
         Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: one tile after the other where the most
         visits are wanted. ``density_gradient``: the same, from the densest target up the smoothed density.
         ``mean_shift``: the same, the center moving to the mean of its targets. ``sdss``: a number of tiles by
-        network flow, by default that of a hexagonal lattice.
+        network flow, by default that of a hexagonal lattice. ``given``: the list in ``centers``, in its order.
     passes : int, optional
         How often coverings cover everything, each pass with its tiles elsewhere, whether or not a target is left. With
         ``completeness`` or ``n_tiles``, passes follow until that is reached, without tiles that serve nobody.
@@ -77,21 +81,24 @@ def place_tiles(
     completeness : float, optional
         Part of the wanted visits, above 0 and at most 1, at which no more tiles are placed.
     fibers : Fibers or int, optional
-        Targets that a tile observes at most, and how close to each other they may be; by default as many as there are
-        positioners that are not disabled or stuck.
+        Targets that a tile observes at most, and how close to each other they may be. Without an allocator, these
+        fibers reach any target of the field.
     allocator : AllocationOptions or str or callable, optional
-        Let the positioners of the instrument decide what a tile observes, see `AllocationOptions`; what is
-        assigned counts, also where arms collide (``repair`` leaves no collisions).
+        The positioners of the instrument decide what a tile observes, as in `plan_survey`, see `AllocationOptions`;
+        ``lamost`` by default. A target whose arm collides is not observed, see `~rfpsurvey.tiling.Fibers`.
     radius : Quantity, optional
         Angular radius of a tile, instead of the instrument's.
-    position_angle : Quantity, optional
-        Of all tiles.
-    centers : SkyCoord, shape (n,), optional
-        The only centers that may be, such as bright stars. Coverings then need not be complete.
-    exclude : Region, optional
-        Targets or area inside do not count.
+    centers : Centers, SkyCoord, Tiling or Table, optional
+        The only centers that may be, such as bright stars; limits of declination and the position angle of tiles, see
+        `~rfpsurvey.tiling.Centers`.
+    exclude : Region or list of Region, optional
+        Targets or area inside do not count. Tiles beside may overlap it.
     visits : array_like of int, optional
         How often each target is wanted, shape (n,) or one number; by default as the catalog says, or once.
+    progress : bool or callable, optional
+        Show a line on the standard error, or call a function after each tile: with (tiles, ``n_tiles``) where that is
+        given, else with the completeness that is reached and its goal. Methods that try several numbers of tiles begin
+        anew with each.
     rng : int, Generator or None, optional
         For allocators that draw.
 
@@ -99,7 +106,8 @@ def place_tiles(
     -------
     Tiling
         For targets in the order of placing, with the columns ``n_targets`` (unserved in the field), ``n_new`` (served)
-        and ``completeness`` (after the tile).
+        and ``completeness`` (after the tile). A survey with the same allocator delivers this completeness if it plans
+        the tiles in this order (``order="given"``), and nearly the same in another.
 
     Raises
     ------
@@ -110,7 +118,8 @@ def place_tiles(
     Warns
     -----
     RfpsurveyWarning
-        If the completeness is not reached, or if the region is not covered by the centers that may be.
+        If the completeness is not reached, targets are beyond the limits of declination, or the region is not covered
+        by the centers that may be.
 
     References
     ----------
@@ -133,18 +142,13 @@ def place_tiles(
         raise InputError("an allocator needs the positioners of an instrument, got none")
     if radius is None and model is None:
         raise InputError("give an instrument, or the radius of a tile")
+    by_positioners = allocator is not None or (model is not None and radius is None and not fibers.ideal)
     radius = model.field_radius if radius is None else radius
-    radius_rad = to_scalar(radius, u.rad, "radius", low=0, high=np.pi / 2)
-    to_scalar(position_angle, u.deg, "position_angle", low=-3600, high=3600)
+    radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
     passes = _whole(passes, "passes")
-    if exclude is not None and not isinstance(exclude, Region):
-        raise InputTypeError(f"exclude must be a Region, got {type(exclude).__name__}")
-    allowed = None if centers is None else to_vectors(centers, "centers")
-    if allowed is not None:
-        allowed = allowed[np.isfinite(allowed).all(axis=1)]
-        if len(allowed) == 0:
-            raise InputError("centers must be at least one finite direction, got none")
-        allowed = allowed[np.sort(np.unique(place_of(*to_ra_dec(allowed)), axis=0, return_index=True)[1])]
+    where, exclude = as_centers(centers), _regions(exclude)
+    if method == GIVEN and where.tiling is None:
+        raise InputError("the method 'given' needs a list of tiles as centers, got none")
     summary = {
         "method": method,
         "instrument": "" if model is None else model.name,
@@ -158,13 +162,19 @@ def place_tiles(
             "completeness": completeness,
             "visits": visits,
             "allocator": allocator,
+            "fibers": fibers.number,
             "min_separation": fibers.min_separation,
         }
-        return _place_on_region(field, method, radius_rad, passes, allowed, exclude, position_angle, summary, given)
+        return _place_on_region(field, method, radius_rad, passes, where, exclude, summary, given)
     if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
         raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
     catalog = as_catalog(field)
     wanted = _wanted(catalog, visits, exclude)
+    beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
+    n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
+    wanted[beyond] = 0
+    if not wanted.any():
+        raise InputError(f"at least one target must be within reach{where.limits.words}, got none")
     n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
@@ -180,47 +190,101 @@ def place_tiles(
         if allocator is not None:
             raise InputError("give min_separation or an allocator, which has positioners of its own, not both")
         neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
-    rng = to_generator(rng)
-    if allocator is None:
+    seed = to_seed(rng)
+    if by_positioners:
+        options = as_options("lamost" if allocator is None else allocator)
+        options.check_for_fields("place_tiles")
+        options = options.for_instrument(model)
+        serve = FocalPlaneFibers(model, options, catalog, index, fibers, np.deg2rad(_angles(where, method)), seed)
+    else:
         priority = None if catalog.priority is None else catalog.priority[index.order]
         serve = FreeFibers(number, priority, neighbors)
-    else:
-        options = as_options(allocator)
-        options.check_for_fields("place_tiles", science_only=True)
-        options = options.for_instrument(model)
-        serve = FocalPlaneFibers(model, options, catalog, index, number, position_angle, rng)
-    problem = TilingProblem(
-        radius_rad, index, wanted[index.order], number, serve, allowed, passes, n_tiles, completeness
-    )
-    state = METHODS[method](problem)
-    summary.update(fibers=number, **_account(state, neighbors))
-    if completeness is not None and state.completeness < completeness - 1e-12:
-        limit = "" if n_tiles is None or len(state.rows) < n_tiles else f", which is all that n_tiles={n_tiles} allows"
-        warn(f"{len(state.rows)} tiles reach a completeness of {state.completeness:.4f}, not {completeness:g}{limit}")
-    if not state.rows:
-        warn("no tile serves any target")
+    goal = n_tiles or completeness or 1.0
+    with Progress(progress, goal, "" if n_tiles is None else "tiles") as line:
+        problem = TilingProblem(
+            radius_rad,
+            index,
+            wanted[index.order],
+            number,
+            serve,
+            allowed=where.vectors,
+            passes=passes,
+            n_tiles=n_tiles,
+            completeness=completeness,
+            limits=where.limits,
+            n_beyond=n_beyond,
+            tiles=where.tiling,
+            tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
+        )
+        state = METHODS[method](problem)
+    summary.update(fibers=number, **_account(state, neighbors, n_away), completeness_means=serve.means)
+    _warn(state, n_away, where.limits)
     centers_, number, n_targets, n_new, so_far = zip(*state.rows, strict=True) if state.rows else [()] * 5
     columns = {
         "n_targets": np.array(n_targets, dtype=np.int64),
         "n_new": np.array(n_new, dtype=np.int64),
         "completeness": np.array(so_far, dtype=float),
     }
-    return _build(np.reshape(centers_, (-1, 3)), number, position_angle, summary, columns)
+    if method == GIVEN:
+        return _finish(where.tiling.table[: len(state.rows)], _angles(where, method), summary, columns)
+    return _finish(_table(np.reshape(centers_, (-1, 3)), number), _angles(where, method), summary, columns)
 
 
-def _place_on_region(region, method, radius_rad, passes, allowed, exclude, position_angle, summary, given):
+def _place_on_region(region, method, radius_rad, passes, where, exclude, summary, given):
     """Cover a region."""
-    if method not in COVERINGS:
+    if method not in COVERINGS and method != GIVEN:
         raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
-    for name in ("n_tiles", "completeness", "visits", "allocator", "min_separation"):
-        if given[name] is not None:
+    for name, value in given.items():
+        if value is not None:
             raise InputError(f"{name} is about targets, and a region has none")
-    found, quality = cover_region(region, radius_rad, COVERINGS[method], passes, allowed, exclude)
+    cover = RegionCover(region, radius_rad, exclude)
+    if method == GIVEN:
+        table, vectors = where.tiling.table, where.tiling.vectors
+    else:
+        found = cover.make_passes(COVERINGS[method], passes, where)
+        vectors = np.vstack(found)
+        table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]))
+    quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
+    if quality.get("fraction_beyond_declination") == 1:
+        raise InputError(f"at least a part of the region must be within reach{where.limits.words}, got none")
     if quality["covering_fraction"] < 1:
-        warn(f"the centers that may be cover {quality['covering_fraction']:.4f} of the region")
-    number = np.repeat(np.arange(passes) + 1, [len(one) for one in found])
-    return _build(np.vstack(found), number, position_angle, summary, {})
+        words = f"the centers that may be cover {quality['covering_fraction']:.4f} of the region"
+        if quality.get("fraction_beyond_declination"):
+            words += f"; {quality['fraction_beyond_declination']:.4f} of it is out of reach{where.limits.words}"
+        warn(words)
+    return _finish(table, _angles(where, method), summary, {})
+
+
+def _regions(exclude) -> tuple[Region, ...]:
+    """Return regions from one, several or none."""
+    regions = () if exclude is None else (exclude,) if isinstance(exclude, Region) else exclude
+    if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
+        raise InputTypeError(f"exclude must be a Region or a list of them, got {short(exclude)}")
+    return tuple(regions)
+
+
+def _angles(where: Centers, method: str) -> np.ndarray:
+    """Return the position angle of all tiles, or of each, in degrees."""
+    if method == GIVEN and where.position_angle is None:
+        return where.tiling.table["position_angle"].to_value(u.deg)
+    return np.array([where.angle_deg])
+
+
+def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
+    """Warn of goals that are not reached, and of targets that no tile reaches."""
+    problem, n = state.problem, len(state.rows)
+    sentences = []
+    goal = problem.completeness
+    if goal is not None and state.completeness < goal - 1e-12:
+        limit = "" if problem.n_tiles is None or n < problem.n_tiles else f", which is all that n_tiles={n} allows"
+        sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
+    if n_away:
+        sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
+    if not n:
+        sentences.append("no tile serves any target")
+    for sentence in sentences:
+        warn(sentence)
 
 
 def _wanted(catalog, visits, exclude):
@@ -231,24 +295,24 @@ def _wanted(catalog, visits, exclude):
     wanted = to_visits(1 if visits is None else visits, len(catalog)).astype(np.int64)
     if catalog.kind is not None:
         wanted[catalog.kind != "science"] = 0
-    if exclude is not None:
-        wanted[is_inside(exclude, catalog.arrays.vectors)] = 0
+    wanted[in_any(exclude, catalog.arrays.vectors)] = 0
     if not wanted.any():
         raise InputError("the catalog must have at least one science target outside of exclude that wants a visit")
     return wanted
 
 
-def _account(state: TilingState, neighbors) -> dict:
-    """Return what was reached."""
+def _account(state: TilingState, neighbors, n_away: int) -> dict:
+    """Return what was reached; ``n_away`` targets are beyond the limits of declination."""
     problem = state.problem
     wanted, made = problem.wanted, problem.wanted - state.left
     n = len(state.rows)
     tiles = np.reshape([row[0] for row in state.rows], (-1, 3))
     depth = SkyIndex(tiles).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
-        "n_targets": int(np.count_nonzero(wanted)),
+        "n_targets": int(np.count_nonzero(wanted)) + n_away,
+        **({} if problem.limits.anywhere else {"n_beyond_declination": n_away}),
         "n_on_tiles": int(np.count_nonzero(depth)),
-        "n_wanted": int(wanted.sum()),
+        "n_wanted": int(wanted.sum()) + problem.n_beyond,
         "n_observed": int(made.sum()),
         "completeness": float(state.completeness),
         "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
@@ -266,21 +330,22 @@ def _account(state: TilingState, neighbors) -> dict:
     return account
 
 
-def _build(vectors, number, position_angle, summary, columns):
-    """Return the tiling."""
+def _table(vectors, number) -> QTable:
+    """Return a table of new tiles."""
     n = len(vectors)
     ra, dec = to_ra_dec(vectors)
-    table = QTable(
-        {
-            "tile": np.arange(n),
-            "ra": ra * u.deg,
-            "dec": dec * u.deg,
-            "position_angle": np.full(n, position_angle.to_value(u.deg)) * u.deg,
-            "pass": np.array(number, dtype=np.int64),
-            **columns,
-        }
+    return QTable(
+        {"tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg, "pass": np.array(number, dtype=np.int64)}
     )
-    summary.update(n_tiles=n, passes=int(table["pass"].max(initial=0)) if n else 0)
+
+
+def _finish(table, angles, summary, columns) -> Tiling:
+    """Return the tiling."""
+    table, n = table.copy(), len(table)
+    table["position_angle"] = np.resize(angles, n).astype(float) * u.deg
+    for name, values in columns.items():
+        table[name] = values
+    summary.update(n_tiles=n, passes=len(np.unique(table["pass"])))
     table.meta.update(method=summary["method"], summary=summary)
     log.info("placed %d tiles: %s", n, summary)
     return Tiling(table)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling._tiling import place_of, to_ra_dec
+from rfpsurvey.tiling._centers import Declinations
+from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
 
 __all__ = ["TilingProblem", "TilingState"]
 
@@ -27,6 +28,14 @@ class TilingProblem:
     passes: int = 1
     n_tiles: int | None = None
     completeness: float | None = None
+    limits: Declinations = field(default_factory=Declinations)
+    """Declinations of the centers."""
+    n_beyond: int = 0
+    """Visits that no tile within the limits can make; those of ``wanted`` are without them."""
+    tiles: Tiling | None = None
+    """The list of centers with their passes."""
+    tell: Callable | None = None
+    """Function of the number of tiles and the completeness, called after each tile."""
 
     @property
     def open_ended(self) -> bool:
@@ -61,8 +70,8 @@ class TilingState:
     def __post_init__(self):
         self.left = self.problem.wanted.astype(np.float64)
         self.hopeless = np.zeros(len(self.left), dtype=bool)
-        self._n_wanted = max(float(self.left.sum()), 1.0)
         self._n_left = float(self.left.sum())
+        self._n_wanted = max(self._n_left + self.problem.n_beyond, 1.0)
         self._at = {}
 
     @property
@@ -73,7 +82,7 @@ class TilingState:
     @property
     def completeness(self) -> float:
         """Visits made of those wanted."""
-        return 1.0 - self._n_left / self._n_wanted
+        return 1.0 - (self._n_left + self.problem.n_beyond) / self._n_wanted
 
     @property
     def done(self) -> bool:
@@ -98,6 +107,8 @@ class TilingState:
             key = tuple(place_of(*to_ra_dec(center[None]))[0].tolist())
             number = self._at[key] = self._at.get(key, 0) + 1
         self.rows.append((center, number, len(near), len(served), self.completeness))
+        if problem.tell is not None:
+            problem.tell(len(self.rows), self.completeness)
         return served
 
     def give_up(self, center: np.ndarray) -> np.ndarray:

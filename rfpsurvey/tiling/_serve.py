@@ -11,7 +11,7 @@ from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.errors import check_keywords, refusal
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import FieldTargets, assign_field
+from rfpsurvey.pipeline import FieldTargets, blank_ids, plan_field
 from rfpsurvey.tiling._tiling import to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
@@ -20,14 +20,16 @@ __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 @check_keywords
 @dataclass(frozen=True)
 class Fibers:
-    """What a tile observes at most: a number of targets, none closer to another than an angle.
+    """What a tile observes at most, and what counts as observed.
 
     Parameters
     ----------
     number : int, optional
         Targets that a tile observes at most; by default the positioners that are not disabled or stuck.
     min_separation : Quantity, optional
-        No two targets of a tile are closer than this angle.
+        No two targets of a tile are closer than this angle; for ideal fibers only.
+    lost_in_collision : bool, optional
+        Whether a target whose arm collides counts as not observed, as in `plan_survey`; for allocators only.
 
     Raises
     ------
@@ -44,6 +46,7 @@ class Fibers:
 
     number: int | None = None
     min_separation: u.Quantity | None = None
+    lost_in_collision: bool = True
 
     def __post_init__(self):
         number = self.number
@@ -51,6 +54,11 @@ class Fibers:
             raise refusal("fibers must be a whole number of at least 1", number, Number)
         if self.min_separation is not None:
             to_scalar(self.min_separation, u.rad, "min_separation", low=0, high=np.pi)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether a number or a separation is given, which stand for fibers that reach any target of the field."""
+        return self.number is not None or self.min_separation is not None
 
 
 class FreeFibers:
@@ -71,6 +79,7 @@ class FreeFibers:
 
     def __init__(self, fibers: int, priority: np.ndarray | None, neighbors: tuple | None):
         self.fibers, self.priority, self.neighbors = fibers, priority, neighbors
+        self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
         """Return the positions that are served, of those in the field that still want a visit."""
@@ -112,24 +121,24 @@ class FreeFibers:
 
 
 class FocalPlaneFibers:
-    """The positioners of an instrument, by one of the allocators.
+    """The positioners of an instrument, by one of the allocators: a tile is planned as a survey plans it.
 
     Parameters
     ----------
     instrument : Instrument
         What observes.
     options : AllocationOptions
-        The allocator and its options.
+        The allocator and its options, as `AllocationOptions.for_instrument` returns them.
     catalog : Catalog
         The targets, by row.
     index : SkyIndex
         Of the catalog.
-    fibers : int
-        At most so many targets.
-    position_angle : Quantity
-        Of +y.
-    rng : Generator
-        For allocators that draw.
+    fibers : Fibers
+        At most so many targets, and whether collisions count.
+    angles : ndarray
+        Position angle of each tile, radians; one for all, or as many as there are tiles.
+    seed : int
+        Of the random numbers; each tile has a stream of its own.
     """
 
     def __init__(
@@ -138,28 +147,53 @@ class FocalPlaneFibers:
         options: AllocationOptions,
         catalog: Catalog,
         index: SkyIndex,
-        fibers: int,
-        position_angle: u.Quantity,
-        rng: np.random.Generator,
+        fibers: Fibers,
+        angles: np.ndarray,
+        seed: int,
     ):
         self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
-        self.angle, self.rng = float(position_angle.to_value(u.rad)), rng
+        self.angles, self.seed = angles, seed
         columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
         self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
+        self.science = None if catalog.kind is None else self.columns["kind"] == "science"
+        lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
+        self.means = f"the allocator {options.name} plans each tile; a target whose arm collides {lost}"
+        self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
         """Return the positions that are served, of those in the field that still want a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
-        plane = self.instrument.field_projection(np.deg2rad(ra), np.deg2rad(dec), self.angle)
+        number = len(state.rows)
+        plane = self.instrument.field_projection(
+            np.deg2rad(ra), np.deg2rad(dec), self.angles[min(number, len(self.angles) - 1)]
+        )
+        near, rest = self._candidates(center, near, state)
         columns = {name: None if values is None else values[near] for name, values in self.columns.items()}
         ids, priority = columns.pop("id"), columns["priority"]
-        targets = FieldTargets(self.index.vectors[near], ids, TargetColumns(**columns))
-        allocation = assign_field(self.instrument, plane, targets, self.options, self.rng)
-        served = np.flatnonzero(allocation.positioner_of_target[: len(near)] >= 0)
-        if len(served) > self.fibers:
+        targets = FieldTargets(self.index.vectors[near], ids, TargetColumns(**columns), rest)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
+        plan = plan_field(self.instrument, plane, targets, self.options, rng, self.blank)
+        counts = plan.target >= 0
+        if self.fibers.lost_in_collision:
+            counts &= ~plan.report.in_collision[plan.positioner]
+        served = np.sort(plan.target[counts])
+        if self.science is not None:
+            served = served[self.science[near[served]]]
+        if self.fibers.number is not None and len(served) > self.fibers.number:
             order = served if priority is None else served[np.argsort(-priority[served], kind="stable")]
-            served = np.sort(order[: self.fibers])
+            served = np.sort(order[: self.fibers.number])
         return near[served]
+
+    def _candidates(self, center, near, state):
+        """Return what may be assigned, in the order of rows, and the directions that blank sky keeps away from."""
+        others, rest = self.science is not None and bool(self.options.requirements), None
+        if others:  # standards and sky are there for every tile
+            use = np.where(self.science, state.left > 0, True).astype(np.float64)
+            near = self.index.near(center, state.problem.radius, use)
+        if self.options.sky_separation is not None:
+            every = self.index.near(center, state.problem.radius)
+            rest = self.index.vectors[every[~np.isin(every, near)]]
+        return near, rest
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,12 +1,12 @@
-"""Observe a list of tiles in a good order: always the one with the most targets left."""
+"""Observe a list of tiles: the one with the most targets left first, or as listed."""
 
 import heapq
 
 import numpy as np
 
-from rfpsurvey.tiling._problem import TilingState
+from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
-__all__ = ["visit_all"]
+__all__ = ["visit_all", "visit_given"]
 
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
@@ -38,3 +38,13 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
             state.observe(centers[k], number, every=every)
     state.chances = None
     return len(state.rows) - before
+
+
+def visit_given(problem: TilingProblem) -> TilingState:
+    """Observe the tiles of the list in their order, all of them or until enough is done."""
+    state = TilingState(problem)
+    for center, number in zip(problem.tiles.vectors, problem.tiles.table["pass"].tolist(), strict=True):
+        if state.done and not problem.open_ended:
+            break
+        state.observe(center, number, every=True)
+    return state

@@ -263,8 +263,8 @@ def test_what_holds_for_one_field_is_refused_for_several():
     sky = SkyCoord([0, 0.1] * u.deg, [0, 0] * u.deg)
     with pytest.raises(rs.InputError, match="start must be the name of an allocator for a survey"):
         rs.plan_survey(sky, "moons", sky, allocator=rs.AllocationOptions("repair", start=start))
-    with pytest.raises(rs.InputError, match="place_tiles counts science targets only"):
-        rs.place_tiles(sky, "moons", allocator=rs.AllocationOptions(requirements="sky=2"))
+    with pytest.raises(rs.InputError, match="start must be the name of an allocator for place_tiles"):
+        rs.place_tiles(sky, "moons", allocator=rs.AllocationOptions("repair", start=start))
     with pytest.raises(rs.InputError, match="requirements"):
         rs.collision_probability(plane, method="quadrature", allocator=rs.AllocationOptions(requirements="sky=2"))
 

@@ -1,6 +1,6 @@
-"""Figures of the page on tiling: how many tiles each method needs, and Blanton's setting.
+"""Figures of the page on tiling: promises and surveys, how many tiles each method needs, and Blanton's setting.
 
-``python tests/benchmarks/tiling_figures.py``; about two and a half minutes on one core.
+``python tests/benchmarks/tiling_figures.py``; about five minutes on one core.
 """
 
 import warnings
@@ -8,12 +8,15 @@ from pathlib import Path
 from time import perf_counter
 
 import astropy.units as u
+import numpy as np
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tiling import METHODS
 
 DATA = Path(__file__).parents[2] / "data"
+SEARCHES = [name for name in METHODS if name != "given"]
 GOALS = (0.9, 0.95, 0.99)
 RADIUS, SEPARATION = 1.49 * u.deg, 55 * u.arcsec
 
@@ -25,11 +28,30 @@ def place(*arguments, **options):
     return tiling, perf_counter() - begin
 
 
+def promises(name):
+    """Print what tilings say that their tiles observe, and what surveys of them deliver, in either order."""
+    instrument = as_instrument(name)
+    radius, n = instrument.field_radius, len(instrument.focal_plane)
+    options = {"cluster_size": n // 10, "cluster_scale": 0.2 * radius, "rng": 3}
+    density = n / (np.pi * radius**2)
+    catalog = rs.synthetic_catalog("clustered", SkyCoord("8h +30d"), 3.5 * radius, density=density, **options)
+    rs.place_tiles(catalog, instrument, n_tiles=1)  # compile
+    for method in ("hexagonal", "max_density", "sdss"):
+        for goal in ({"n_tiles": 20}, {"completeness": 0.9}):
+            for fibers in (n, None):
+                tiling, seconds = place(catalog, instrument, method=method, fibers=fibers, **goal)
+                surveys = [rs.plan_survey(catalog, instrument, tiling, order=order) for order in ("given", "color")]
+                found = "  ".join(f"{one.summary['completeness']:.4f}" for one in surveys)
+                said = tiling.summary["completeness"]
+                what = f"{len(tiling)} tiles, {seconds:.2f} s, says {said:.4f}, survey {found}"
+                print(f"{name}, {len(catalog)} targets, {method}, {goal}, fibers {fibers}: {what}", flush=True)
+
+
 def numbers_of_tiles(title, catalog, fibers):
     """Print the tiles that each method needs for a completeness."""
     print(f"{title}: {len(catalog)} targets, LAMOST, {fibers} fibers a tile; tiles (seconds)")
     print(f"  {'method':<18}" + "".join(f"{100 * goal:>16g} %" for goal in GOALS))
-    for method in METHODS:
+    for method in SEARCHES:
         cells = []
         for goal in GOALS:
             tiling, seconds = place(catalog, "lamost", method=method, fibers=fibers, completeness=goal)
@@ -41,7 +63,7 @@ def one_pass(title, catalog, fibers):
     """Print what as many tiles as one pass of the hexagonal lattice has reach by each method."""
     options = {"fibers": fibers, "n_tiles": len(rs.place_tiles(catalog, "lamost", fibers=fibers))}
     print(f"{title}: completeness of {options['n_tiles']} tiles")
-    for method in METHODS:
+    for method in SEARCHES:
         tiling, _ = place(catalog, "lamost", method=method, **options)
         print(f"  {method:<18}{tiling.summary['completeness']:.4f}", flush=True)
 
@@ -74,8 +96,11 @@ def report(name, tiling, seconds):
 
 if __name__ == "__main__":
     warnings.simplefilter("error")
+    for name in ("lamost", "sdss_apo", "moons", "desi"):
+        with warnings.catch_warnings(action="ignore"):
+            promises(name)
     anticenter = rs.Catalog.read(DATA / "tycho2_anticenter_r8.ecsv.gz")
-    for method in METHODS:  # compile
+    for method in SEARCHES:  # compile
         rs.place_tiles(anticenter[::50], "lamost", method=method, n_tiles=2)
     numbers_of_tiles("Tycho-2 anticenter, 8 deg", anticenter, 1000)
     one_pass("Tycho-2 anticenter, 8 deg", anticenter, 1000)

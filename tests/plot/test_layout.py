@@ -116,6 +116,7 @@ PLOTS = {
     "tower of tiles": lambda r: rs.plot.plot_tiling(r["tower"]),
     "tiles about a pole": lambda r: rs.plot.plot_tiling(r["pole"]),
     "tiles of the whole sky": lambda r: rs.plot.plot_tiling(r["sky"], color="tile"),
+    "passes of a tiling": lambda r: rs.plot.draw_tiling(r["strip"], region=rs.Region.parse("box 100 150 20 26")),
     "completeness": lambda r: rs.plot.plot_completeness(r["survey"]),
     "survey": lambda r: draw_survey(r["survey"]),
     "instruments": lambda r: rs.plot.plot_instruments(r["instruments"]),

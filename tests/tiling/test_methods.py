@@ -10,15 +10,16 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.tiling import METHODS
+from rfpsurvey.tiling import METHODS, Centers
 from rfpsurvey.tiling._serve import FreeFibers
 
 DEG = u.deg
+SEARCHES = [name for name in METHODS if name != "given"]
 GREEDY = ("max_density", "density_gradient", "mean_shift")
 PLACES = {"equator": (180, 0), "zero": (0, 0), "north pole": (0, 90), "south pole": (40, -90), "middle": (123, 45)}
 
 
-@pytest.fixture(params=METHODS)
+@pytest.fixture(params=SEARCHES)
 def method(request):
     return request.param
 
@@ -153,7 +154,7 @@ def fewest(catalog, radius):
 def test_no_method_beats_the_optimum(seed):
     catalog = sky(n=11, radius=2, seed=seed)
     best = fewest(catalog, np.deg2rad(1))
-    for name in METHODS:
+    for name in SEARCHES:
         tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=11, method=name, completeness=1)
         assert tiling.summary["completeness"] == 1
         assert len(tiling) >= best
@@ -181,7 +182,7 @@ def test_n_tiles_ends_the_placing(method):
         rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4, completeness=0.99)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", SEARCHES)
 def test_the_sky_has_no_edge(name):
     """The same targets at RA = 0, at the poles and elsewhere take about as many tiles."""
     center = SkyCoord(123 * DEG, 45 * DEG)
@@ -258,11 +259,17 @@ def test_real_focal_planes_look_beside_a_hole():
 @pytest.mark.parametrize("instrument", ["lamost", "moons"])
 def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     near = stars.within(SkyCoord("6h20m +23d"), 3 * DEG)
-    tiling = rs.place_tiles(
-        near, instrument, method="max_density", allocator="lamost", n_tiles=2, position_angle=20 * DEG
-    )
-    tile = rs.plan_tile(near, instrument, tiling.coord[0], allocator="lamost", position_angle=20 * DEG)
+    where = Centers(position_angle=20 * DEG)
+    options = {"method": "max_density", "n_tiles": 2, "centers": where}
+    kept = rs.tiling.Fibers(lost_in_collision=False)
+    tiling = rs.place_tiles(near, instrument, fibers=kept, **options)
+    tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG)
     assert tiling.table["n_new"][0] == tile.summary["n_assigned"]
+    lost = rs.place_tiles(near, instrument, **options)
+    assert (
+        lost.table["n_new"][0]
+        == tile.summary["n_assigned"] - (tile.table["in_collision"] & (tile.table["kind"] == "science")).sum()
+    )
     assert tiling.table["n_targets"][0] == tile.summary["n_in_field"]
     some = rs.place_tiles(near, instrument, method="max_density", allocator="lamost", n_tiles=1, fibers=7)
     assert some.table["n_new"].tolist() == [7]
@@ -345,7 +352,7 @@ def test_few_targets(method, coord):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "greedy"}, "unknown method to place tiles 'greedy'; choose one of: density_gradient, hexagonal"),
+        ({"method": "greedy"}, "unknown method to place tiles 'greedy'; choose one of: density_gradient, given, hex"),
         ({"completeness": 0}, "completeness must be a number above 0 and at most 1, got 0"),
         ({"completeness": 95}, "completeness must be a number above 0 and at most 1, got 95"),
         ({"n_tiles": 0}, "n_tiles must be a whole number of at least 1"),
@@ -361,7 +368,7 @@ def test_few_targets(method, coord):
             {"instrument": "lamost", "allocator": "lamost", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
             "give min_separation or an allocator",
         ),
-        ({"centers": 5}, "centers must be a SkyCoord"),
+        ({"centers": 5}, "centers must be a SkyCoord, a Tiling or a Table, got 5"),
         ({"rng": -1}, "rng must be a seed"),
     ],
 )
@@ -376,7 +383,7 @@ def test_a_separation_of_fibers_is_an_angle():
 
 
 def test_nothing_to_observe_is_an_error(small):
-    with pytest.raises(rs.InputError, match="field must be a Catalog, SkyCoord, Table or Region, got int"):
+    with pytest.raises(rs.InputError, match="field must be a Catalog, SkyCoord, Table, DataFrame or Region, got 5"):
         rs.place_tiles(5, "lamost")
     dead = replace(small, focal_plane=replace(small.focal_plane, disabled=np.ones(len(small.focal_plane), bool)))
     with pytest.raises(rs.InputError, match="small must have at least one positioner that is not disabled or stuck"):

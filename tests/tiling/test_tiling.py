@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
 from rfpsurvey.region import border_of, circle_around, distance_to, is_inside
-from rfpsurvey.tiling import as_tiling
+from rfpsurvey.tiling import Centers, as_tiling
 from rfpsurvey.tiling._covering import dither, hexagonal, lattice, spiral, widest_gap
 
 DEG = u.deg
@@ -66,7 +66,7 @@ def test_columns_and_units_can_be_given():
 
 @pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
 def test_write_then_read(tmp_path, suffix):
-    first = rs.place_tiles(rs.Region.parse("cap 95 23 8"), "lamost", passes=2, position_angle=30 * DEG)
+    first = rs.place_tiles(rs.Region.parse("cap 95 23 8"), "lamost", passes=2, centers=Centers(position_angle=30 * DEG))
     path = tmp_path / f"tiles{suffix}"
     first.write(path)
     second = rs.Tiling.read(path)
@@ -270,18 +270,22 @@ def test_centers_restrict_coverings():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, hexagonal"),
+        ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, given, hex"),
         ({"method": "sdss"}, "the method 'sdss' needs targets, got a Region; hexagonal and spiral cover regions"),
         ({"completeness": 0.9}, "completeness is about targets"),
         ({"n_tiles": 5}, "n_tiles is about targets"),
+        ({"fibers": 5}, "fibers is about targets"),
+        (
+            {"centers": Centers(declination=(50, 60) * DEG)},
+            "a part of the region must be within reach of centers from 50",
+        ),
         ({"passes": 0}, "passes must be a whole number of at least 1, got 0"),
         ({"radius": 2}, "radius must be a Quantity"),
-        ({"radius": 95 * DEG}, "radius must be one finite value above 0 rad and below 1.5"),
+        ({"radius": 95 * DEG}, "radius must be one finite value above 0 deg and below 90 deg"),
         ({"radius": 1 * u.arcsec}, "radius must be larger: about"),
         ({"radius": None}, "give an instrument, or the radius of a tile"),
         ({"centers": SkyCoord([] * DEG, [] * DEG)}, "centers must be at least one"),
         ({"exclude": 5}, "exclude must be a Region"),
-        ({"position_angle": 5}, "position_angle must be a Quantity"),
         ({"instrument": "lamots"}, "unknown instrument 'lamots'"),
     ],
 )

@@ -1,0 +1,162 @@
+"""Where the centers of tiles may be: a list, limits of declination."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+
+from rfpsurvey._units import to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
+
+__all__ = ["Centers", "Declinations", "as_centers"]
+
+# Limits hold up to rounding, radians.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Centers:
+    """Where the centers of tiles may be, and the position angle of the tiles.
+
+    Parameters
+    ----------
+    coord : SkyCoord, Tiling or Table, optional
+        The only centers that may be, such as bright stars or the tiles of an earlier survey. Coverings then need not be
+        complete. The method ``given`` takes all of them in their order; of a tiling or a table it also takes the
+        identifiers, position angles, passes and further columns.
+    declination : tuple of Quantity or Quantity, shape (2,), optional
+        Lowest and highest declination of a center. For a site at the latitude b and a largest zenith distance z
+        on the meridian, these are b - z and b + z.
+    position_angle : Quantity, optional
+        Position angle of +y of all tiles, from north toward east; by default that of the list for ``given``, else 0.
+
+    Raises
+    ------
+    InputError
+        If a direction, an angle or a unit is wrong, if the lower limit is above the upper one, or if no center is left.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> north = rs.tiling.Centers(declination=(-10 * u.deg, 60 * u.deg))
+    >>> tiling = rs.place_tiles(rs.Region.parse("box 0 20 40 60"), "desi", centers=north)
+    >>> tiling.table["dec"].max() <= 60 * u.deg
+    np.True_
+    """
+
+    coord: SkyCoord | Tiling | Table | None = None
+    declination: tuple[u.Quantity, u.Quantity] | u.Quantity | None = None
+    position_angle: u.Quantity | None = None
+
+    def __post_init__(self):
+        if self.position_angle is not None:
+            to_scalar(self.position_angle, u.deg, "position_angle", low=-3600, high=3600)
+        limits, vectors = self.limits, self.vectors
+        if vectors is not None and len(vectors) == 0:
+            inside = "" if limits.anywhere else " inside the limits of declination"
+            raise InputError(f"centers must be at least one finite direction{inside}, got none")
+
+    @cached_property
+    def limits(self) -> "Declinations":
+        """The limits of declination in radians."""
+        return Declinations() if self.declination is None else Declinations(*_two(self.declination))
+
+    @cached_property
+    def tiling(self) -> Tiling | None:
+        """The list of tiles inside the limits, without centers that are not finite; None without a list."""
+        if self.coord is None:
+            return None
+        given = self.coord
+        if not isinstance(given, SkyCoord | Tiling | Table):
+            raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {given!r:.60}")
+        if isinstance(given, SkyCoord):
+            vectors = to_vectors(given, "centers")
+            given = SkyCoord(*to_ra_dec(vectors[np.isfinite(vectors).all(axis=1)]), unit="deg")
+            ra, dec = given.ra, given.dec
+            table = Table({"ra": ra.to(u.deg), "dec": dec.to(u.deg)})
+            # one direction twice is one direction
+            table = table[np.sort(np.unique(place_of(ra.deg, dec.deg), axis=0, return_index=True)[1])]
+            given = Tiling.from_table(table)
+        tiling = as_tiling(given)
+        inside = self.limits.distance(tiling.vectors) <= ROUNDING
+        return tiling if inside.all() else Tiling(tiling.table[inside])
+
+    @property
+    def angle_deg(self) -> float:
+        """Position angle of tiles that have none of their own."""
+        return 0.0 if self.position_angle is None else float(self.position_angle.to_value(u.deg))
+
+    @property
+    def vectors(self) -> np.ndarray | None:
+        """The list as unit vectors, each once; None without a list."""
+        if self.tiling is None:
+            return None
+        places = place_of(self.tiling.table["ra"].value, self.tiling.table["dec"].value)
+        return self.tiling.vectors[np.sort(np.unique(places, axis=0, return_index=True)[1])]
+
+
+@dataclass(frozen=True)
+class Declinations:
+    """Limits of declination, radians."""
+
+    low: float = -np.pi / 2
+    high: float = np.pi / 2
+
+    @property
+    def anywhere(self) -> bool:
+        """Whether every declination is allowed."""
+        return self.low <= -np.pi / 2 and self.high >= np.pi / 2
+
+    @property
+    def words(self) -> str:
+        """The limits, for a sentence."""
+        return (
+            ""
+            if self.anywhere
+            else " of centers from {:g} to {:g} deg declination".format(*np.rad2deg([self.low, self.high]))
+        )
+
+    def distance(self, vectors: np.ndarray) -> np.ndarray:
+        """Return how far directions are outside, radians; 0 inside."""
+        lat = to_lonlat(vectors)[1]
+        return np.maximum(np.maximum(self.low - lat, lat - self.high), 0.0)
+
+    def move_inside(self, vectors: np.ndarray) -> np.ndarray:
+        """Return directions, shape (..., 3), with those outside moved along their meridians onto the limits."""
+        if self.anywhere:
+            return vectors
+        lon, lat = to_lonlat(vectors)
+        out = (lat < self.low) | (lat > self.high)
+        if not out.any():
+            return vectors
+        lat = np.clip(lat, self.low, self.high)
+        inside = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+        return np.where(out[..., None], inside, vectors)
+
+    def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:
+        """Return the directions less than a radius outside, moved inside; others are dropped."""
+        return vectors if self.anywhere else self.move_inside(vectors[self.distance(vectors) < radius])
+
+
+def as_centers(given: object) -> Centers:
+    """Return centers from themselves, or from a list of directions alone."""
+    return given if isinstance(given, Centers) else Centers(given)
+
+
+def _two(limits):
+    """Return the lower and the upper limit in radians."""
+    try:
+        low, high = limits
+    except (TypeError, ValueError):
+        raise InputError(f"declination must be two angles, the lower and the upper limit, got {limits!r}") from None
+    low, high = (float(to_unit(one, u.deg, "declination")) for one in (low, high))
+    if not -90 <= low <= high <= 90:
+        raise InputError(
+            f"declination must be a lower and an upper limit from -90 to 90 deg, got {low:g} and {high:g} deg"
+        )
+    return np.deg2rad(low), np.deg2rad(high)

@@ -1,0 +1,151 @@
+"""Centers from a list, limits of declination, what is excluded, progress."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+
+import rfpsurvey as rs
+from rfpsurvey.tiling import METHODS, Centers
+
+DEG = u.deg
+SEARCHES = [name for name in METHODS if name != "given"]
+FEW = {"radius": 1 * DEG, "fibers": 50}
+
+
+def sky(center=(95, 23), radius=3, n=300, seed=1):
+    return rs.synthetic_catalog("uniform", SkyCoord(*center, unit="deg"), radius * DEG, n_targets=n, rng=seed)
+
+
+@pytest.mark.parametrize("method", SEARCHES)
+@pytest.mark.parametrize("limits", [(-90, 24), (22.5, 23.5), (23, 23)])
+def test_declinations_hold(method, limits):
+    catalog = sky()
+    low, high = limits
+    beyond = (catalog.coord.dec.deg < low - 1) | (catalog.coord.dec.deg > high + 1)
+    assert beyond.any()
+    where = Centers(declination=limits * DEG)
+    with pytest.warns(rs.RfpsurveyWarning, match=f"{beyond.sum()} targets are out of reach of centers from"):
+        tiling = rs.place_tiles(catalog, method=method, centers=where, **FEW)
+    assert tiling.table["dec"].min() >= (low - 1e-9) * DEG
+    assert tiling.table["dec"].max() <= (high + 1e-9) * DEG
+    assert tiling.summary["n_beyond_declination"] == beyond.sum()
+    assert tiling.summary["n_targets"] == tiling.summary["n_wanted"] == 300
+    assert tiling.summary["completeness"] == pytest.approx(tiling.summary["n_observed"] / 300)
+    if method in ("hexagonal", "spiral"):  # whoever is in reach of a strip is on a tile, but for slivers at its edge
+        inside = (catalog.coord.dec.deg >= low) & (catalog.coord.dec.deg <= high)
+        assert tiling.summary["n_on_tiles"] >= inside.sum()
+
+
+def test_coverings_reach_the_limit():
+    """Centers beyond it are moved onto it, not dropped."""
+    region, where = rs.Region.parse("box 0 40 20 40"), Centers(declination=(-90 * DEG, 30 * DEG))
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="cover 0.[0-9]+ of the region; 0.[0-9]+ of it is out of reach of centers from -90"
+    ):
+        tiling = rs.place_tiles(region, radius=2 * DEG, centers=where)
+    ra, dec = np.meshgrid(np.linspace(0, 40, 200), np.linspace(20, 30, 100))
+    points = SkyCoord(ra.ravel(), dec.ravel(), unit="deg")
+    assert points.match_to_catalog_sky(tiling.coord)[1].max() <= 2.001 * DEG
+    assert tiling.table["dec"].max() <= 30 * DEG
+    beyond = rs.Region.parse("box 0 40 32 40").area / region.area
+    assert tiling.summary["fraction_beyond_declination"] == pytest.approx(beyond.value, abs=0.01)
+
+
+def test_limits_restrict_a_list():
+    stars = SkyCoord([95, 95, 96] * DEG, [22, 23, 24] * DEG)
+    where = Centers(stars, declination=(22 * DEG, 23.5 * DEG))
+    with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
+        tiling = rs.place_tiles(sky(), method="max_density", centers=where, **FEW)
+    assert set(tiling.table["dec"].value.round(9)) == {22, 23}
+
+
+def test_given_tiles_are_kept_as_they_are():
+    table = QTable({"TILEID": [7, 5, 9], "RA": [95, 96, 200] * DEG, "DEC": [23, 23.5, 0] * DEG, "PASS": [2, 1, 1]})
+    table["PA"], table["PROGRAM"] = [10, 20, 30] * DEG, ["dark", "dark", "bright"]
+    tiling = rs.place_tiles(sky(), method="given", centers=table, **FEW)
+    assert tiling.table["tile"].tolist() == [7, 5, 9]
+    assert tiling.table["pass"].tolist() == [2, 1, 1]
+    assert tiling.table["position_angle"].value.tolist() == [10, 20, 30]
+    assert tiling.table["PROGRAM"].tolist() == ["dark", "dark", "bright"]
+    n = (sky().coord.separation(tiling.coord[0]) <= 1 * DEG).sum()
+    assert (tiling.table["n_targets"][0], tiling.table["n_new"][0]) == (n, min(n, 50))
+    assert tiling.table["n_new"][2] == 0
+    turned = rs.place_tiles(sky(), method="given", centers=Centers(table, position_angle=45 * DEG), **FEW)
+    assert turned.table["position_angle"].value.tolist() == [45, 45, 45]
+    assert len(rs.place_tiles(sky(), method="given", centers=table, n_tiles=1, **FEW)) == 1
+
+
+def test_position_angles_of_given_tiles_reach_the_positioners():
+    catalog = sky(radius=2, n=2000)
+    table = QTable({"ra": [95, 95.5] * DEG, "dec": [23, 23] * DEG, "pa": [10, 55] * DEG})
+    tiling = rs.place_tiles(catalog, "sdss_apo", method="given", centers=table)
+    survey = rs.plan_survey(catalog, "sdss_apo", table, order="given")
+    np.testing.assert_array_equal(tiling.table["n_new"], survey.tiles["n_observed"])
+    flat = rs.place_tiles(catalog, "sdss_apo", method="given", centers=Centers(table, position_angle=0 * DEG))
+    assert flat.table["n_new"].tolist() != tiling.table["n_new"].tolist()
+
+
+def test_the_tiles_of_desi_are_measured_on_a_region(real_data):
+    tiles = rs.Tiling.read(real_data("desi_tiles_main.ecsv.gz"))
+    tiling = rs.place_tiles(rs.Region.parse("box 180 200 10 20"), "desi", method="given", centers=tiles)
+    assert len(tiling) == len(tiles)
+    assert tiling.summary["covering_fraction"] == 1
+    rng = np.random.default_rng(1)
+    dec = np.rad2deg(np.arcsin(rng.uniform(*np.sin(np.deg2rad([10, 20])), 400)))
+    points = SkyCoord(rng.uniform(180, 200, 400) * DEG, dec * DEG)
+    near = tiles.coord[tiles.coord.separation(SkyCoord(190 * DEG, 15 * DEG)) < 20 * DEG]
+    depth = (points[:, None].separation(near) <= tiling.summary["radius_deg"] * DEG).sum(axis=1)
+    assert tiling.summary["mean_depth"] == pytest.approx(depth.mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("method", SEARCHES)
+def test_several_regions_are_excluded(method):
+    holes = [rs.Region.parse("cap 94 23 0.8"), rs.Region.parse("cap 96 23 0.8")]
+    catalog = sky()
+    out = holes[0].contains(catalog.coord) | holes[1].contains(catalog.coord)
+    tiling = rs.place_tiles(catalog, method=method, exclude=holes, **FEW)
+    assert tiling.summary["n_targets"] == 300 - out.sum()
+
+
+def test_progress_is_told_after_each_tile(capsys):
+    seen = []
+    tiling = rs.place_tiles(sky(), method="max_density", progress=lambda *now: seen.append(now), **FEW)
+    assert [reached for reached, _ in seen] == tiling.table["completeness"].tolist()
+    assert {goal for _, goal in seen} == {1.0}
+    seen = []
+    rs.place_tiles(sky(), method="max_density", progress=lambda *now: seen.append(now), n_tiles=2, **FEW)
+    assert seen == [(1, 2), (2, 2)]
+    assert capsys.readouterr().err == ""
+    rs.place_tiles(sky(), progress=True, **FEW)
+    assert "100" in capsys.readouterr().err.split("\r")[-1]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Centers(declination=5), "declination must be two angles, the lower and the upper limit, got 5"),
+        (lambda: Centers(declination=(1, 2)), "declination must be a Quantity"),
+        (lambda: Centers(declination=(1, 2) * u.m), "declination must have a unit convertible to deg"),
+        (lambda: Centers(declination=(30, -10) * DEG), "from -90 to 90 deg, got 30 and -10 deg"),
+        (lambda: Centers(declination=(-91, 10) * DEG), "from -90 to 90 deg, got -91 and 10 deg"),
+        (lambda: Centers(declination=(np.nan, 10) * DEG), "from -90 to 90 deg, got nan"),
+        (lambda: Centers(position_angle=5), "position_angle must be a Quantity"),
+        (
+            lambda: Centers(SkyCoord(1 * DEG, 50 * DEG), (0, 10) * DEG),
+            "at least one finite direction inside the limits of declination",
+        ),
+        (lambda: Centers(Table({"x": [1]})), "there is no column for ra and dec"),
+        (lambda: rs.place_tiles(sky(), method="given", **FEW), "'given' needs a list of tiles as centers, got none"),
+        (
+            lambda: rs.place_tiles(sky(), centers=Centers(declination=(-80, -70) * DEG), **FEW),
+            "at least one target must be within reach of centers from -80 to -70 deg declination, got none",
+        ),
+        (lambda: rs.place_tiles(sky(), exclude=[3], **FEW), r"exclude must be a Region or a list of them, got \[3\]"),
+        (lambda: rs.place_tiles(sky(), centers=[1], **FEW), "centers must be a SkyCoord, a Tiling or a Table"),
+    ],
+)
+def test_bad_centers_are_named(make, message):
+    with pytest.raises(rs.InputError, match=message):
+        make()
