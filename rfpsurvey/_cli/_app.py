@@ -28,7 +28,9 @@ from rfpsurvey._cli._print import (
 )
 from rfpsurvey._io import WRITABLE, check_output, read_table
 from rfpsurvey.catalog import UNITS, as_catalog
+from rfpsurvey.errors import check_choice
 from rfpsurvey.instrument import as_instrument
+from rfpsurvey.plot import COLORINGS
 from rfpsurvey.report import check_report
 
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     "app",
     "check_chart",
     "check_outputs",
+    "check_targets",
     "files",
     "finish",
     "finish_comparison",
@@ -244,15 +247,29 @@ def read_targets(name: str):
 
 
 def check_outputs(
-    output: Path | None, plot: Path | None = None, report: Path | None = None, *, overwrite: bool
+    output: Path | None,
+    plot: Path | None = None,
+    report: Path | None = None,
+    quality: Path | None = None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Refuse an output that cannot be written before any work is done."""
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
-    if plot is not None:
-        check_output(plot, PICTURES, overwrite=overwrite)
+    for path in (plot, quality):
+        if path is not None:
+            check_output(path, PICTURES, overwrite=overwrite)
     if report is not None:
         check_report(report, overwrite=overwrite)
+
+
+def check_targets(targets: str | None, plot: Path | None) -> None:
+    """Refuse targets that cannot be drawn before any work is done."""
+    if targets is not None:
+        check_choice(targets, COLORINGS, "--targets")
+        if plot is None:
+            raise rs.InputError("--targets needs a plot to draw them in: give --plot")
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:

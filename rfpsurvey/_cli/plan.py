@@ -29,18 +29,21 @@ def plan(
     keep: _options.KeepOption = None,
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
+    targets: _options.TargetsOption = None,
+    quality: _options.QualityOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Assign one field and find the arms that collide."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, quality, overwrite=overwrite)
+    _app.check_targets(targets, plot)
     model = as_instrument(instrument)
-    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, keep)
+    sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, keep)
     options = _app.allocation_options(
         allocator, require, sky_separation, time_limit, objective=objective, parked=parked
     )
     tile = rs.plan_tile(
-        targets,
+        sky,
         model,
         field,
         position_angle=pa * u.deg,
@@ -50,4 +53,4 @@ def plan(
         required=required or None,
         rng=seed,
     )
-    _app.finish(tile, output, plot, report, overwrite=overwrite)
+    _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)

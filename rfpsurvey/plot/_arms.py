@@ -14,17 +14,21 @@ MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach":
 """Status to the marker and the words that stand for it."""
 
 
-def draw_patrol_areas(ax, scene: Scene, color, kwargs) -> Iterator:
-    """Draw both edges of each patrol area, and yield legend entries."""
+def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
+    """Draw both edges of each patrol area, and yield legend entries.
+
+    Edges are thin and ``gray`` around cells that are filled; all are if they are ``alike``, below dots of targets.
+    """
     from matplotlib.lines import Line2D
 
-    free = scene.with_target | (scene.status == "usable")
+    gray = gray or alike
+    free = scene.with_target | (scene.status == "usable") | alike
     entry = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-    usual = IDLE if color else PATROL  # a blue edge would tint what is filled
+    usual = IDLE if gray else PATROL  # a blue edge would tint what is filled
     for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
         if not rows.any():
             continue
-        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if color else 0.5, "zorder": 1}
+        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if gray else 0.5, "zorder": 1}
         style |= kwargs
         add_circles(ax, scene.centers[rows], scene.outer[rows], **style)
         if scene.inner[rows].any():
