@@ -264,12 +264,15 @@ def check_outputs(
         check_report(report, overwrite=overwrite)
 
 
-def check_targets(targets: str | None, plot: Path | None) -> None:
-    """Refuse targets that cannot be drawn before any work is done."""
-    if targets is not None:
-        check_choice(targets, COLORINGS, "--targets")
-        if plot is None:
-            raise rs.InputError("--targets needs a plot to draw them in: give --plot")
+def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | None" = None) -> None:
+    """Refuse a column by which targets cannot be drawn before any work is done."""
+    if color is None:
+        return
+    check_choice(color, COLORINGS, "--targets")
+    if plot is None:
+        raise rs.InputError("--targets needs a plot to draw them in: give --plot")
+    if catalog is not None and color in ("category", "priority") and getattr(catalog, color) is None:
+        raise rs.InputError(f"--targets {color} needs a {color}, which the catalog does not have: give --column")
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:

@@ -37,8 +37,8 @@ def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None)
     """Write files, each given as its path and what it holds, before others speak of them; then name them.
 
     Whoever reads what is printed may go away at any time, and that must cost no file. ``output`` comes with a function
-    that writes to a path, ``plot`` and ``quality`` with one that makes a figure, ``report`` with a result and options of
-    a page.
+    that writes to a path, ``plot`` and ``quality`` with one that makes a figure, ``report`` with a result and options
+    of a page.
     """
     written = []
     if output is not None and output[0] is not None:

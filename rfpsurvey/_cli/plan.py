@@ -39,6 +39,7 @@ def plan(
     _app.check_targets(targets, plot)
     model = as_instrument(instrument)
     sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, keep)
+    _app.check_targets(targets, plot, sky)
     options = _app.allocation_options(
         allocator, require, sky_separation, time_limit, objective=objective, parked=parked
     )

@@ -10,7 +10,7 @@ from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_cla
 from rfpsurvey.plot._axes import points_per_unit
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
 
-__all__ = ["ASSIGNED", "COLORINGS", "OUTCOME_COLORS", "Layer", "draw_layers", "layers_of", "legend_title"]
+__all__ = ["ASSIGNED", "COLORINGS", "OUTCOME_COLORS", "Layer", "draw_layers", "layers_of", "legend_options"]
 
 COLORINGS = ("outcome", "kind", "category", "priority")
 OUTCOME_COLORS = {
@@ -29,6 +29,7 @@ LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
 ON_ARMS = 7.0  # points: largest dot with a white edge, on the end of an arm
 MANY = 3000
 """Dots of which files of vectors hold an image."""
+LONGEST = 74  # letters in three columns of a legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +98,15 @@ def _classes(color, columns, n) -> tuple[np.ndarray, list[str]]:
     return class_of, [f"priority {name}" for name in names]
 
 
-def legend_title(color: str) -> dict:
-    """Return the options of a legend that explains two sizes of dots."""
+def legend_options(color: str, labels: list[str]) -> dict:
+    """Return the options of a legend: its columns, and a title that explains two sizes of dots."""
+    each = -(-len(labels) // 3) or 1  # labels go down the columns
+    letters = sum(max(map(len, labels[k : k + each])) for k in range(0, len(labels), each))
+    options: dict = {"columns": 3 if letters <= LONGEST else 2}
     if color == "outcome":
-        return {}
-    return {
-        "title": "assigned of all targets; large dots: assigned, small dots: not assigned",
-        "title_fontsize": "small",
-    }
+        return options
+    title = "assigned of all targets; large dots: assigned, small dots: not assigned"
+    return {**options, "title": title, "title_fontsize": "small"}
 
 
 def draw_layers(

@@ -11,7 +11,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._arms import draw_arms, draw_marks, draw_obstacles, draw_patrol_areas
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, points_per_unit, spacing_of
-from rfpsurvey.plot._classes import COLORINGS, draw_layers, layers_of, legend_title
+from rfpsurvey.plot._classes import COLORINGS, draw_layers, layers_of, legend_options
 from rfpsurvey.plot._compass import add_compass, position_angle_of
 from rfpsurvey.plot._dots import arms_are_visible, draw_cells, draw_dots
 from rfpsurvey.plot._groups import draw_groups
@@ -27,7 +27,7 @@ __all__ = ["plot_focal_plane"]
 
 WITH_TARGET = ("assigned", "out_of_reach", "stuck")
 BLANK_SKY = SERIES[3]
-ROW = 0.2  # inches, of a legend
+ROW = 0.22  # inches, of a legend
 
 
 def plot_focal_plane(
@@ -141,11 +141,12 @@ def plot_focal_plane(
     if by_class is None:
         legend_below(ax, handles, columns=4)
         return ax
+    options = legend_options(targets, [handle.get_label() for handle in handles])
     if own:  # room for more rows of the legend
         width, height = ax.figure.get_size_inches()
-        rows = -(-len(handles) // 3) + (targets != "outcome")
+        rows = -(-len(handles) // options["columns"]) + (targets != "outcome")
         ax.figure.set_size_inches(width, height + ROW * max(rows - 2, 0))
-    legend_below(ax, handles, **legend_title(targets))
+    legend_below(ax, handles, **options)
     return ax
 
 

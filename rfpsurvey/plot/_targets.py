@@ -9,7 +9,7 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plot._axes import legend_below, new_axes
-from rfpsurvey.plot._classes import ASSIGNED, COLORINGS, draw_layers, layers_of, legend_title
+from rfpsurvey.plot._classes import ASSIGNED, COLORINGS, draw_layers, layers_of, legend_options
 from rfpsurvey.plot._sky import radius_of
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, rims_of
 from rfpsurvey.survey import Survey
@@ -96,12 +96,14 @@ def plot_targets(
         raise InputTypeError(f"result must be a Tile or a Survey, got {type(result).__name__}")
     layers = layers_of(color, outcome, columns)
     xy = sky_map.to_xy(coord.icrs)
-    rows = len({layer.label for layer in layers if layer.label}) // 3 + 1
-    ax = _new_axes(sky_map, xy, rims, rows + (color != "outcome")) if ax is None else ax
+    labels = [layer.label for layer in layers if layer.label]
+    options = legend_options(color, labels)
+    if ax is None:
+        ax = _new_axes(sky_map, xy, rims, -(-len(labels) // options["columns"]) + 1)
     _set_limits(ax, sky_map, xy, rims)
     if rims is not None:
         _draw_fields(ax, rims)
-    legend_below(ax, list(draw_layers(ax, xy, layers, kwargs, below=2.0, above=3.0)), **legend_title(color))
+    legend_below(ax, list(draw_layers(ax, xy, layers, kwargs, below=2.0, above=3.0)), **options)
     name, done = result.provenance["instrument"]["name"], np.isin(outcome, ASSIGNED).sum()
     ax.set_title(f"{name}: {done} of {len(xy)} targets assigned", pad=14 if sky_map.kind == "whole" else None)
     return ax
@@ -125,9 +127,7 @@ def codes_of(outcomes) -> np.ndarray:
 
 def _catalog_of(survey, catalog) -> Catalog:
     if catalog is None:
-        raise InputError(
-            "catalog must be the catalog of the survey, got None: a Survey has no positions of its targets"
-        )
+        raise InputError("catalog must be that of the survey, which has the positions of its targets, got None")
     catalog = as_catalog(catalog)
     known = survey.outcomes["target_id"]
     if len(catalog) != len(known) or not (np.asarray(catalog.id).astype(str) == np.asarray(known).astype(str)).all():
