@@ -21,6 +21,7 @@ __all__ = ["plot_quality"]
 
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
+LONGEST = 50  # letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
 """Range of whole numbers that have a bar each, and the number of bins of other columns."""
 FEW_PER_RING, MOST_RINGS = 40, 12
@@ -160,7 +161,7 @@ def _draw_classes(ax, completeness, kwargs):
     label = "fraction of the targets in the field"
     if len(rows) < len(completeness):
         label += f"; {len(completeness) - len(rows)} more classes are not shown"
-    ax.set_xlabel(label)
+    ax.set_xlabel(label, fontsize="small" if len(rows) < len(completeness) else None)
     legend_below(ax, handles, columns=2)
 
 
@@ -249,11 +250,14 @@ def _draw_fibers(ax, tile):
     ax.set_xlim(-0.6, len(names) - 0.4)
     highest = max([*required, *(bar.get_y() + bar.get_height() for bar in ax.patches), 1])
     ax.set_ylim(0, 1.08 * highest)
-    legend_below(ax, handles, columns=2 if len(handles) > 3 else 3)
+    letters = sum(len(handle.get_label()) for handle in handles)
+    legend_below(ax, handles, columns=3 if len(handles) == 3 and letters <= LONGEST else 2)
 
 
 def _draw_histogram(ax, table, name, assigned):
     """Draw the distribution of a column for all science targets and for those that are assigned."""
+    from matplotlib.ticker import MaxNLocator
+
     if name is None:
         ax.set_axis_off()
         ax.text(0.5, 0.5, "The targets have no column of numbers.", ha="center", transform=ax.transAxes)
@@ -263,7 +267,7 @@ def _draw_histogram(ax, table, name, assigned):
     levels = np.unique(values[known])
     if len(levels) > 0 and (levels == np.rint(levels)).all() and np.ptp(levels) < MOST_VALUES:
         edges = np.arange(levels[0], levels[-1] + 2) - 0.5
-        ax.set_xticks(levels)
+        ax.xaxis.set_major_locator(MaxNLocator(10, integer=True))
     else:
         edges = np.histogram_bin_edges(values[known], N_BINS)
     look = {"bins": edges, "histtype": "stepfilled"}

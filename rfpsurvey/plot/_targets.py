@@ -22,6 +22,7 @@ __all__ = ["codes_of", "outcomes_of", "plot_targets"]
 
 LARGEST = 6.2  # inches: longer side of the axes
 MARGIN = 0.03  # of the extent of the targets
+ROW = 0.23  # inches, of a legend
 
 
 def plot_targets(
@@ -153,14 +154,16 @@ def _extent(xy, rims) -> tuple[np.ndarray, np.ndarray]:
 
 def _new_axes(sky_map, xy, rims, rows):
     """Return axes in a figure of their own, with room for a legend of so many rows."""
-    below = 0.2 * rows
+    below = ROW * rows
     if sky_map.kind == "whole":
         return new_axes(8, 4.8 + below, projection="aitoff")
     low, high = _extent(xy, rims)
     wide, tall = high - low
     height = min(LARGEST * tall * sky_map.aspect / wide, LARGEST)
     width = min(LARGEST, height * wide / (tall * sky_map.aspect))
-    return new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
+    ax = new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
+    ax.set_anchor("N")  # what is left of the height belongs to the legend
+    return ax
 
 
 def _set_limits(ax, sky_map, xy, rims):
