@@ -129,6 +129,14 @@ def test_targets_by_class(tile, sky, color):
         assert "large dots: assigned" in ax.get_legend().get_title().get_text()
 
 
+def test_the_most_important_and_the_rarest_targets_are_on_top(tile):
+    """Of many targets, the last ones that were drawn hid all others: those of the lowest priority."""
+    for color, order in (("priority", ["priority 1", "priority 2", "priority 3"]), ("kind", ["science", "sky"])):
+        drawn = {label.split(":")[0]: dots for label, dots in layers(rs.plot.plot_targets(tile, color=color)).items()}
+        heights = [drawn[name].get_zorder() for name in order]
+        assert (np.diff(heights) > 0).all()
+
+
 def test_kinds_have_colors_of_their_own(science_only):
     """Kinds had the color of their rank, so that sky was blue on a tile without standard stars."""
     drawn = left_of(rs.plot.plot_targets(science_only, color="kind"))
