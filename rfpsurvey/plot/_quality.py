@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_quality"]
 
-MOST_BARS, MOST_CATEGORIES = 16, 8
+FEWEST, MOST_BARS, MOST_CATEGORIES = 4, 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
@@ -156,7 +156,8 @@ def _draw_classes(ax, completeness, kwargs):
         text = {"textcoords": "offset points", "va": "center", "fontsize": "small"}
         ax.annotate(f"{done:.0f} of {of:.0f}", (1, place), (4, 0), xycoords=("axes fraction", "data"), **text)
     ax.set_yticks(y, [_label_of(row) for row in _by_name(rows)], fontsize="small")
-    ax.set_ylim(y.min() - 0.6, 0.6)
+    around = 0.6 + max(FEWEST - len(rows), 0) / 2  # a single bar is not as high as the panel
+    ax.set_ylim(y.min() - around, around)
     ax.set_xlim(0, 1)
     label = "fraction of the targets in the field"
     if len(rows) < len(completeness):

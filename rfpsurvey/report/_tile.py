@@ -130,11 +130,11 @@ def _completeness(tile) -> list:
     """Return how many targets of each class are assigned, as a figure and as a table."""
     words = "Targets of the field; observed are those that are assigned, and not in collision."
     axes = plot_quality(tile)
-    axes[0].set_title("")
+    axes[0].set_title("", loc="left")
     about = (
         "Outcomes of the targets in the field, with the number of assigned targets of all to the right; fibers by what "
         "they observe; a column of the catalog; and fractions in rings of equal area about the center of the field, "
-        "with intervals of 68 %."
+        "with intervals of 68\N{NO-BREAK SPACE}%."
     )
     figure = Picture("Targets that are available, in reach and assigned.", axes[0], about)
     table = [Rows("Targets of the field by class.", tile.completeness)] if len(tile.completeness) > 1 else []
