@@ -15,7 +15,7 @@ import rfpsurvey as rs
 
 table = QTable.read("../../data/tycho2_anticenter_r8.ecsv.gz", format="ascii.ecsv")
 table["priority"] = np.where(table["vt_mag"] < 10 * u.mag, 2, 1)
-stars = rs.Catalog.from_table(table)
+stars = rs.Catalog.from_table(table, keep=["vt_mag"])
 center = SkyCoord("06h20m00s +23d00m00s")
 tile = rs.plan_tile(stars, "sdss_apo", center, epoch=2026.5, allocator="optimal")
 print(tile)
@@ -31,3 +31,16 @@ for name, reached, limit in tile.summary["objectives"]:
 
 fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
 rs.plot.plot_focal_plane(tile, ax=ax)
+
+# %%
+# All stars of the field by outcome: those that are left in reach, and those out of reach.
+
+fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
+rs.plot.plot_targets(tile, ax=ax)
+
+# %%
+# How many stars of each class are observed, how their magnitudes are distributed, and the fraction that is assigned at
+# each distance from the center.
+
+fig, axes = plt.subplots(2, 2, figsize=(11, 7), layout="constrained")
+axes = rs.plot.plot_quality(tile, column="vt_mag", axes=axes.ravel())

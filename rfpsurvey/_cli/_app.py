@@ -29,7 +29,9 @@ from rfpsurvey._cli._print import (
 from rfpsurvey._io import WRITABLE, check_output, read_table, suffix_of
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog
+from rfpsurvey.errors import check_choice
 from rfpsurvey.instrument import as_instrument
+from rfpsurvey.plot import COLORINGS
 from rfpsurvey.report import check_report
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "app",
     "check_chart",
     "check_outputs",
+    "check_targets",
     "files",
     "finish",
     "finish_comparison",
@@ -225,15 +228,32 @@ def read_targets(name: str):
 
 
 def check_outputs(
-    output: Path | None, plot: Path | None = None, report: Path | None = None, *, overwrite: bool
+    output: Path | None,
+    plot: Path | None = None,
+    report: Path | None = None,
+    quality: Path | None = None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Refuse an output that cannot be written before any work is done."""
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
-    if plot is not None:
-        check_output(plot, PICTURES, overwrite=overwrite)
+    for path in (plot, quality):
+        if path is not None:
+            check_output(path, PICTURES, overwrite=overwrite)
     if report is not None:
         check_report(report, overwrite=overwrite)
+
+
+def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | None" = None) -> None:
+    """Refuse a column by which targets cannot be drawn before any work is done."""
+    if color is None:
+        return
+    check_choice(color, COLORINGS, "--targets")
+    if plot is None:
+        raise rs.InputError("--targets needs a plot to draw them in: give --plot")
+    if catalog is not None and color in ("category", "priority") and getattr(catalog, color) is None:
+        raise rs.InputError(f"--targets {color} needs a {color}, which the catalog does not have: give --column")
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:

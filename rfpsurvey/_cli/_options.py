@@ -55,6 +55,14 @@ FillOption = Annotated[
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
+TargetsOption = Annotated[
+    str | None,
+    typer.Option(help="Draw all targets of the field in --plot, too, by outcome, kind, category or priority."),
+]
+QualityOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw how many targets are in reach, assigned and observed, .png, .pdf or .svg."),
+]
 MethodOption = Annotated[
     str,
     typer.Option(
@@ -185,6 +193,7 @@ Examples:
   rfpsurvey plan
   rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
   rfpsurvey plan stars.fits --output tile.fits --report tile.html
+  rfpsurvey plan stars.fits --keep mag --plot tile.png --targets outcome --quality quality.png
   rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
   rfpsurvey plan stars.fits --allocator optimal --require instrument --sky-separation 10
 """

@@ -34,19 +34,21 @@ MAP = (
 
 
 @contextmanager
-def files(*, overwrite: bool, output=None, plot=None, report=None) -> Iterator[None]:
+def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None) -> Iterator[None]:
     """Write files, each given as its path and what it holds, before others speak of them; then name them.
 
     Whoever reads what is printed may go away at any time, and that must cost no file. ``output`` comes with a function
-    that writes to a path, ``plot`` with one that makes a figure, ``report`` with a result and options of a page.
+    that writes to a path, ``plot`` and ``quality`` with one that makes a figure, ``report`` with a result and options
+    of a page.
     """
     written = []
     if output is not None and output[0] is not None:
         path, write = output
         write(path, overwrite=overwrite)
         written.append(path)
-    if plot is not None and plot[0] is not None:
-        path, draw = plot
+    for path, draw in (plot or (None, None), quality or (None, None)):
+        if path is None:
+            continue
         with output_path(path, PICTURES, overwrite=overwrite) as temporary:
             draw().savefig(temporary, dpi=200, format=path.suffix[1:].lower())
         written.append(path)
@@ -59,12 +61,22 @@ def files(*, overwrite: bool, output=None, plot=None, report=None) -> Iterator[N
         print(f"wrote {path}")
 
 
-def finish(tile: "rs.Tile", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Write a tile, its picture and page where asked, and print its summary."""
+def finish(
+    tile: "rs.Tile",
+    output: Path | None,
+    plot: Path | None,
+    report: Path | None,
+    *,
+    overwrite: bool,
+    targets: str | None = None,
+    quality: Path | None = None,
+) -> None:
+    """Write a tile, its figures and page where asked, and print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tile.write),
-        plot=(plot, lambda: rs.plot.plot_focal_plane(tile).figure),
+        plot=(plot, lambda: rs.plot.plot_focal_plane(tile, targets=targets).figure),
+        quality=(quality, lambda: rs.plot.plot_quality(tile)[0].figure),
         report=(report, tile, {"data": output}),
     ):
         print_summary(tile)

@@ -31,20 +31,24 @@ def plan(
     fill: _options.FillOption = None,
     output: _options.OutputOption = None,
     plot: _options.PlotOption = None,
+    targets: _options.TargetsOption = None,
+    quality: _options.QualityOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Assign one field and find the arms that collide."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, quality, overwrite=overwrite)
+    _app.check_targets(targets, plot)
     model = as_instrument(instrument)
-    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep)
+    sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep)
     if field is None and equinox is not None:
-        field = targets.mean_direction
+        field = sky.mean_direction
+    _app.check_targets(targets, plot, sky)
     options = _app.allocation_options(
         allocator, require, sky_separation, time_limit, objective=objective, parked=parked
     )
     tile = rs.plan_tile(
-        targets,
+        sky,
         model,
         north_of_date(field, equinox),
         position_angle=pa * u.deg,
@@ -53,4 +57,4 @@ def plan(
         required=required or None,
         rng=seed,
     )
-    _app.finish(tile, output, plot, report, overwrite=overwrite)
+    _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)

@@ -1,6 +1,7 @@
 """Plots. matplotlib is imported when the first one is drawn; nothing is ever shown."""
 
 from rfpsurvey.plot._allocators import plot_allocators
+from rfpsurvey.plot._classes import COLORINGS
 from rfpsurvey.plot._collision_map import plot_collision_map
 from rfpsurvey.plot._completeness import draw_survey, plot_completeness
 from rfpsurvey.plot._coverage import plot_coverage
@@ -8,12 +9,15 @@ from rfpsurvey.plot._designs import plot_designs
 from rfpsurvey.plot._focal_plane import plot_focal_plane
 from rfpsurvey.plot._instruments import draw_instruments, plot_instruments
 from rfpsurvey.plot._probability import plot_probability, plot_residuals
+from rfpsurvey.plot._quality import plot_quality
 from rfpsurvey.plot._reproduction import draw_reproduction
 from rfpsurvey.plot._sky import plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
+from rfpsurvey.plot._targets import plot_targets
 from rfpsurvey.plot._tiling import draw_tiling
 
 __all__ = [
+    "COLORINGS",
     "draw_instruments",
     "draw_reproduction",
     "draw_survey",
@@ -27,7 +31,9 @@ __all__ = [
     "plot_instruments",
     "plot_probability",
     "plot_probability_accuracy",
+    "plot_quality",
     "plot_residuals",
     "plot_speed_accuracy",
+    "plot_targets",
     "plot_tiling",
 ]

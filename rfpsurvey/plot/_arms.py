@@ -14,14 +14,18 @@ MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach":
 """Status to its marker and label."""
 
 
-def draw_patrol_areas(ax, scene: Scene, color, kwargs) -> Iterator:
-    """Draw both edges of each patrol area, and yield legend entries."""
-    free = scene.with_target | (scene.status == "usable")
-    usual = IDLE if color else PATROL  # a blue edge would tint what is filled
+def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
+    """Draw both edges of each patrol area, and yield legend entries.
+
+    Edges are thin and ``gray`` around cells that are filled; all are if they are ``alike``, below dots of targets.
+    """
+    gray = gray or alike
+    free = scene.with_target | (scene.status == "usable") | alike
+    usual = IDLE if gray else PATROL  # a blue edge would tint what is filled
     for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
         if not rows.any():
             continue
-        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if color else 0.5, "zorder": 1}
+        style = {"facecolors": "none", "edgecolors": edge, "linewidths": 0.3 if gray else 0.5, "zorder": 1}
         style |= kwargs
         add_circles(ax, scene.centers[rows], scene.outer[rows], **style)
         if scene.inner[rows].any():

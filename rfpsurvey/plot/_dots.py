@@ -8,7 +8,7 @@ from rfpsurvey.plot._axes import add_circles, legend_line, points_per_unit, spac
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 
-__all__ = ["arms_are_visible", "draw_dots"]
+__all__ = ["SHORTEST", "arms_are_visible", "draw_cells", "draw_dots"]
 
 SHORTEST = 5.0
 """Points (1/72 inch): arms that would be shorter are not drawn."""
@@ -24,6 +24,11 @@ def arms_are_visible(ax, scene: Scene) -> bool:
     return length * points_per_unit(ax) >= SHORTEST
 
 
+def draw_cells(ax, scene: Scene) -> None:
+    """Draw the ground below dots: a pale disk for each positioner."""
+    add_circles(ax, scene.centers, 0.5 * spacing_of(scene.centers, scene.outer), facecolors=FAINT, zorder=0.8)
+
+
 def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     """Draw a dot for each positioner, colored by its state, and yield legend entries.
 
@@ -31,7 +36,7 @@ def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     collision are diamonds, larger and on top of the others.
     """
     spacing = spacing_of(scene.centers, scene.outer)
-    add_circles(ax, scene.centers, 0.5 * spacing, facecolors=FAINT, zorder=0.8)
+    draw_cells(ax, scene)
     moving = ~np.isin(scene.status, ("disabled", "stuck"))
     target = scene.with_target
     groups = (

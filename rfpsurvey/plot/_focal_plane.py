@@ -3,24 +3,31 @@
 from typing import TYPE_CHECKING
 
 import astropy.units as u
+import numpy as np
 
 from rfpsurvey._units import to_points_mm
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._arms import draw_arms, draw_marks, draw_obstacles, draw_patrol_areas
-from rfpsurvey.plot._axes import focal_plane_axes, legend_below, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, points_per_unit, spacing_of
+from rfpsurvey.plot._classes import COLORINGS, draw_layers, layers_of, legend_options
 from rfpsurvey.plot._compass import add_compass, position_angle_of
-from rfpsurvey.plot._dots import arms_are_visible, draw_dots
+from rfpsurvey.plot._dots import arms_are_visible, draw_cells, draw_dots
 from rfpsurvey.plot._groups import draw_groups
 from rfpsurvey.plot._scene import GROUPS, scene_of, visible_part
-from rfpsurvey.plot._style import OUTLINE
+from rfpsurvey.plot._style import OUTLINE, SERIES
+from rfpsurvey.plot._targets import codes_of, outcomes_of
 from rfpsurvey.tile import Tile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["plot_focal_plane"]
+
+WITH_TARGET = ("assigned", "out_of_reach", "stuck")
+BLANK_SKY = SERIES[3]
+ROW = 0.22  # inches, of a legend
 
 
 def plot_focal_plane(
@@ -29,7 +36,7 @@ def plot_focal_plane(
     ax: "Axes | None" = None,
     region: u.Quantity | None = None,
     color: str | None = None,
-    targets: u.Quantity | None = None,
+    targets: str | u.Quantity | None = None,
     arms: bool | None = None,
     orientation: str = "sky",
     **kwargs: object,
@@ -43,6 +50,10 @@ def plot_focal_plane(
     Where arms would be shorter than 5 points, as on the whole focal plane of an instrument with thousands of
     positioners, a dot stands for each positioner: on its target, or on its center if it has none. Diamonds are in
     collision.
+
+    With ``targets="outcome"``, there is a dot for every target of the field, and the legend has their numbers; the
+    positioners of a large instrument are then a gray ground. Of a class, such as a kind, assigned targets are larger
+    dots, and those that are left smaller ones of the same color.
 
     North and east are those of the tile; the arrows turn with its position angle. An instrument is drawn at position
     angle 0.
@@ -58,9 +69,10 @@ def plot_focal_plane(
         Corners ((x0, y0), (x1, y1)) of the part to show; all by default.
     color : {"spectrograph", "fiber_type"}, optional
         Fill the cells of positioners by this column.
-    targets : Quantity, shape (n, 2), optional
-        Positions on the focal plane to draw as small crosses, for example those of all targets, by
-        ``instrument.projection(center).to_focal_plane(coord)``.
+    targets : {"outcome", "kind", "category", "priority"} or Quantity, shape (n, 2), optional
+        Draw all targets of a planned tile, colored by this column of `outcomes <rfpsurvey.Tile.outcomes>`; targets that
+        are not requested have no position on the focal plane. Positions are drawn as small crosses; those of other
+        targets are ``instrument.projection(center).to_focal_plane(coord)``.
     arms : bool, optional
         Draw arms, or a dot for each positioner; by default arms where they are long enough to be seen.
     orientation : {"sky", "focal plane"}, optional
@@ -77,7 +89,13 @@ def plot_focal_plane(
     Raises
     ------
     InputError
-        If ``thing``, ``color`` or ``orientation`` is something else, or ``region`` or ``targets`` has another shape.
+        If ``thing``, ``color`` or ``orientation`` is something else, ``region`` or ``targets`` has another shape, or
+        the tile has no outcomes or no such column.
+
+    See Also
+    --------
+    plot_targets : All targets of a tile or of a survey on the sky.
+    plot_quality : How many targets of each class are assigned.
 
     Examples
     --------
@@ -95,25 +113,40 @@ def plot_focal_plane(
     if color not in (None, *GROUPS):
         raise InputError(f"color must be {' or '.join(GROUPS)}, got {color!r}")
     scene = scene_of(thing)
+    by_class = _targets_of(thing, targets) if isinstance(targets, str) else None
+    shown = scene.centers if by_class is None else np.vstack([scene.centers, by_class[0]])
     moving, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
-    ax = focal_plane_axes(ax, scene.centers, scene.outer, region, orientation)
+    own = ax is None
+    ax = focal_plane_axes(ax, shown, scene.outer, region, orientation)
     if region is not None:
         scene = visible_part(scene, ax)
     large = arms_are_visible(ax, scene) if arms is None else arms
     handles = list(draw_groups(ax, scene, color, pale=large or isinstance(thing, Tile)))
     if large or not (color or isinstance(thing, Tile)):
-        handles += draw_patrol_areas(ax, scene, color, patrol)
+        handles += draw_patrol_areas(ax, scene, patrol, gray=bool(color), alike=by_class is not None)
     handles += draw_obstacles(ax, scene)
-    if targets is not None:
+    if by_class is None and targets is not None:
         handles.append(_draw_targets(ax, scene, targets))
     if large or not isinstance(thing, Tile):
         handles += draw_arms(ax, scene, moving)
-    else:
+    elif by_class is None:
         handles += draw_dots(ax, scene, moving)
+    else:
+        draw_cells(ax, scene)
+    if by_class is not None:
+        handles += _draw_classes(ax, thing, targets, *by_class, {} if large else moving, large)
     handles += draw_marks(ax, scene)
     add_compass(ax, position_angle_of(thing), scene.points if large else scene.centers)
     ax.set_title(scene.title + (f", by {color.replace('_', ' ')}" if color else ""))
-    legend_below(ax, handles, columns=4)
+    if by_class is None:
+        legend_below(ax, handles, columns=4)
+        return ax
+    options = legend_options(targets, [handle.get_label() for handle in handles])
+    if own:  # room for more rows of the legend
+        width, height = ax.figure.get_size_inches()
+        rows = -(-len(handles) // options["columns"]) + (targets != "outcome")
+        ax.figure.set_size_inches(width, height + ROW * max(rows - 2, 0))
+    legend_below(ax, handles, **options)
     return ax
 
 
@@ -124,3 +157,38 @@ def _draw_targets(ax, scene, targets):
     return ax.scatter(
         *points.T, s=size**2, marker="+", color=OUTLINE, linewidths=0.5, alpha=0.6, zorder=2.2, label="target"
     )
+
+
+def _targets_of(thing, color):
+    """Return the positions of the targets of a tile that have one, in mm, and the rows of its outcomes."""
+    check_choice(color, COLORINGS, "targets")
+    if not isinstance(thing, Tile):
+        raise InputTypeError(f"thing must be a Tile to draw its targets by {color}, got {type(thing).__name__}")
+    table = outcomes_of(thing)
+    xy = np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
+    known = np.isfinite(xy).all(axis=1)
+    return xy[known], table[known]
+
+
+def _draw_classes(ax, tile, color, xy, table, kwargs, on_arms):
+    """Draw the targets that the axes show by class, and fibers on blank sky, and yield legend entries."""
+    low, high = limits_of(ax)
+    seen = ((xy >= low) & (xy <= high)).all(axis=1)
+    xy, table = xy[seen], table[seen]
+    columns = {name: table[name] for name in COLORINGS[1:] if name in table.colnames}
+    layers = layers_of(color, codes_of(table), columns)
+    on_arms = on_arms and color != "outcome"
+    yield from draw_layers(ax, xy, layers, kwargs, below=2.2, above=6.0, on_arms=on_arms)
+    t = tile.table
+    blank = np.isin(np.asarray(t["status"]), WITH_TARGET) & ~np.isin(np.asarray(t["id"]), _positioners(tile.outcomes))
+    fibers = np.column_stack([t["tip_x"].to_value(u.mm), t["tip_y"].to_value(u.mm)])[blank]
+    fibers = fibers[((fibers >= low) & (fibers <= high)).all(axis=1)]
+    if len(fibers):
+        style = {"s": 6, "marker": "s", "facecolors": "none", "edgecolors": BLANK_SKY, "linewidths": 0.6, "zorder": 5.9}
+        yield ax.scatter(*fibers.T, **style, label=f"fiber on blank sky: {len(fibers)}")
+
+
+def _positioners(outcomes) -> np.ndarray:
+    """Return the identifiers of the positioners that have a target of the catalog."""
+    column = outcomes["positioner"]
+    return column.compressed() if hasattr(column, "compressed") else np.asarray(column)

@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey.plot import plot_focal_plane
+from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.tile import Tile
@@ -77,11 +77,8 @@ def page_of_tile(tile: Tile, where: str) -> Page:
     if summary.get("unmet") or parameters.get("requirements"):
         unmet = summary.get("unmet") or ["All requirements are met."]
         sections.append(Section("Requirements", [Text(list(unmet))]))
-    if tile.completeness is not None and len(tile.completeness) > 1:
-        words = "Targets of the field; observed are those that are assigned, and not in collision."
-        sections.append(
-            Section("Completeness", [Text(words), Rows("Targets of the field by class.", tile.completeness)])
-        )
+    if tile.completeness is not None:
+        sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Focal plane", _pictures(tile)))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
     sections.append(Section("Assignments", _assignments(tile, where or "the table of the tile")))
@@ -125,6 +122,21 @@ def _objectives(tile) -> list:
     if gap is not None:
         values["gap to the best plan"] = gap
     return [Facts("Classes of targets, in order of priority", values)] if values else []
+
+
+def _completeness(tile) -> list:
+    """Return how many targets of each class are assigned, as a figure and as a table."""
+    words = "Targets of the field; observed are those that are assigned, and not in collision."
+    axes = plot_quality(tile)
+    axes[0].set_title("", loc="left")
+    about = (
+        "Outcomes of the targets in the field, with the number of assigned targets of all to the right; fibers by what "
+        "they observe; a column of the catalog; and fractions in rings of equal area about the center of the field, "
+        "with intervals of 68\N{NO-BREAK SPACE}%."
+    )
+    figure = Picture("Targets that are available, in reach and assigned.", axes[0], about)
+    table = [Rows("Targets of the field by class.", tile.completeness)] if len(tile.completeness) > 1 else []
+    return [Text(words), figure, *table]
 
 
 def _pictures(tile) -> list:

@@ -395,3 +395,25 @@ def test_an_epoch_that_no_column_says(run, tmp_path):
     dec = tile.table["dec"][tile.table["status"] == "assigned"].to_value("deg")
     assert len(dec) > 5
     assert dec == pytest.approx(23 + 10 * 0.05 / 3600, abs=1e-7)
+
+
+def test_plan_draws_all_targets_and_the_quality(run, tmp_path):
+    plain, plot, quality = (tmp_path / f"{name}.png" for name in ("plain", "plot", "quality"))
+    common = "plan", "--instrument", "sdss_apo"
+    assert run(*common, "--plot", plain)[0] == 0
+    code, out, err = run(*common, "--plot", plot, "--targets", "outcome", "--quality", quality)
+    assert (code, err) == (0, "")
+    assert out.endswith(f"wrote {plot}\nwrote {quality}\n")
+    assert plot.read_bytes() != plain.read_bytes()
+    assert quality.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    for options, message in (
+        (("--targets", "kind"), "--targets needs a plot"),
+        (("--targets", "all", "--plot", tmp_path / "a.png"), "unknown --targets 'all'"),
+        (("--targets", "priority", "--plot", tmp_path / "a.png"), "--targets priority needs a priority"),
+        (("--quality", tmp_path / "a.txt"), "must end in"),
+        (("--quality", quality), "exists"),
+    ):
+        code, out, err = run(*common, *options)
+        assert code == 2
+        assert message in err
+        assert out == ""

@@ -73,6 +73,46 @@ def test_part_of_a_worn_focal_plane(worn):
     return rs.plot.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
 
 
+@pytest.fixture(scope="module")
+def classes():
+    """A tile with sky, standard stars, categories and priorities."""
+    rng, n = np.random.default_rng(4), 900
+    coord = rs.synthetic_catalog("uniform", CENTER, 1.5 * u.deg, n_targets=n, rng=1).coord
+    kind = rng.choice(["science", "standard", "sky"], n, p=[0.8, 0.1, 0.1])
+    sky = rs.Catalog(
+        coord,
+        kind=kind,
+        category=rng.choice(["qso", "lrg"], n),
+        priority=rng.integers(1, 4, n),
+        extra={"g": rng.normal(18, 1, n) * u.mag},
+    )
+    asked = rs.AllocationOptions("lamost", requirements=["sky=30", "standard=20"])
+    return rs.plan_tile(sky, "sdss_apo", CENTER, allocator=asked)
+
+
+@kept
+def test_focal_plane_with_targets_by_outcome(classes):
+    return rs.plot.plot_focal_plane(classes, targets="outcome", arms=False, ax=axes()).figure
+
+
+@kept
+def test_part_of_a_focal_plane_with_targets_by_priority(classes):
+    region = [[-90, -90], [90, 90]] * u.mm
+    return rs.plot.plot_focal_plane(classes, targets="priority", ax=axes(), region=region).figure
+
+
+@kept
+def test_targets_on_the_sky_by_kind(classes):
+    return rs.plot.plot_targets(classes, color="kind", ax=axes()).figure
+
+
+@kept
+def test_quality(classes):
+    room = {"left": 0.12, "right": 0.96, "bottom": 0.16, "top": 0.94, "wspace": 0.4, "hspace": 0.7}
+    given = Figure(figsize=(11, 8)).subplots(2, 2, gridspec_kw=room).ravel()
+    return rs.plot.plot_quality(classes, column="g", axes=given)[0].figure
+
+
 @kept
 def test_focal_plane_by_fiber_type(worn):
     return rs.plot.plot_focal_plane(worn, ax=axes(), region=[[-90, -90], [90, 90]] * u.mm, color="fiber_type").figure

@@ -19,6 +19,11 @@ def results(presets, small):
     """What the functions draw."""
     sky = rs.synthetic_catalog("poisson", CENTER, 1.2 * u.deg, density=150 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
+    many = rs.Catalog(
+        sky.coord,
+        priority=np.arange(len(sky)) % 19,
+        category=np.array([f"A_LONG_CATEGORY_{k % 23}" for k in range(len(sky))]),
+    )
     instruments = QTable(
         {
             "instrument": ["a_long_name_of_one", "a_long_name_of_one", "short"],
@@ -73,6 +78,8 @@ def results(presets, small):
     )
     return {
         "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg),
+        "tile with classes": rs.plan_tile(many, presets["sdss_apo"], CENTER),
+        "targets": sky,
         "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2)),
         "estimate": flat.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
         "instruments": instruments,
@@ -103,6 +110,12 @@ PLOTS = {
     "focal plane with x to the right": lambda r: rs.plot.plot_focal_plane(r["tile"], orientation="focal plane"),
     "part of a tile": lambda r: rs.plot.plot_focal_plane(r["tile"], region=[[0, -50], [200, 0]] * u.mm),
     "dots": lambda r: rs.plot.plot_focal_plane(r["tile"], arms=False),
+    "all targets": lambda r: rs.plot.plot_focal_plane(r["tile"], targets="outcome"),
+    "many classes": lambda r: rs.plot.plot_focal_plane(r["tile with classes"], targets="priority"),
+    "targets on the sky": lambda r: rs.plot.plot_targets(r["tile with classes"], color="category"),
+    "targets of a survey": lambda r: rs.plot.plot_targets(r["survey"], r["targets"]),
+    "quality": lambda r: rs.plot.plot_quality(r["tile"])[0],
+    "quality of many classes": lambda r: rs.plot.plot_quality(r["tile with classes"])[0],
     "instrument": lambda r: rs.plot.plot_focal_plane("lamost"),
     "fiber types": lambda r: rs.plot.plot_focal_plane("sdss_apo", color="fiber_type"),
     "spectrographs": lambda r: rs.plot.plot_focal_plane("lamost", color="spectrograph"),

@@ -1,0 +1,141 @@
+"""Targets by outcome or by class: which dots stand for them, and legend entries with their numbers."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey.errors import InputError
+from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
+from rfpsurvey.plot._axes import points_per_unit
+from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
+
+__all__ = ["ASSIGNED", "COLORINGS", "OUTCOME_COLORS", "Layer", "draw_layers", "layers_of", "legend_options"]
+
+COLORINGS = ("outcome", "kind", "category", "priority")
+OUTCOME_COLORS = {
+    Outcome.OBSERVED: ARM,
+    Outcome.PARTLY_OBSERVED: SERIES[3],
+    Outcome.LOST_TO_A_COLLISION: COLLISION,
+    Outcome.IN_REACH_NOT_ASSIGNED: PATROL,
+    Outcome.OUT_OF_REACH: FADED,
+    Outcome.NOT_REQUESTED: SERIES[4],
+    Outcome.IN_NO_FIELD: "#555555",
+}
+ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
+KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
+LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
+"""Size of a dot over the typical distance of dots, and its limits in points: targets left, and assigned ones."""
+ON_ARMS = 7.0  # points: largest dot with a white edge, on the end of an arm
+MANY = 3000
+"""Dots of which files of vectors hold an image."""
+LONGEST = 74  # letters in three columns of a legend
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Targets that are drawn alike; without a label, they belong to the one before."""
+
+    label: str
+    rows: np.ndarray
+    color: object
+    marker: str
+    assigned: bool
+    place: int = 0
+    """Layers with a smaller one are on top."""
+    lost: bool = False
+
+
+def layers_of(color: str, outcome: np.ndarray, columns: dict) -> list[Layer]:
+    """Return layers by outcome, or by a column of classes, each as targets that are left and assigned ones.
+
+    ``outcome`` holds indices of ``OUTCOMES``; ``columns`` may have ``kind``, ``category`` and ``priority``.
+    """
+    if color == "outcome":
+        return list(_by_outcome(outcome))
+    return list(_by_class(color, np.isin(outcome, ASSIGNED), columns))
+
+
+def _by_outcome(outcome) -> Iterator[Layer]:
+    for code, color in OUTCOME_COLORS.items():
+        rows = outcome == code
+        if rows.any():
+            lost = code == Outcome.LOST_TO_A_COLLISION
+            label = f"{OUTCOMES[code]}: {np.count_nonzero(rows)}"
+            yield Layer(label, rows, color, "D" if lost else "o", code in ASSIGNED, lost=lost)
+
+
+def _by_class(color, assigned, columns) -> Iterator[Layer]:
+    class_of, names = _classes(color, columns, len(assigned))
+    if color == "kind":
+        colors = [KIND_COLORS.get(name, OUTLINE) for name in names]
+    elif color == "priority" and len(names) > 2:  # in order, the most important one darkest
+        colors = [tuple(rgba) for rgba in light_scale()(np.linspace(0, 0.85, len(names)))]
+    else:
+        colors = [SERIES[1], SERIES[2]] if len(names) <= 2 else GROUP_COLORS
+    for k, name in enumerate(names):
+        rows = class_of == k
+        both = rows & assigned
+        if rows.any():
+            label = f"{name}: {np.count_nonzero(both)} of {np.count_nonzero(rows)}"
+            place = k if color == "priority" else -k  # the most important, or the rarest ones, are on top
+            yield Layer(label, both, colors[k], MARKERS[k % len(MARKERS)], assigned=True, place=place)
+            yield Layer("", rows & ~assigned, colors[k], "o", assigned=False, place=place)
+
+
+def _classes(color, columns, n) -> tuple[np.ndarray, list[str]]:
+    """Return the class of each target, and the names of the classes."""
+    values = columns.get(color)
+    if color == "kind":
+        values = np.full(n, "science") if values is None else np.asarray(values)
+        names = [name for name in KIND_COLORS if (values == name).any()]
+        return np.argmax([values == name for name in names], axis=0) if names else np.zeros(n, int), names
+    if values is None:
+        raise InputError(f"targets have no {color}: the catalog must have that column")
+    if color == "category":
+        return category_classes(np.asarray(values), np.ones(n, dtype=bool))
+    class_of, names = priority_classes(np.asarray(values), np.ones(n, dtype=bool))
+    return class_of, [f"priority {name}" for name in names]
+
+
+def legend_options(color: str, labels: list[str]) -> dict:
+    """Return the options of a legend: its columns, and a title that explains two sizes of dots."""
+    each = -(-len(labels) // 3) or 1  # labels go down the columns
+    letters = sum(max(map(len, labels[k : k + each])) for k in range(0, len(labels), each))
+    options: dict = {"columns": 3 if letters <= LONGEST else 2}
+    if color == "outcome":
+        return options
+    title = "assigned of all targets; large dots: assigned, small dots: not assigned"
+    return {**options, "title": title, "title_fontsize": "small"}
+
+
+def draw_layers(
+    ax, xy: np.ndarray, layers: list[Layer], kwargs: dict, *, below: float, above: float, on_arms: bool = False
+) -> Iterator:
+    """Draw a dot for each target, and yield legend entries.
+
+    Targets that are left are small and have the zorder ``below``, assigned ones are larger and have ``above``; those
+    lost to a collision are diamonds on top. The dots of a large catalog are smaller. Dots ``on_arms`` have white edges.
+    """
+    from matplotlib.lines import Line2D
+
+    spread = np.ptp(xy, axis=0) * points_per_unit(ax) if len(xy) else np.ones(2)
+    left = np.count_nonzero(np.any([layer.rows for layer in layers if not layer.assigned], axis=0))
+    for layer in layers:
+        number = len(xy) - left if layer.assigned else left
+        part, least, most = MARKED if layer.assigned else LEFT
+        edge, width = "none", 0.0
+        if layer.lost:
+            edge, width = "black", 0.3
+        elif on_arms and layer.assigned:
+            edge, width, most = "white", 0.8, ON_ARMS
+        size = float(np.clip(part * np.sqrt(spread.prod() / max(number, 1)), least, most))
+        zorder = (above + 0.5 * layer.lost if layer.assigned else below) - 0.001 * layer.place
+        style = {"s": (1.3 * size if layer.lost else size) ** 2, "marker": layer.marker, "facecolor": layer.color}
+        style |= {"edgecolor": edge, "linewidths": width, "alpha": 1.0 if layer.assigned else 0.75, "zorder": zorder}
+        style |= {"label": layer.label or "_left", "rasterized": np.count_nonzero(layer.rows) > MANY}
+        ax.scatter(*xy[layer.rows].T, **{**style, **kwargs})
+        if layer.label:
+            look = {"markerfacecolor": layer.color, "markersize": 5 if layer.assigned else 3.5}
+            look |= {"markeredgecolor": edge if layer.lost else "none", "markeredgewidth": width}
+            yield Line2D([], [], linestyle="none", marker=layer.marker, label=layer.label, **look)

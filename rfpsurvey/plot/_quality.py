@@ -1,0 +1,327 @@
+"""How good a tile is: targets by class, fibers by spectrograph, a column of the catalog, and the field."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.allocation import Requirement
+from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.pipeline import Outcome
+from rfpsurvey.plot._axes import PAD, labeled, legend_below, values_of
+from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS
+from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, MARKERS, OUTLINE, PATROL, SERIES
+from rfpsurvey.plot._targets import codes_of, outcomes_of
+from rfpsurvey.tile import OUTCOMES_COLUMNS, Tile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_quality"]
+
+FEWEST, MOST_BARS, MOST_CATEGORIES = 4, 16, 8
+MOST_SERIES = 6
+LONGEST = 50  # letters in a row of a legend
+MOST_VALUES, N_BINS = 20, 24
+"""Range of whole numbers that have a bar each, and the number of bins of other columns."""
+FEW_PER_RING, MOST_RINGS = 40, 12
+UNEVEN = 20.0
+"""Available over assigned targets, above which numbers are drawn on a logarithmic scale."""
+FIBER_COLORS = (SERIES[3], SERIES[2], SERIES[5], SERIES[4], SERIES[1], SERIES[6])
+
+
+def plot_quality(
+    tile: Tile, *, column: str | None = None, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
+) -> "tuple[Axes, ...]":
+    """Draw how many targets of a tile are available, in reach, assigned and observed, in four panels.
+
+    Parameters
+    ----------
+    tile : Tile
+        What to draw. It must have `outcomes <rfpsurvey.Tile.outcomes>`.
+    column : str, optional
+        Column of the outcomes, of numbers, for the histogram; by default the priority, else the first further column
+        of the catalog that holds numbers.
+    axes : tuple of matplotlib.axes.Axes, optional
+        Where to draw the four panels; a new figure by default.
+    **kwargs
+        Passed to the bars of the first panel, for example ``height``.
+
+    Returns
+    -------
+    tuple of matplotlib.axes.Axes
+        The axes of four panels. The first shows the fraction of each class, a row of
+        `Tile.completeness <rfpsurvey.Tile.completeness>`, with each outcome, and to the right how many targets are
+        assigned, of all. The second shows the fibers on sky and standard stars in each spectrograph, or those of each
+        requirement, whose minimum is a dashed line; without any, it shows fibers on science targets. The third is a
+        histogram of ``column`` for all science targets and for those that are assigned; it is empty where there is no
+        column of numbers. The fourth is the fraction of science targets in reach and assigned against the distance
+        from the center of the focal plane, in rings of equal area, with intervals of 68 %.
+
+    Raises
+    ------
+    InputError
+        If the tile has no outcomes, no such column of numbers, or there are not four axes.
+
+    See Also
+    --------
+    plot_focal_plane : Where the targets of each outcome are, with ``targets="outcome"``.
+    plot_targets : Where they are on the sky.
+    plot_completeness : The completeness of a survey.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("poisson", center, 1.4 * u.deg, density=300 / u.deg**2, rng=1)
+    >>> axes = rs.plot.plot_quality(rs.plan_tile(sky, "sdss_apo", center))
+    >>> axes[0].get_xlabel()
+    'fraction of the targets in the field'
+    """
+    if not isinstance(tile, Tile):
+        raise InputTypeError(f"tile must be a Tile, got {type(tile).__name__}")
+    table = outcomes_of(tile)
+    column = _column_of(table, column)
+    if axes is None:
+        axes = _new_axes(len(_shown(tile.completeness)))
+    elif len(axes) != 4:
+        raise InputError(f"axes must be four Axes, got {len(axes)}")
+    classes, fibers, histogram, field = axes
+    _draw_classes(classes, tile.completeness, kwargs)
+    _draw_fibers(fibers, tile)
+    outcome = codes_of(table)
+    if "kind" in table.colnames:
+        science = np.asarray(table["kind"]) == "science"
+        table, outcome = table[science], outcome[science]
+    _draw_histogram(histogram, table, column, np.isin(outcome, ASSIGNED))
+    _draw_radius(field, table, outcome)
+    s = tile.summary
+    title = f"{tile.instrument}: {s['n_assigned']} of {s['n_positioners']} positioners assigned"
+    classes.set_title(f"{title}, {s['n_colliding']} in collision", loc="left", fontsize="medium")
+    return tuple(axes)
+
+
+def _new_axes(n_rows):
+    """Return four axes in a figure of their own."""
+    from matplotlib.figure import Figure
+
+    heights = 1.7 + 0.24 * max(n_rows, 6), 3.4
+    figure = Figure(figsize=(11, sum(heights)), layout="constrained")
+    figure.get_layout_engine().set(w_pad=PAD, h_pad=PAD, wspace=0.03, hspace=0.03)
+    return tuple(figure.subplots(2, 2, height_ratios=heights).ravel())
+
+
+def _column_of(table, name) -> str | None:
+    """Return the column of the histogram, None where there is none."""
+    numbers = [c for c in table.colnames if c == "priority" or c not in OUTCOMES_COLUMNS]
+    numbers = [c for c in numbers if np.asarray(table[c]).dtype.kind in "iuf"]
+    if name is None:
+        return min(numbers, key=lambda c: c != "priority", default=None)
+    if name not in table.colnames or np.asarray(table[name]).dtype.kind not in "iuf":
+        raise InputError(f"column must be one of the columns of numbers {', '.join(numbers) or '(none)'}, got {name!r}")
+    return name
+
+
+def _shown(completeness):
+    """Return the rows that have a bar: kinds, the largest categories, and the most important priorities."""
+    number = np.cumsum(np.asarray(completeness["category"]) != "all")
+    rows = completeness[(np.asarray(completeness["category"]) == "all") | (number <= MOST_CATEGORIES)]
+    return rows[:MOST_BARS]
+
+
+def _draw_classes(ax, completeness, kwargs):
+    """Draw a bar for each class: the fraction of its targets with each outcome."""
+    rows = _shown(completeness)
+    total, reach, assigned, observed = (
+        np.asarray(rows[name], float) for name in ("n_in_field", "n_reachable", "n_assigned", "n_observed")
+    )
+    groups = [next((k for k, name in enumerate(GROUPS) if row[name] != "all"), -1) for row in _by_name(rows)]
+    y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=groups[0]) != 0)
+    pieces = (
+        (observed, "observed", {"color": OUTCOME_COLORS[Outcome.OBSERVED]}),
+        (assigned - observed, "lost to a collision", {"color": COLLISION, "hatch": HATCH}),
+        (reach - assigned, "in reach not assigned", {"color": PATROL}),
+        (total - reach, "out of reach, or not requested", {"color": FADED, "alpha": 0.5}),
+    )
+    left, handles = np.zeros(len(rows)), []
+    style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}
+    for number, label, look in pieces:
+        part = number / np.maximum(total, 1)
+        bars = ax.barh(y, part, left=left, label=label, **{**style, **look, **kwargs})
+        handles += [bars] if number.any() else []
+        left = left + part
+    for place, done, of in zip(y, assigned, total, strict=True):
+        text = {"textcoords": "offset points", "va": "center", "fontsize": "small"}
+        ax.annotate(f"{done:.0f} of {of:.0f}", (1, place), (4, 0), xycoords=("axes fraction", "data"), **text)
+    ax.set_yticks(y, [_label_of(row) for row in _by_name(rows)], fontsize="small")
+    around = 0.6 + max(FEWEST - len(rows), 0) / 2  # a single bar is not as high as the panel
+    ax.set_ylim(y.min() - around, around)
+    ax.set_xlim(0, 1)
+    label = "fraction of the targets in the field"
+    if len(rows) < len(completeness):
+        label += f"; {len(completeness) - len(rows)} more classes are not shown"
+    ax.set_xlabel(label, fontsize="small" if len(rows) < len(completeness) else None)
+    legend_below(ax, handles, columns=2)
+
+
+GROUPS = ("category", "priority")
+
+
+def _by_name(rows):
+    return [dict(zip(rows.colnames, row, strict=True)) for row in rows.as_array().tolist()]
+
+
+def _label_of(row) -> str:
+    if row["category"] != "all":
+        return row["category"]
+    return row["kind"] if row["priority"] == "all" else f"priority {row['priority']}"
+
+
+class Series(NamedTuple):
+    """Positioners whose targets are counted together."""
+
+    label: str
+    rows: np.ndarray
+    minimum: int
+    per: str
+
+
+def _series_of(tile) -> list[Series]:
+    """Return what the requirements of a tile count, else sky and standard stars, else science targets."""
+    t = tile.table
+    asked = tile.provenance["parameters"].get("requirements") or []
+    found = [Requirement.parse(text) for text in asked if isinstance(asked, list)]
+    found = found or [Requirement("sky"), Requirement("standard")]
+    values = {name: np.asarray(t[name]) if name in t.colnames else None for name in ("kind", "category", "fiber_type")}
+
+    def counted(one):
+        rows = np.zeros(len(t), dtype=bool)
+        for name in ("kind", "category"):
+            if values[name] is not None:
+                rows |= values[name] == one.what
+        if one.fiber_type and values["fiber_type"] is not None:
+            rows &= values["fiber_type"] == one.fiber_type
+        return rows
+
+    series = []
+    for one in found[:MOST_SERIES]:
+        label = one.what + (f" ({one.fiber_type})" if one.fiber_type else "")
+        series.append(Series(label, counted(one), one.minimum, one.per))
+    series = [one for one in series if one.rows.any() or one.minimum]
+    return series or [Series("science", np.isin(np.asarray(t["status"]), ("assigned", "out_of_reach")), 0, "tile")]
+
+
+def _draw_fibers(ax, tile):
+    """Draw the number of fibers on sky and standard stars in each spectrograph, and how many are required."""
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import MaxNLocator
+
+    t, series = tile.table, _series_of(tile)
+    one = "spectrograph" not in t.colnames
+    spectrograph = np.zeros(len(t), int) if one else np.asarray(t["spectrograph"])
+    names, place = np.unique(spectrograph, return_inverse=True)
+    width, colliding = 0.8 / len(series), np.asarray(t["in_collision"])
+    handles, required, lost = [], [], None
+    for k, (label, rows, minimum, per) in enumerate(series):
+        color = ARM if label == "science" else FIBER_COLORS[k]
+        free, own = (np.bincount(place[rows & part], minlength=len(names)) for part in (~colliding, colliding))
+        x = np.arange(len(names)) + (k - (len(series) - 1) / 2) * width
+        label += f": {np.count_nonzero(rows)}"
+        in_all = minimum and per == "tile" and len(names) > 1
+        if in_all:
+            label += f" (at least {minimum} required)"
+        handles.append(ax.bar(x, free, 0.92 * width, color=color, label=label))
+        if own.any():
+            look = {"color": COLLISION, "hatch": HATCH, "edgecolor": "white", "linewidth": 0, "label": "in collision"}
+            lost = ax.bar(x, own, 0.92 * width, bottom=free, **look)
+        if minimum and not in_all:
+            ends = (x[0] - width / 2, x[0] + width / 2) if len(names) == 1 else (-0.6, len(names) - 0.4)
+            ax.hlines(minimum, *ends, colors=OUTLINE, linestyles="--", linewidths=1.2, zorder=3)
+            required.append(minimum)
+    handles += [] if lost is None else [lost]
+    if required:
+        label = "required" + ("" if len(names) == 1 else " per spectrograph")
+        handles.append(Line2D([], [], color=OUTLINE, linestyle="--", linewidth=1.2, label=label))
+    ax.set_xticks(np.arange(len(names)), [] if one else [str(name) for name in names], fontsize="small")
+    ax.set_xlabel("all positioners" if one else "spectrograph")
+    ax.set_ylabel("fibers")
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xlim(-0.6, len(names) - 0.4)
+    highest = max([*required, *(bar.get_y() + bar.get_height() for bar in ax.patches), 1])
+    ax.set_ylim(0, 1.08 * highest)
+    letters = sum(len(handle.get_label()) for handle in handles)
+    legend_below(ax, handles, columns=3 if len(handles) == 3 and letters <= LONGEST else 2)
+
+
+def _draw_histogram(ax, table, name, assigned):
+    """Draw the distribution of a column for all science targets and for those that are assigned."""
+    from matplotlib.ticker import MaxNLocator
+
+    if name is None:
+        ax.set_axis_off()
+        ax.text(0.5, 0.5, "The targets have no column of numbers.", ha="center", transform=ax.transAxes)
+        return
+    values = values_of(table, name)
+    known = np.isfinite(values)
+    levels = np.unique(values[known])
+    if len(levels) > 0 and (levels == np.rint(levels)).all() and np.ptp(levels) < MOST_VALUES:
+        edges = np.arange(levels[0], levels[-1] + 2) - 0.5
+        ax.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+    else:
+        edges = np.histogram_bin_edges(values[known], N_BINS)
+    look = {"bins": edges, "histtype": "stepfilled"}
+    handles = []
+    for rows, label, color in ((known, "available", FADED), (known & assigned, "assigned", ARM)):
+        ax.hist(values[rows], **look, facecolor=color, edgecolor="none", alpha=0.5 if rows is known else 0.9)
+        ax.hist(values[rows], **{**look, "histtype": "step"}, edgecolor=OUTLINE, linewidth=0.8)
+        handles.append(_patch(color, 0.5 if rows is known else 0.9, f"{label}: {np.count_nonzero(rows)}"))
+    if np.count_nonzero(known) > UNEVEN * max(np.count_nonzero(known & assigned), 1):
+        ax.set_yscale("log")
+        ax.set_ylim(bottom=0.7)
+    ax.set_xlabel(labeled(table, name))
+    ax.set_ylabel("science targets")
+    legend_below(ax, handles)
+
+
+def _patch(color, alpha, label):
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Patch
+
+    return Patch(facecolor=to_rgba(color, alpha), edgecolor=OUTLINE, linewidth=0.8, label=label)
+
+
+def _draw_radius(ax, table, outcome):
+    """Draw the fractions in reach and assigned in rings of equal area about the center of the focal plane."""
+    radius = np.hypot(table["x"].to_value(u.mm), table["y"].to_value(u.mm))
+    known = np.isfinite(radius)
+    radius, outcome = radius[known], outcome[known]
+    reach = np.isin(outcome, (*ASSIGNED, Outcome.IN_REACH_NOT_ASSIGNED))
+    n_rings = int(np.clip(len(radius) // FEW_PER_RING, 3, MOST_RINGS))
+    edges = radius.max(initial=0.0) * np.sqrt(np.arange(n_rings + 1) / n_rings)
+    ring = np.clip(np.searchsorted(edges, radius, side="left") - 1, 0, n_rings - 1)
+    number = np.bincount(ring, minlength=n_rings)
+    some = number > 0
+    x = np.sqrt((edges[1:] ** 2 + edges[:-1] ** 2) / 2)[some]
+    handles = []
+    for k, (rows, label, color) in enumerate(
+        ((reach, "in reach", SERIES[5]), (np.isin(outcome, ASSIGNED), "assigned", ARM))
+    ):
+        value, bars = _fraction(np.bincount(ring[rows], minlength=n_rings)[some], number[some])
+        style = {"color": color, "marker": MARKERS[1 - k], "markersize": 4, "linewidth": 1.2, "capsize": 2}
+        handles.append(ax.errorbar(x, value, bars, label=label, linestyle=":" if k == 0 else "-", **style))
+    ax.set_xlim(0, 1.03 * edges[-1] or 1.0)
+    ax.set_ylim(0, 1.05)
+    ax.set_xlabel("distance from the center of the focal plane [mm]")
+    ax.set_ylabel("fraction of science targets")
+    ax.grid(color="0.9", linewidth=0.6)
+    ax.set_axisbelow(True)
+    legend_below(ax, handles)
+
+
+def _fraction(part, whole):
+    """Return fractions, and how far the ends of their Wilson intervals of 68 % are away."""
+    n, p = np.maximum(whole, 1), part / np.maximum(whole, 1)
+    middle, half = (p + 0.5 / n) / (1 + 1 / n), np.sqrt(p * (1 - p) / n + 0.25 / n**2) / (1 + 1 / n)
+    return p, np.maximum([p - middle + half, middle + half - p], 0)

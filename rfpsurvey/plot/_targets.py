@@ -1,0 +1,184 @@
+"""The targets of a tile or of a survey on the sky, by outcome or by class."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
+from rfpsurvey.errors import InputError, InputTypeError, check_choice
+from rfpsurvey.pipeline import OUTCOMES
+from rfpsurvey.plot._axes import legend_below, new_axes
+from rfpsurvey.plot._classes import ASSIGNED, COLORINGS, draw_layers, layers_of, legend_options
+from rfpsurvey.plot._sky import radius_of
+from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, rims_of
+from rfpsurvey.survey import Survey
+from rfpsurvey.tile import Tile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["codes_of", "outcomes_of", "plot_targets"]
+
+LARGEST = 6.2  # inches: longer side of the axes
+MARGIN = 0.03  # of the extent of the targets
+ROW = 0.23  # inches, of a legend
+
+
+def plot_targets(
+    result: Tile | Survey,
+    catalog: Catalog | PartitionedCatalog | None = None,
+    *,
+    color: str = "outcome",
+    ax: "Axes | None" = None,
+    **kwargs: object,
+) -> "Axes":
+    """Draw all targets of a tile or of a survey on the sky, east to the left, by outcome or by class.
+
+    The legend has the number of targets. Of classes, assigned targets are larger dots and those that are left smaller
+    ones of the same color. The axes of a tile are offsets from its center; those of a survey are as in `plot_tiling`,
+    and circles are its fields, except on a map of the whole sky.
+
+    Parameters
+    ----------
+    result : Tile or Survey
+        What to draw. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
+    catalog : Catalog or PartitionedCatalog, optional
+        The catalog of the survey, which has the positions of its targets. A tile has its own.
+    color : {"outcome", "kind", "category", "priority"}, optional
+        What colors stand for.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default. The legend stands below the axes. Axes of the projection ``aitoff`` show
+        the whole sky.
+    **kwargs
+        Passed to the dots, for example ``s`` or ``alpha``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in deg.
+
+    Raises
+    ------
+    InputError
+        If the tile has no outcomes, the catalog is missing or another one, or it has no such column.
+
+    See Also
+    --------
+    plot_focal_plane : Targets on the focal plane, with ``targets="outcome"``.
+    plot_quality : How many targets of each class are assigned.
+    plot_tiling : The tiles of a survey on the sky.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("poisson", center, 1.4 * u.deg, density=300 / u.deg**2, rng=1)
+    >>> ax = rs.plot.plot_targets(rs.plan_tile(sky, "sdss_apo", center))
+    >>> ax.get_xlabel()
+    'east of 95.0 +23.0 [deg]'
+    """
+    check_choice(color, COLORINGS, "color")
+    if isinstance(result, Tile):
+        if catalog is not None:
+            raise InputError("a Tile has the positions of its targets: give no catalog")
+        table = outcomes_of(result)
+        coord, outcome = SkyCoord(table["ra"], table["dec"]), codes_of(table)
+        columns = {name: table[name] for name in COLORINGS[1:] if name in table.colnames}
+        sky_map, rims = SkyMap("offsets", result.center), None
+    elif isinstance(result, Survey):
+        catalog = _catalog_of(result, catalog)
+        coord, outcome = catalog.coord, np.asarray(result.outcomes["outcome"])
+        columns = {name: getattr(catalog, name) for name in COLORINGS[1:]}
+        sky_map, rims = _map_of_survey(result, ax)
+    else:
+        raise InputTypeError(f"result must be a Tile or a Survey, got {type(result).__name__}")
+    layers = layers_of(color, outcome, columns)
+    xy = sky_map.to_xy(coord.icrs)
+    labels = [layer.label for layer in layers if layer.label]
+    options = legend_options(color, labels)
+    if ax is None:
+        ax = _new_axes(sky_map, xy, rims, -(-len(labels) // options["columns"]) + 1)
+    _set_limits(ax, sky_map, xy, rims)
+    if rims is not None:
+        _draw_fields(ax, rims)
+    legend_below(ax, list(draw_layers(ax, xy, layers, kwargs, below=2.0, above=3.0)), **options)
+    name, done = result.provenance["instrument"]["name"], np.isin(outcome, ASSIGNED).sum()
+    ax.set_title(f"{name}: {done} of {len(xy)} targets assigned", pad=14 if sky_map.kind == "whole" else None)
+    return ax
+
+
+def outcomes_of(tile: Tile):
+    """Return the outcomes of a tile, or refuse one that has none."""
+    if tile.outcomes is None:
+        raise InputError("the tile must have outcomes of targets, got none: plan it, or read it from a FITS file")
+    return tile.outcomes
+
+
+def codes_of(outcomes) -> np.ndarray:
+    """Return the outcome of each target as an index of ``OUTCOMES``."""
+    text = np.asarray(outcomes["outcome"])
+    codes = np.zeros(len(text), dtype=np.uint8)
+    for k, name in enumerate(OUTCOMES):
+        codes[text == name] = k
+    return codes
+
+
+def _catalog_of(survey, catalog) -> Catalog:
+    if catalog is None:
+        raise InputError("catalog must be that of the survey, which has the positions of its targets, got None")
+    catalog = as_catalog(catalog)
+    known = survey.outcomes["target_id"]
+    if len(catalog) != len(known) or not (np.asarray(catalog.id).astype(str) == np.asarray(known).astype(str)).all():
+        raise InputError(f"catalog must have the {len(known)} targets of the survey in their order, got others")
+    return catalog
+
+
+def _map_of_survey(survey, ax):
+    """Return the map of a survey and the edges of its fields on it, None on a map of the whole sky."""
+    centers, radius = SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey)
+    whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
+    sky_map = map_of(centers, radius, whole=whole)
+    return sky_map, None if whole else sky_map.to_xy(rims_of(centers, radius))
+
+
+def _extent(xy, rims) -> tuple[np.ndarray, np.ndarray]:
+    points = xy if rims is None else np.vstack([xy, rims.reshape(-1, 2)])
+    if len(points) == 0:
+        return np.full(2, -1.0), np.full(2, 1.0)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return low, np.maximum(high, low + 1e-3)
+
+
+def _new_axes(sky_map, xy, rims, rows):
+    """Return axes in a figure of their own, with room for a legend of so many rows."""
+    below = ROW * rows
+    if sky_map.kind == "whole":
+        return new_axes(8, 4.8 + below, projection="aitoff")
+    low, high = _extent(xy, rims)
+    wide, tall = high - low
+    height = min(LARGEST * tall * sky_map.aspect / wide, LARGEST)
+    width = min(LARGEST, height * wide / (tall * sky_map.aspect))
+    ax = new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
+    ax.set_anchor("N")  # what is left of the height belongs to the legend
+    return ax
+
+
+def _set_limits(ax, sky_map, xy, rims):
+    """Label the axes, and show all targets and fields, east to the left."""
+    sky_map.label(ax)
+    if sky_map.kind == "whole":
+        return
+    low, high = _extent(xy, rims)
+    margin = MARGIN * (high - low)
+    ax.set_xlim(high[0] + margin[0], low[0] - margin[0])
+    ax.set_ylim(low[1] - margin[1], high[1] + margin[1])
+
+
+def _draw_fields(ax, rims):
+    from matplotlib.collections import LineCollection
+
+    closed = np.concatenate([rims, rims[:, :1]], axis=1)
+    ax.add_collection(LineCollection(closed, colors="0.3", linewidths=0.6 if len(rims) < 300 else 0.3, zorder=4))

@@ -1,0 +1,162 @@
+"""The panels of a tile's quality show what its tables count."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord(95, 23, unit="deg")
+N = 3000
+
+
+@pytest.fixture(scope="module")
+def sky():
+    rng = np.random.default_rng(4)
+    coord = rs.synthetic_catalog("uniform", CENTER, 2.3 * u.deg, n_targets=N, rng=1).coord
+    return rs.Catalog(
+        coord,
+        kind=rng.choice(["science", "standard"], N, p=[0.9, 0.1]),
+        category=rng.choice(["qso", "lrg"], N),
+        priority=rng.integers(1, 4, N),
+        extra={"g": rng.normal(17, 1, N) * u.mag, "name": rng.choice(["a", "b"], N)},
+    )
+
+
+@pytest.fixture(scope="module")
+def tile(presets, sky):
+    asked = rs.AllocationOptions("lamost", requirements="instrument", sky_separation=20 * u.arcsec)
+    return rs.plan_tile(sky, presets["lamost"], CENTER, allocator=asked)
+
+
+def bars(ax, label):
+    (found,) = [c for c in ax.containers if c.get_label().split(":")[0] == label]
+    return found
+
+
+def words(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_bars_are_the_fractions_of_each_class(tile):
+    ax, rows = rs.plot.plot_quality(tile)[0], tile.completeness
+    observed, lost = np.asarray(rows["n_observed"]), np.asarray(rows["n_assigned"] - rows["n_observed"])
+    waiting, rest = rows["n_reachable"] - rows["n_assigned"], rows["n_in_field"] - rows["n_reachable"]
+    for number, label in (
+        (observed, "observed"),
+        (lost, "lost to a collision"),
+        (waiting, "in reach not assigned"),
+        (rest, "out of reach, or not requested"),
+    ):
+        widths = [bar.get_width() for bar in bars(ax, label)]
+        np.testing.assert_allclose(widths, number / rows["n_in_field"], atol=1e-12)
+    assert [text.get_text() for text in ax.texts] == [f"{r['n_assigned']} of {r['n_in_field']}" for r in rows]
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    assert labels == ["science", "standard", "qso", "lrg", "priority 3", "priority 2", "priority 1"]
+
+
+def test_fibers_in_each_spectrograph_with_what_is_required(tile):
+    ax, t = rs.plot.plot_quality(tile)[1], tile.table
+    for kind, minimum in (("sky", 20), ("standard", 5)):
+        (found,) = [c for c in ax.containers if c.get_label().startswith(f"{kind}:")]
+        rows = t["kind"] == kind
+        expected = [((t["spectrograph"] == k) & rows & ~t["in_collision"]).sum() for k in range(16)]
+        assert [bar.get_height() for bar in found] == expected
+        assert found.get_label() == f"{kind}: {rows.sum()}"
+        lines = [c.get_segments()[0][0, 1] for c in ax.collections if isinstance(c, LineCollection)]
+        assert minimum in lines
+    colliding = sum(bar.get_height() for c in ax.containers if c.get_label() == "in collision" for bar in c)
+    assert colliding == (np.isin(t["kind"], ("sky", "standard")) & t["in_collision"]).sum() > 0
+    assert "required per spectrograph" in words(ax)
+
+
+def test_requirements_on_categories_and_on_the_whole_tile(presets, sky):
+    asked = rs.AllocationOptions("lamost", requirements=["qso=30", "standard=12/spectrograph"])
+    ax = rs.plot.plot_quality(rs.plan_tile(sky, presets["lamost"], CENTER, allocator=asked))[1]
+    assert any(text.startswith("qso: ") and text.endswith("(at least 30 required)") for text in words(ax))
+    assert [c.get_segments()[0][0, 1] for c in ax.collections if isinstance(c, LineCollection)] == [12]
+
+
+def test_a_tile_without_spectrographs_or_requirements(presets, sky):
+    plain = rs.plan_tile(rs.Catalog(sky.coord), presets["sdss_apo"], CENTER)
+    classes, fibers, histogram, _ = rs.plot.plot_quality(plain)
+    assert [text.get_text() for text in classes.get_yticklabels()] == ["science"]
+    (science,) = [c for c in fibers.containers if c.get_label() == f"science: {plain.summary['n_assigned']}"]
+    assert sum(p.get_height() for p in fibers.patches) == plain.summary["n_assigned"]
+    assert len(science) == len(np.unique(plain["spectrograph"])) if "spectrograph" in plain.table.colnames else 1
+    assert not histogram.axison
+
+
+@pytest.mark.parametrize(("column", "label"), [(None, "priority"), ("priority", "priority"), ("g", "g [mag]")])
+def test_histogram_of_a_column(tile, column, label):
+    ax, found = rs.plot.plot_quality(tile, column=column)[2], tile.outcomes
+    science = found["kind"] == "science"
+    assigned = science & np.isin(found["outcome"], ("observed", "lost to a collision"))
+    assert ax.get_xlabel() == label
+    assert words(ax) == [f"available: {science.sum()}", f"assigned: {assigned.sum()}"]
+    if label == "priority":
+        outlines = [p.get_xy() for p in ax.patches[::2]]
+        for outline, rows in zip(outlines, (science, assigned), strict=True):
+            counts = {(rows & (found["priority"] == k)).sum() for k in (1, 2, 3)}
+            assert set(outline[:, 1]) == {0, *counts}
+
+
+def test_fractions_against_radius(tile):
+    ax, found = rs.plot.plot_quality(tile)[3], tile.outcomes
+    found = found[found["kind"] == "science"]
+    radius = np.hypot(found["x"], found["y"]).value
+    edges = radius.max() * np.sqrt(np.arange(13) / 12)
+    ring = np.digitize(radius, edges[1:-1], right=True)
+    for container, names in zip(
+        ax.containers,
+        (("observed", "lost to a collision", "in reach not assigned"), ("observed", "lost to a collision")),
+        strict=True,
+    ):
+        x, y = container[0].get_data()
+        rows = np.isin(found["outcome"], names)
+        np.testing.assert_allclose(y, [rows[ring == k].mean() for k in range(12)])
+        assert ((x > edges[:-1]) & (x < edges[1:])).all()
+    low, high = (np.array(container[2][0].get_segments())[:, k, 1] for k in (0, 1))
+    assert ((low >= 0) & (low <= y) & (y <= high) & (high <= 1)).all()
+
+
+def test_axes_and_style_can_be_given(tile):
+    given = tuple(Figure().subplots(2, 2).ravel())
+    assert rs.plot.plot_quality(tile, axes=given, height=0.5) == given
+    assert {round(bar.get_height(), 9) for bar in given[0].patches} == {0.5}
+
+
+def test_many_classes_are_cut(presets, sky):
+    many = rs.Catalog(sky.coord, priority=np.arange(N) % 20, category=np.array([f"c{k % 30}" for k in range(N)]))
+    tile = rs.plan_tile(many, presets["lamost"], CENTER)
+    ax = rs.plot.plot_quality(tile)[0]
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    assert len(labels) == 16
+    assert "priority 19" in labels
+    assert f"{len(tile.completeness) - 16} more classes are not shown" in ax.get_xlabel()
+
+
+def test_what_cannot_be_drawn_is_refused(tile, presets):
+    scored = rs.score_tile(tile.table, presets["lamost"])
+    for arguments, message in (
+        (("lamost", {}), "tile must be a Tile, got str"),
+        ((scored, {}), "the tile must have outcomes of targets, got none"),
+        ((tile, {"column": "name"}), "column must be one of the columns of numbers priority, g, got 'name'"),
+        ((tile, {"column": "mag"}), "got 'mag'"),
+        ((tile, {"axes": ()}), "axes must be four Axes, got 0"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            rs.plot.plot_quality(arguments[0], **arguments[1])
+
+
+@pytest.mark.parametrize("kind", ["science", "sky"])
+def test_a_tile_with_one_target_is_drawn(presets, kind):
+    one = rs.Catalog(SkyCoord([95.05] * u.deg, [23.05] * u.deg), kind=[kind])
+    asked = rs.AllocationOptions("lamost", requirements=["sky=2"])
+    axes = rs.plot.plot_quality(rs.plan_tile(one, presets["moons"], CENTER, allocator=asked))
+    axes[0].figure.draw_without_rendering()
+    assert "1 of 1" in [text.get_text() for text in axes[0].texts]
+    assert len(axes[3].containers[0][0].get_xdata()) == (kind == "science")

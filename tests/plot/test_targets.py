@@ -1,0 +1,247 @@
+"""Plots of all targets of a tile or of a survey: every target is drawn once, as what became of it."""
+
+import io
+import re
+import time
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import rfpsurvey as rs
+from rfpsurvey.pipeline import OUTCOMES, Outcome
+from rfpsurvey.plot._classes import OUTCOME_COLORS
+from rfpsurvey.plot._style import ARM, SERIES
+
+CENTER = SkyCoord(95, 23, unit="deg")
+N = 1500
+SKY_SEPARATION = 20 * u.arcsec
+ASSIGNED = ("observed", "partly observed", "lost to a collision")
+
+
+@pytest.fixture(scope="module")
+def sky():
+    rng = np.random.default_rng(4)
+    coord = rs.synthetic_catalog("uniform", CENTER, 1.7 * u.deg, n_targets=N, rng=1).coord
+    return rs.Catalog(
+        coord,
+        kind=rng.choice(["science", "standard", "sky"], N, p=[0.8, 0.1, 0.1]),
+        category=rng.choice(["qso", "lrg", ""], N, p=[0.5, 0.3, 0.2]),
+        priority=rng.integers(1, 4, N),
+    )
+
+
+@pytest.fixture(scope="module")
+def tile(presets, sky):
+    asked = rs.AllocationOptions("lamost", requirements=["sky=60", "standard=15"], sky_separation=SKY_SEPARATION)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=20 * u.deg, allocator=asked)
+
+
+@pytest.fixture(scope="module")
+def science_only(presets, sky):
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+
+
+@pytest.fixture(scope="module")
+def survey(presets, sky):
+    tiles = rs.place_tiles(sky, presets["moons"], n_tiles=6)
+    return rs.plan_survey(sky, presets["moons"], tiles, visits=2)
+
+
+def layers(ax):
+    """Dots by label; those of targets that are left come after the assigned ones of their class."""
+    return {c.get_label(): c for c in ax.collections if isinstance(c, PathCollection)}
+
+
+def left_of(ax):
+    """Dots of targets that are left by their color."""
+    rest = [c for c in ax.collections if isinstance(c, PathCollection) and c.get_label() == "_left"]
+    return {to_hex(c.get_facecolor()[0]).lower(): c for c in rest}
+
+
+def words(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def places(table, rows):
+    return np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])[rows]
+
+
+@pytest.mark.parametrize("arms", [True, False])
+def test_targets_on_the_focal_plane_by_outcome(tile, arms):
+    ax, found = rs.plot.plot_focal_plane(tile, targets="outcome", arms=arms), tile.outcomes
+    drawn, known = layers(ax), np.isfinite(found["x"])
+    assert known.all()
+    for code, color in OUTCOME_COLORS.items():
+        rows = found["outcome"] == OUTCOMES[code]
+        label = f"{OUTCOMES[code]}: {rows.sum()}"
+        if not rows.any():
+            assert not [text for text in words(ax) if text.startswith(f"{OUTCOMES[code]}:")]
+            continue
+        dots = drawn[label]
+        np.testing.assert_array_equal(dots.get_offsets(), places(found, rows))
+        assert to_hex(dots.get_facecolor()[0]).lower() == color.lower()
+        assert label in words(ax)
+    # targets lost to a collision show by shape and size, too
+    lost, seen = (drawn[f"{OUTCOMES[k]}: {(found['outcome'] == OUTCOMES[k]).sum()}"] for k in (3, 1))
+    assert len(lost.get_paths()[0].vertices) != len(seen.get_paths()[0].vertices)
+    assert lost.get_sizes()[0] > seen.get_sizes()[0]
+    # everything is in view
+    low, high = np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
+    assert ((places(found, known) > low) & (places(found, known) < high)).all()
+
+
+def test_fibers_on_blank_sky_are_not_targets_of_the_catalog(tile):
+    ax, t = rs.plot.plot_focal_plane(tile, targets="outcome"), tile.table
+    blank = (t["kind"] == "sky") & ~np.isin(t["target_id"].filled(-1), tile.outcomes["target_id"])
+    assert blank.sum() > 5
+    dots = layers(ax)[f"fiber on blank sky: {blank.sum()}"]
+    np.testing.assert_allclose(dots.get_offsets(), np.column_stack([t["tip_x"].value, t["tip_y"].value])[blank])
+
+
+@pytest.mark.parametrize("color", ["kind", "category", "priority"])
+def test_targets_by_class(tile, sky, color):
+    found = tile.outcomes
+    assigned = np.isin(found["outcome"], ASSIGNED)
+    names = {"category": {"": "no category"}, "priority": {k: f"priority {k}" for k in (1, 2, 3)}}.get(color, {})
+    for ax, xy in (
+        (rs.plot.plot_focal_plane(tile, targets=color), places(found, slice(None))),
+        (rs.plot.plot_targets(tile, color=color), None),
+    ):
+        drawn, left = layers(ax), left_of(ax)
+        for value in set(found[color].tolist()):
+            rows = found[color] == value
+            label = f"{names.get(value, value)}: {(rows & assigned).sum()} of {rows.sum()}"
+            assert label in words(ax)
+            dots = drawn[label]
+            rest = left[to_hex(dots.get_facecolor()[0]).lower()]
+            assert len(dots.get_offsets()) == (rows & assigned).sum()
+            assert len(rest.get_offsets()) == (rows & ~assigned).sum()
+            assert rest.get_sizes()[0] < dots.get_sizes()[0]
+            assert rest.get_zorder() < dots.get_zorder()
+            if xy is not None:
+                np.testing.assert_array_equal(dots.get_offsets(), xy[rows & assigned])
+                np.testing.assert_array_equal(rest.get_offsets(), xy[rows & ~assigned])
+        assert "large dots: assigned" in ax.get_legend().get_title().get_text()
+
+
+def test_the_most_important_and_the_rarest_targets_are_on_top(tile):
+    """Of many targets, the last ones that were drawn hid all others: those of the lowest priority."""
+    for color, order in (("priority", ["priority 1", "priority 2", "priority 3"]), ("kind", ["science", "sky"])):
+        drawn = {label.split(":")[0]: dots for label, dots in layers(rs.plot.plot_targets(tile, color=color)).items()}
+        heights = [drawn[name].get_zorder() for name in order]
+        assert (np.diff(heights) > 0).all()
+
+
+def test_kinds_have_colors_of_their_own(science_only):
+    """Kinds had the color of their rank, so that sky was blue on a tile without standard stars."""
+    drawn = left_of(rs.plot.plot_targets(science_only, color="kind"))
+    assert set(drawn) == {color.lower() for color in (ARM, SERIES[2], SERIES[3])}
+
+
+def test_targets_that_are_not_requested_are_on_the_sky_only(science_only):
+    found = science_only.outcomes
+    n = (found["outcome"] == "not requested").sum()
+    assert n > 100
+    assert not [text for text in words(rs.plot.plot_focal_plane(science_only, targets="outcome")) if "not req" in text]
+    assert f"not requested: {n}" in words(rs.plot.plot_targets(science_only))
+
+
+def test_a_part_counts_what_it_shows(tile):
+    low, high = np.array([-60.0, -40.0]), np.array([50.0, 90.0])
+    ax, found = rs.plot.plot_focal_plane(tile, targets="outcome", region=[low, high] * u.mm), tile.outcomes
+    inside = ((places(found, slice(None)) >= low) & (places(found, slice(None)) <= high)).all(axis=1)
+    for name in set(found["outcome"][inside]):
+        assert f"{name}: {(inside & (found['outcome'] == name)).sum()}" in words(ax)
+
+
+def test_targets_of_a_tile_are_where_they_are_on_the_sky(tile):
+    ax, found = rs.plot.plot_targets(tile), tile.outcomes
+    drawn = layers(ax)
+    assert ax.get_xlim()[0] > ax.get_xlim()[1]  # east is to the left
+    for name in set(found["outcome"]):
+        rows = found["outcome"] == name
+        east, north = CENTER.spherical_offsets_to(SkyCoord(found["ra"][rows], found["dec"][rows]))
+        dots = drawn[f"{name}: {rows.sum()}"]
+        np.testing.assert_allclose(dots.get_offsets(), np.column_stack([east.deg, north.deg]), atol=2e-4)
+    assert ax.get_title() == f"sdss_apo: {np.isin(found['outcome'], ASSIGNED).sum()} of {len(found)} targets assigned"
+
+
+def test_targets_of_a_survey(survey, sky):
+    ax = rs.plot.plot_targets(survey, sky)
+    drawn, outcome = layers(ax), np.asarray(survey.outcomes["outcome"])
+    for code in np.unique(outcome):
+        rows = outcome == code
+        dots = drawn[f"{OUTCOMES[code]}: {rows.sum()}"]
+        np.testing.assert_allclose(dots.get_offsets(), np.column_stack([sky.coord.ra.deg, sky.coord.dec.deg])[rows])
+    assert Outcome.IN_NO_FIELD in outcome
+    (fields,) = [c for c in ax.collections if isinstance(c, LineCollection)]
+    assert len(fields.get_segments()) == len(survey)
+    by_kind = rs.plot.plot_targets(survey, sky, color="kind")
+    done = np.isin(outcome, [OUTCOMES.index(name) for name in ASSIGNED])
+    assert f"science: {(done & (sky.kind == 'science')).sum()} of {(sky.kind == 'science').sum()}" in words(by_kind)
+
+
+def test_a_survey_on_the_whole_sky(survey, sky):
+    ax = rs.plot.plot_targets(survey, sky, ax=Figure().add_subplot(projection="aitoff"))
+    dots = layers(ax)[f"in no field: {(survey.outcomes['outcome'] == Outcome.IN_NO_FIELD).sum()}"]
+    rows = np.asarray(survey.outcomes["outcome"]) == Outcome.IN_NO_FIELD
+    np.testing.assert_allclose(dots.get_offsets()[:, 1], sky.coord.dec.rad[rows])
+    assert not [c for c in ax.collections if isinstance(c, LineCollection)]
+
+
+def test_axes_and_style_can_be_given(tile):
+    ax = Figure().add_subplot()
+    assert rs.plot.plot_targets(tile, ax=ax, alpha=0.3) is ax
+    assert {c.get_alpha() for c in ax.collections} == {0.3}
+
+
+def test_a_tile_with_one_target_is_drawn(presets):
+    one = rs.plan_tile(SkyCoord([95.05] * u.deg, [23.05] * u.deg), presets["moons"], CENTER)
+    ax = rs.plot.plot_targets(one)
+    assert ax.get_title() == "moons: 1 of 1 targets assigned"
+    assert words(ax) == ["observed: 1"]
+    assert words(rs.plot.plot_focal_plane(one, targets="kind"))[-1] == "science: 1 of 1"
+
+
+def test_what_cannot_be_drawn_is_refused(tile, survey, sky, presets):
+    bare = rs.plan_tile(rs.Catalog(sky.coord), presets["moons"], CENTER)
+    scored = rs.score_tile(bare.table, presets["moons"])
+    for call, message in (
+        (lambda: rs.plot.plot_targets("lamost"), "result must be a Tile or a Survey, got str"),
+        (lambda: rs.plot.plot_targets(tile, color="outcomes"), "unknown color 'outcomes'.* Did you mean 'outcome'"),
+        (lambda: rs.plot.plot_targets(tile, sky), "give no catalog"),
+        (lambda: rs.plot.plot_targets(scored), "the tile must have outcomes of targets, got none"),
+        (lambda: rs.plot.plot_targets(bare, color="priority"), "targets have no priority"),
+        (lambda: rs.plot.plot_targets(survey), "catalog must be that of the survey"),
+        (lambda: rs.plot.plot_targets(survey, sky[:-1]), "catalog must have the 1500 targets of the survey"),
+        (lambda: rs.plot.plot_targets(survey, sky[::-1]), "catalog must have the 1500 targets of the survey"),
+        (lambda: rs.plot.plot_focal_plane(tile, targets="all"), "unknown targets 'all'"),
+        (
+            lambda: rs.plot.plot_focal_plane("lamost", targets="kind"),
+            "thing must be a Tile to draw its targets by kind",
+        ),
+        (lambda: rs.plot.plot_focal_plane(scored, targets="kind"), "the tile must have outcomes of targets, got none"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            call()
+
+
+def test_a_hundred_thousand_targets_are_quick_and_an_image_in_files_of_vectors(presets):
+    desi, n = presets["desi"], 100_000
+    sky = rs.synthetic_catalog("uniform", CENTER, desi.field_radius, n_targets=n, rng=1)
+    tile = rs.plan_tile(sky, desi, CENTER, allocator="balanced")
+    start = time.perf_counter()
+    ax = rs.plot.plot_focal_plane(tile, targets="outcome")
+    rs.plot.plot_targets(tile).figure.savefig(io.BytesIO(), format="png", dpi=100)
+    assert time.perf_counter() - start < 30
+    counted = [re.fullmatch(r"[a-z ]+: (\d+)", text) for text in words(ax)]
+    assert sum(int(found[1]) for found in counted if found) == n
+    assert sum(len(c.get_offsets()) for c in ax.collections if isinstance(c, PathCollection)) == n
+    file = io.BytesIO()
+    rs.plot.plot_targets(tile).figure.savefig(file, format="svg", dpi=100)
+    assert len(file.getvalue()) < 2_000_000
