@@ -73,7 +73,8 @@ def place_tiles(
         positioners that are not disabled or stuck.
     allocator : AllocationOptions or str or callable, optional
         Let the positioners of the instrument decide what a tile observes, see `AllocationOptions`; what is
-        assigned counts, also where arms collide (``repair`` leaves no collisions).
+        assigned counts, also where arms collide (``repair`` leaves no collisions). Required targets come first in each
+        tile; circles that no arm may cover are obstacles of each tile.
     radius : Quantity, optional
         Angular radius of a tile, instead of the instrument's.
     position_angle : Quantity, optional

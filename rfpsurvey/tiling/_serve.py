@@ -11,7 +11,7 @@ from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.errors import refusal
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import FieldTargets, assign_field
+from rfpsurvey.pipeline import FieldTargets, assign_field, mark_required
 from rfpsurvey.tiling._tiling import to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
@@ -144,6 +144,7 @@ class FocalPlaneFibers:
         self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
         self.angle, self.rng = float(position_angle.to_value(u.rad)), rng
         columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
+        columns["is_required"] = mark_required(options.required, [catalog.id])
         self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
 
     def __call__(self, center, near, state):
@@ -156,7 +157,9 @@ class FocalPlaneFibers:
         allocation = assign_field(self.instrument, plane, targets, self.options, self.rng)
         served = np.flatnonzero(allocation.positioner_of_target[: len(near)] >= 0)
         if len(served) > self.fibers:
-            order = served if priority is None else served[np.argsort(-priority[served], kind="stable")]
+            keys = [np.zeros(len(near)) if priority is None else -priority]
+            keys += [] if columns["is_required"] is None else [~columns["is_required"]]
+            order = served[np.lexsort([key[served] for key in keys])]
             served = np.sort(order[: self.fibers])
         return near[served]
 
