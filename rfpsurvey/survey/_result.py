@@ -88,19 +88,23 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_unmet": total["n_unmet"],
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
-        "unmet": _unmet(request, missed, why),
+        "unmet": _unmet(request.source, missed, why),
         "model": model_sentence(request.instrument),
     }
 
 
-def _unmet(request, missed: np.ndarray, why: np.ndarray) -> list[str]:
-    """Return a sentence for each outcome of required targets that were never observed."""
+def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
+    """Return a sentence for each outcome of required targets (by slot) that were never observed."""
     if len(missed) == 0:
         return []
-    ids = request.source.ids_of(missed)
+    code = np.full(len(source), len(OUTCOMES), dtype=np.uint8)
+    code[missed] = why
+    code = source.by_row(code)
+    rows = np.flatnonzero(code < len(OUTCOMES))
+    ids, code = source.ids_of(rows), code[rows]
     return [
-        f"required targets never observed, {OUTCOMES[code]}: {brief(tuple(ids[why == code].tolist()))}"
-        for code in np.unique(why).tolist()
+        f"required targets never observed, {OUTCOMES[k]}: {brief(tuple(ids[code == k].tolist()))}"
+        for k in np.unique(code).tolist()
     ]
 
 
