@@ -111,6 +111,25 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     assert "holds another survey: keep_out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
 
 
+@pytest.mark.parametrize("command", ["plan", "compare-allocators"])
+def test_one_tile_has_the_same_words(call, files, tmp_path, command):
+    folder, sky, _ = files
+    words = ["--instrument", "moons", "--center", "95 23", "--required", 9, "--keep-out", "95,23.05,0.02"]
+    words += ["--allocator", "lamost", "--output", tmp_path / "out.ecsv"]
+    call(command, folder / "stars.fits", *words)
+    options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator=options)
+    assert tile.summary["n_obstacle_collisions"] > 0
+    if command == "plan":
+        found = rs.Tile.read(tmp_path / "out.ecsv")
+        assert found.table["target_id"].tolist() == tile.table["target_id"].tolist()
+        assert found.provenance["parameters"]["required"] == ["9"]
+        assert found.provenance["parameters"]["keep_out"] == ["cap 95.0 23.05 0.02"]
+    else:
+        found = QTable.read(tmp_path / "out.ecsv")
+        assert found["at_obstacles"].tolist() == [tile.summary["n_obstacle_collisions"]]
+
+
 def test_a_folder_of_partitions(call, files, tmp_path):
     folder, sky, _ = files
     rs.partition_catalog(sky, tmp_path / "parts")
