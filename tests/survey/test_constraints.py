@@ -224,16 +224,17 @@ def test_a_circle_is_recorded_as_region_reads_it(circles):
         assert np.allclose(rs.Region.parse(text).values, circle.values, rtol=0, atol=1e-15)
 
 
-def test_place_tiles_has_both(sky, small, circles):
-    """With one fiber per tile only required targets are observed; circles cost targets."""
-    chosen = np.argsort(sky.coord.separation(CENTER))[:3].tolist()
-    centers = CENTER.reshape(1)
-    plain = rs.Catalog(sky.coord, priority=sky.priority)
-    options = {"centers": centers, "radius": small.field_radius, "n_tiles": 1, "method": "max_density"}
+def test_place_tiles_has_both():
+    """The arm to a required target is in the way of another; a circle leaves a positioner without a target."""
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm))
+    two = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
+    stars = rs.Catalog(two.projection(CENTER).to_sky([[-2, 0], [3.9, 0], [4.1, 0]] * u.mm), id=["own", "left", "right"])
+    options = {"centers": CENTER.reshape(1), "n_tiles": 1, "method": "max_density"}
 
     def served(**more):
         allocator = rs.AllocationOptions("optimal", **more)
-        return rs.place_tiles(plain, small, **options, allocator=allocator).table["n_new"].sum()
+        return rs.place_tiles(stars, two, **options, allocator=allocator).table["n_new"].tolist()
 
-    wide = [rs.Region.cap(circle_center, 0.1 * u.deg) for circle_center in sky.coord[chosen]]
-    assert served(keep_out=wide) < served() == served(required=chosen)
+    assert served() == served(required=["own", "right"]) == [2]
+    assert served(required=["left"]) == [1]
+    assert served(keep_out=rs.Region.cap(stars.coord[2], 0.01 * u.deg)) == [1]
