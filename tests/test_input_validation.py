@@ -16,6 +16,7 @@ from scenes import few
 MM, DEG = u.mm, u.deg
 CENTER = SkyCoord(95, 23, unit="deg")
 TWO = SkyCoord([95, 96] * DEG, [23, 23] * DEG)
+CIRCLE = rs.Region.parse("cap 1 2 0.5")
 ROBOT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
 PLANE = rs.FocalPlane([[0, 0], [25.6, 0], [0, 25.6]] * MM, ROBOT)
 TYPED = replace(PLANE, fiber_type=["A", "B", "A+B"])
@@ -98,6 +99,40 @@ CALLS = {
     "an Allocation or Arms have their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
     "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
     "required must hold numbers or text, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
+    "required must hold ids of targets, integers or text, got truth values": lambda: rs.AllocationOptions(
+        required=[True, False]
+    ),
+    "required must hold ids of targets in one row, got the shape (1, 2)": lambda: rs.AllocationOptions(
+        required=[[1, 2]]
+    ),
+    "required must be integers or text for every row, got numbers such as 1.5": lambda: rs.AllocationOptions(
+        required=1.5
+    ),
+    "ids of required targets need a catalog, as plan_tile has, got 4, 5 (2 in all); allocate takes": lambda: (
+        rs.allocate(PLANE, XY, allocator=rs.AllocationOptions(required=[4, 5]))
+    ),
+    "keep_out needs a sky, as plan_tile has, got 1 circles; allocate takes obstacles": lambda: rs.allocate(
+        PLANE, XY, allocator=rs.AllocationOptions(keep_out=CIRCLE)
+    ),
+    "required must hold ids of the catalog, got 7 (1 of 2)": lambda: rs.plan_tile(
+        rs.Catalog(TWO), "moons", CENTER, allocator=rs.AllocationOptions(required=["1", "7"])
+    ),
+    "required must hold ids of the catalog, got 01 (1 of 1)": lambda: rs.plan_survey(
+        rs.Catalog(TWO), "moons", TWO, allocator=rs.AllocationOptions(required="01")
+    ),
+    "required must hold ids of the catalog, got star (1 of 1)": lambda: rs.place_tiles(
+        rs.Catalog(TWO), "moons", method="max_density", allocator=rs.AllocationOptions(required="star")
+    ),
+    "required targets need a catalog, got a synthetic sky of the kind 'poisson'": lambda: rs.compare_instruments(
+        "poisson", ["moons"], options=rs.AllocationOptions(required=3)
+    ),
+    "allocator must have no required targets and no keep_out": lambda: rs.collision_probability(
+        PLANE, allocator=rs.AllocationOptions(keep_out=[CIRCLE])
+    ),
+    "keep_out must be circles made by Region.cap, one or a list, got dict": lambda: rs.AllocationOptions(keep_out={}),
+    "keep_out must be circles made by Region.cap, one or a list, got <Region polygon": lambda: rs.AllocationOptions(
+        keep_out=[CIRCLE, rs.Region.parse("polygon 1 1 2 1 2 2")]
+    ),
     "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
         PLANE, XY, forbidden=[[0], [1, 2]]
     ),

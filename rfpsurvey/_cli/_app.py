@@ -179,8 +179,27 @@ def targets_and_center(path, center, model, seed, column, unit, frame, fill, kee
     return as_catalog(read_catalog(path, column, unit, frame, fill, keep)), field
 
 
+def _parse_circle(text: str) -> "rs.Region":
+    """Return a circle from text such as "95.0,23.0,0.01" (degrees), with or without the word cap before it."""
+    words = text.replace(",", " ").split()
+    try:
+        return rs.Region.parse(" ".join(words if words[:1] == ["cap"] else ["cap", *words]))
+    except rs.InputError as error:
+        raise rs.InputError(
+            f"--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got {text!r} ({error})"
+        ) from None
+
+
 def allocation_options(
-    allocator: str, require, sky_separation: float | None, time_limit: float, *, objective="priority", parked=True
+    allocator: str,
+    require,
+    sky_separation: float | None,
+    time_limit: float,
+    *,
+    objective="priority",
+    parked=True,
+    required: list[str] | None = None,
+    keep_out: list[str] | None = None,
 ) -> "rs.AllocationOptions":
     """Return the options of an allocation that options of a command stand for."""
     own = require is not None and "instrument" in require
@@ -195,6 +214,8 @@ def allocation_options(
         objective=objective,
         time_limit=time_limit * u.s,
         parked_obstacles=parked,
+        required=required,
+        keep_out=[_parse_circle(text) for text in keep_out or []],
     )
 
 

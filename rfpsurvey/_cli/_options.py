@@ -31,6 +31,10 @@ RequireOption = Annotated[
     typer.Option(help="What the tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."),
 ]
 RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
+KeepOutOption = Annotated[
+    list[str] | None,
+    typer.Option(help="Circle that no arm may cover, as 95.0,23.0,0.01: RA,DEC,RADIUS, deg, ICRS. May be repeated."),
+]
 SkyOption = Annotated[float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.")]
 ObjectiveOption = Annotated[
     str, typer.Option(help="sdss, optimal: priority (class after class), or count (their number first).")
@@ -196,6 +200,7 @@ Examples:
   rfpsurvey plan stars.fits --keep mag --plot tile.png --targets outcome --quality quality.png
   rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
   rfpsurvey plan stars.fits --allocator optimal --require instrument --sky-separation 10
+  rfpsurvey plan stars.fits --allocator optimal --required 4711 --required 4712 --keep-out 95.0,23.1,0.01
 """
 
 COMPARE_ALLOCATORS_EXAMPLES = """\b
@@ -244,6 +249,7 @@ Examples:
   rfpsurvey survey
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --report plan.html
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --resume
+  rfpsurvey survey stars.fits --allocator repair --required 4711 --keep-out 95.0,23.1,0.01 --keep-out 95.4,22.8,0.02
   rfpsurvey survey hats_catalog --tiles tiles.ecsv --instrument desi --scheduler tcp://10.0.0.1:8786 --folder plan
 """
 

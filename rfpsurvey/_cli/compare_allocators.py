@@ -23,6 +23,7 @@ def compare_allocators(
     allocator: Annotated[list[str] | None, typer.Option(help="Only these; may be given several times.")] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
+    keep_out: _options.KeepOutOption = None,
     sky_separation: _options.SkyOption = None,
     objective: _options.ObjectiveOption = "priority",
     time_limit: _options.TimeLimitOption = 60.0,
@@ -41,7 +42,16 @@ def compare_allocators(
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
-    options = _app.allocation_options("lamost", require, sky_separation, time_limit, objective=objective, parked=parked)
+    options = _app.allocation_options(
+        "lamost",
+        require,
+        sky_separation,
+        time_limit,
+        objective=objective,
+        parked=parked,
+        required=required,
+        keep_out=keep_out,
+    )
     table = rs.compare_allocators(
         targets,
         model,
@@ -50,7 +60,6 @@ def compare_allocators(
         options=options,
         position_angle=pa * u.deg,
         epoch=epoch,
-        required=required or None,
         rng=seed,
     )
     _app.finish_comparison(table, output, plot, report, overwrite=overwrite)

@@ -19,6 +19,7 @@ def plan(
     allocator: _options.AllocatorOption = "lamost",
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
+    keep_out: _options.KeepOutOption = None,
     sky_separation: _options.SkyOption = None,
     objective: _options.ObjectiveOption = "priority",
     time_limit: _options.TimeLimitOption = 60.0,
@@ -45,7 +46,14 @@ def plan(
         field = sky.mean_direction
     _app.check_targets(targets, plot, sky)
     options = _app.allocation_options(
-        allocator, require, sky_separation, time_limit, objective=objective, parked=parked
+        allocator,
+        require,
+        sky_separation,
+        time_limit,
+        objective=objective,
+        parked=parked,
+        required=required,
+        keep_out=keep_out,
     )
     tile = rs.plan_tile(
         sky,
@@ -54,7 +62,6 @@ def plan(
         position_angle=pa * u.deg,
         epoch=epoch,
         allocator=options,
-        required=required or None,
         rng=seed,
     )
     _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)

@@ -14,6 +14,8 @@ def survey(
     passes: _options.SomePassesOption = None,
     epoch: _options.EpochOption = None,
     require: _options.RequireOption = None,
+    required: _options.RequiredOption = None,
+    keep_out: _options.KeepOutOption = None,
     sky_separation: _options.SkyOption = None,
     time_limit: _options.TimeLimitOption = 60.0,
     parked: _options.ParkedOption = True,
@@ -39,7 +41,9 @@ def survey(
     model = as_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
-        "allocator": _app.allocation_options(allocator, require, sky_separation, time_limit, parked=parked),
+        "allocator": _app.allocation_options(
+            allocator, require, sky_separation, time_limit, parked=parked, required=required, keep_out=keep_out
+        ),
         "visits": visits,
         "passes": passes,
         "epoch": epoch,

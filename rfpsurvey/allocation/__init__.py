@@ -2,6 +2,7 @@
 
 from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._constraints import brief
 from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
@@ -22,6 +23,7 @@ __all__ = [
     "as_options",
     "as_requirements",
     "assign",
+    "brief",
     "hint_of_name",
     "packages",
     "sentences",

@@ -62,7 +62,7 @@ def allocate(
     category : array_like of str, shape (n_targets,), optional
         Names that requirements refer to, such as ``sky_boss``.
     required : array_like of int, shape (k,), optional
-        Rows of targets that come before everything else (``sdss``, ``optimal``).
+        Rows of targets that come before everything else, as `AllocationOptions` has their ids.
     forbidden : array_like of int, shape (k, 2), optional
         Pairs (positioner, target), by row, that must not be.
     avoid : Quantity, shape (k, 2), optional

@@ -28,7 +28,8 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
     """Closest pairs first, class after class."""
-    indptr, target, r2, _ = _best(problem, problem.only(problem.science))
+    reach, rank, _ = _in_order(problem)
+    indptr, target, r2, _ = _best(problem, reach, rank)
     m = len(problem.rank)
     target_of = np.empty(len(indptr) - 1, dtype=np.int64)
     kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
@@ -37,14 +38,12 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
     """Nomination of the nearest target, class after class; then what the requirements ask for."""
-    reach = problem.only(problem.science)
-    indptr, target, r2, in_reach = _best(problem, reach)
+    reach, rank, n_ranks = _in_order(problem)
+    indptr, target, r2, in_reach = _best(problem, reach, rank)
     n, m = reach.n_positioners, len(problem.rank)
     target_of, owner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     scratch = (in_reach, np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
-    kernels.nominate(
-        indptr, target, r2, problem.rank, len(problem.classes), reach.indptr, reach.owner, *scratch, target_of, owner_of
-    )
+    kernels.nominate(indptr, target, r2, rank, n_ranks, reach.indptr, reach.owner, *scratch, target_of, owner_of)
     target_of = _with_watched(problem, target_of)
     _fill_quotas(problem, target_of, owner_of)
     return AllocationAnswer(target_of)
@@ -97,7 +96,18 @@ def _bounded(problem, target_of, blind):
     return levels
 
 
-def _best(problem, reach):
+def _in_order(problem):
+    """Return the pairs that are assigned by class, the class of each target, and how many classes there are.
+
+    Required targets, of whatever kind, are a class before all others.
+    """
+    if not problem.any_required:
+        return problem.only(problem.science), problem.rank, len(problem.classes)
+    rank = np.where(problem.is_required, 0, problem.rank + 1)
+    return problem.only(problem.science | problem.is_required), rank, len(problem.classes) + 1
+
+
+def _best(problem, reach, rank):
     """Return the candidates of each positioner by class, then distance, and how many targets it reaches.
 
     Only positioners that share a target with it can take one away, at most one each. A positioner therefore ends with
@@ -107,7 +117,7 @@ def _best(problem, reach):
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
     target, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
     count = np.empty(reach.n_positioners, dtype=np.int64)
-    kernels.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, indptr, count, target, r2)
+    kernels.list_best(reach.indptr, reach.owner, reach.r2, rank, indptr, count, target, r2)
     return indptr, target, r2, in_reach
 
 
@@ -124,6 +134,7 @@ def _fill_quotas(problem, target_of, owner_of):
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used
     locked = ~plane.arrays.usable
+    locked[used] |= problem.is_required[target_of[used]]
     for one in problem.requirements:
         groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
         if not groups:

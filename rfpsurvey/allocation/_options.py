@@ -5,9 +5,11 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 
 import astropy.units as u
+import numpy as np
 
 from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
+from rfpsurvey.allocation._constraints import as_keep_out, as_required, brief, circle_text, recorded
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
 from rfpsurvey.errors import (
     InputError,
@@ -20,6 +22,7 @@ from rfpsurvey.errors import (
     short,
     warn,
 )
+from rfpsurvey.region import Region
 
 __all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
 
@@ -32,6 +35,8 @@ ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
 GROUP = "rfpsurvey.allocators"
 """Entry points by which packages add allocators."""
+# Values of one option that a representation lists.
+MOST_SHOWN = 20
 
 
 @check_keywords
@@ -80,11 +85,21 @@ class AllocationOptions:
         ``repair``).
     parked_obstacles : bool, optional
         Whether idle equal-arm positioners are obstacles.
+    required : array_like of int or str, optional
+        Ids of targets that come before everything else, science targets or others. ``nearest`` and ``lamost`` assign
+        them as a class before all classes, ``sdss`` and ``optimal`` as many as possible, ``repair`` as far as its moves
+        find a place for them; ``balanced`` does not distinguish them. Those without a fiber are reported. `allocate`
+        takes rows of targets in their place.
+    keep_out : Region or list of Region, optional
+        Circles made by `Region.cap` that no arm may cover, such as the light of bright stars. In each field, those
+        that an arm can touch are obstacles: ``optimal`` and ``repair`` avoid them, for other allocators the arms that
+        cover them are counted. The radius on the focal plane is that at the plate scale of the field center; a circle
+        whose center has no image on the focal plane is left out.
 
     Raises
     ------
     InputError
-        If a name is unknown, a requirement has another form, or a number is impossible.
+        If a name is unknown, a requirement has another form, a number is impossible, or ``keep_out`` is no circle.
 
     References
     ----------
@@ -96,6 +111,8 @@ class AllocationOptions:
     >>> import rfpsurvey as rs
     >>> rs.AllocationOptions("optimal", requirements="sky=20/spectrograph").requirements
     (Requirement('sky=20/spectrograph'),)
+    >>> rs.AllocationOptions(required=["star 7"], keep_out=rs.Region.parse("cap 95 23 0.5")).record["keep_out"]
+    ['cap 95.0 23.0 0.5']
     """
 
     allocator: str | Callable = "lamost"
@@ -105,6 +122,8 @@ class AllocationOptions:
     time_limit: u.Quantity = field(default=60 * u.s)
     start: object = "lamost"
     parked_obstacles: bool = True
+    required: np.ndarray | list | tuple | int | str | None = ()
+    keep_out: tuple[Region, ...] | list[Region] | Region | None = ()
 
     def __post_init__(self):
         check_allocator(self.allocator)
@@ -124,11 +143,13 @@ class AllocationOptions:
         if not self._of_instrument:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
         object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
+        object.__setattr__(self, "required", as_required(self.required))
+        object.__setattr__(self, "keep_out", as_keep_out(self.keep_out))
 
     def __repr__(self):
         given = {f.name: getattr(self, f.name) for f in fields(self)[1:]}
         usual = {f.name: f.default if f.default_factory is MISSING else f.default_factory() for f in fields(self)[1:]}
-        changed = [f"{name}={value!r}" for name, value in given.items() if value != usual[name]]
+        changed = [f"{name}={_shown(value)}" for name, value in given.items() if value != usual[name]]
         return f"AllocationOptions({', '.join([repr(self.name), *changed])})"
 
     @property
@@ -157,6 +178,11 @@ class AllocationOptions:
         return name_of(self.allocator)
 
     @cached_property
+    def circles(self) -> np.ndarray:
+        """Unit vectors of the centers of ``keep_out`` and radii in radians, shape (n, 4)."""
+        return np.reshape([region.values for region in self.keep_out], (-1, 4))
+
+    @cached_property
     def seconds(self) -> float:
         """The time limit in seconds."""
         return float(self.time_limit.to_value(u.s))
@@ -177,12 +203,23 @@ class AllocationOptions:
         Raises
         ------
         InputError
-            If requirements of the instrument, or an angle, are asked for and no instrument is given.
+            If requirements of the instrument, an angle, identifiers or circles on the sky are asked for and no
+            instrument is given.
         """
         requirements, separation = self.requirements, self.sky_separation
         if instrument is None and (self._of_instrument or _is_angle(separation)):
             given = "requirements='instrument'" if self._of_instrument else f"sky_separation={separation}"
             raise InputError(f"{given} needs an instrument, as plan_tile has; allocate takes lengths and requirements")
+        if instrument is None and self.required:
+            raise InputError(
+                f"ids of required targets need a catalog, as plan_tile has, got {brief(self.required)}; allocate takes "
+                "rows of targets as its own required="
+            )
+        if instrument is None and self.keep_out:
+            raise InputError(
+                f"keep_out needs a sky, as plan_tile has, got {len(self.keep_out)} circles; allocate takes obstacles "
+                "of the focal plane"
+            )
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
@@ -212,6 +249,8 @@ class AllocationOptions:
             "time_limit_s": self.seconds,
             "start": self.start if isinstance(self.start, str) else "an allocation",
             "parked_obstacles": self.parked_obstacles,
+            "required": recorded([str(name) for name in self.required]),
+            "keep_out": recorded([circle_text(region) for region in self.keep_out]),
         }
 
 
@@ -224,6 +263,11 @@ def check_allocator(given: object, known=ALLOCATORS, what: str = "allocator") ->
     """Refuse what is neither a built-in allocator, nor one of a package, nor a function."""
     if not (isinstance(given, str) and given in known):
         find_function(GROUP, given, known, what)
+
+
+def _shown(value: object) -> str:
+    """Return the text of a value; of many values, the first ones."""
+    return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
 
 
 def _asks_for_sky(requirements) -> bool:

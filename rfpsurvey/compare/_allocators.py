@@ -46,7 +46,8 @@ def compare_allocators(
     allocators : list of str or callable, optional
         Allocators, see `AllocationOptions`; by default all built-in ones.
     options : AllocationOptions, optional
-        Options of every plan, such as requirements; its allocator is replaced by each of ``allocators``.
+        Options of every plan, such as requirements, required targets and circles that no arm may cover; its allocator
+        is replaced by each of ``allocators``.
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 

@@ -111,7 +111,8 @@ def compare_instruments(
     density : Quantity, optional
         Synthetic targets per solid angle instead, the same for all instruments.
     options : AllocationOptions, optional
-        Options of every plan, such as requirements; its allocator is replaced by each of ``allocators``.
+        Options of every plan, such as requirements, required targets of a catalog and circles that no arm may cover;
+        its allocator is replaced by each of ``allocators``.
     n_realizations : int, optional
         Synthetic skies of each instrument; 4 by default. A catalog is one for each center.
     rng : int, Generator or None, optional
@@ -175,6 +176,8 @@ def compare_instruments(
         raise InputError("give targets_per_positioner or density, not both")
     if isinstance(catalog, str):
         check_choice(catalog, SYNTHETIC, "kind of synthetic sky")
+        if methods[0].required:
+            raise InputError(f"required targets need a catalog, got a synthetic sky of the kind {catalog!r}")
         each = 1.0 if targets_per_positioner is None else targets_per_positioner
         if density is not None:
             to_scalar(density, u.deg**-2, "density", low=0)

@@ -11,6 +11,7 @@ from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, a
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline._blank_sky import BlankIds
+from rfpsurvey.pipeline._constraints import with_keep_out
 from rfpsurvey.projection import FieldProjection
 
 __all__ = ["FieldPlan", "FieldTargets", "assign_field", "field_radius_rad", "plan_field", "project_field"]
@@ -33,6 +34,8 @@ class FieldTargets(NamedTuple):
 class FieldPlan(NamedTuple):
     """The plan of a field. Columns named after positioners in use have a row for each of them, ascending."""
 
+    instrument: Instrument
+    """The instrument, with the circles that no arm may cover as obstacles."""
     allocation: Allocation
     arms: Arms
     report: CollisionReport
@@ -80,6 +83,11 @@ def assign_field(
     rng: np.random.Generator,
 ) -> Allocation:
     """Project the targets of a field and assign them to positioners: the first half of `plan_field`."""
+    return _assign(with_keep_out(instrument, projection, options), projection, targets, options, rng)
+
+
+def _assign(instrument, projection, targets, options, rng) -> Allocation:
+    """Assign the targets of a field to the positioners of an instrument whose obstacles are those of the field."""
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
@@ -98,7 +106,7 @@ def plan_field(
     rng: np.random.Generator,
     blank: BlankIds | None = None,
 ) -> FieldPlan:
-    """Plan a field: assign its targets, place the arms, and find the arms that collide.
+    """Plan a field: make circles obstacles, assign targets, place the arms, and find the arms that collide.
 
     Parameters
     ----------
@@ -120,7 +128,8 @@ def plan_field(
     FieldPlan
         The plan.
     """
-    allocation = assign_field(instrument, projection, targets, options, rng)
+    instrument = with_keep_out(instrument, projection, options)
+    allocation = _assign(instrument, projection, targets, options, rng)
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
@@ -144,7 +153,8 @@ def plan_field(
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: _values_at(values, target) for name, values in columns.items() if values is not None}
-    return FieldPlan(allocation, arms, report, positioner, target, ids, lon % (2 * np.pi), lat, kind, carried, seconds)
+    lon %= 2 * np.pi
+    return FieldPlan(instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds)
 
 
 def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -220,11 +220,16 @@ def _check_options_of_method(name, *, density, variant, interval, center, target
 
 
 def _check_science_only(options):
-    """Refuse options of an allocation that concern targets other than science targets."""
+    """Refuse options of an allocation that concern a catalog, or targets other than science targets."""
     if options.requirements or options.sky_separation is not None:
         raise InputError(
             f"allocator must have no requirements and no sky_separation, since all targets of a collision probability "
             f"are science targets, got {options!r}"
+        )
+    if options.required or options.keep_out:
+        raise InputError(
+            f"allocator must have no required targets and no keep_out, since a collision probability is that of random "
+            f"configurations, not of one field, got {options!r}"
         )
 
 

@@ -53,7 +53,13 @@ KINDS = {"science": "to science targets", "standard": "to standard stars", "sky"
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
 
 
-ZERO_IS_LEFT_OUT = ("  to standard stars", "  to sky", "requirements not met, all tiles")
+ZERO_IS_LEFT_OUT = (
+    "  to standard stars",
+    "  to sky",
+    "requirements not met, all tiles",
+    "required targets",
+    "  never observed",
+)
 
 
 def tile_facts(tile: Tile) -> dict:
@@ -112,6 +118,8 @@ def survey_facts(survey: Survey) -> dict:
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
         "requirements not met, all tiles": s["n_unmet"],
+        "required targets": s.get("n_required", 0),
+        "  never observed": s.get("n_required", 0) - s.get("n_required_observed", 0),
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}

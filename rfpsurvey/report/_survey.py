@@ -1,7 +1,7 @@
 """The pages of surveys and tilings."""
 
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_tiling
-from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section
+from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import TILING, survey_facts, tiling_facts
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
@@ -34,6 +34,8 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section("Tiles", [Rows("The tiles of the survey, in the order of the tiling.", survey.tiles, where)]),
     ]
+    if s.get("unmet"):
+        sections.insert(1, Section("Required targets", [Text(list(s["unmet"]))]))
     visits = f"{s['n_visits_observed']} of {s['n_visits_wanted']} visits"
     lead = f"{visits} to {s['n_targets']} targets on {s['n_tiles']} tiles."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)

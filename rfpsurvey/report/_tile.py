@@ -105,6 +105,8 @@ def _asked(tile) -> dict:
     asked["requirements"] = p.get("requirements") or "none"
     if p.get("required"):
         asked["required targets"] = p["required"]
+    if p.get("keep_out"):
+        asked["circles that no arm may cover"] = p["keep_out"]
     if p.get("sky_separation_mm"):
         asked["blank sky, away from all targets"] = f"{p['sky_separation_mm']:.4g} mm"
     if p["allocator"] in ("sdss", "optimal"):

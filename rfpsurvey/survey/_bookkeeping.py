@@ -7,7 +7,7 @@ from rfpsurvey.survey._source import Field
 
 __all__ = ["Bookkeeping", "Tally"]
 
-SEEN, REACHED, LOST = 1, 2, 4
+SEEN, REACHED, LOST, DONE = 1, 2, 4, 8
 
 
 class Tally:
@@ -39,16 +39,28 @@ class Tally:
 
 
 class Bookkeeping:
-    """Counts visits by slot; the order in which tiles that share no target are entered does not matter."""
+    """Counts visits by slot; the order in which tiles that share no target are entered does not matter.
 
-    def __init__(self, visits, priority, kind, category, *, n_passes: int, use_others: bool, in_turn: bool):
+    Parameters
+    ----------
+    visits, priority, kind, category : ndarray or None
+        Columns of the targets, by slot.
+    n_passes : int
+        Number of passes.
+    others : bool or ndarray of bool, or None
+        Which targets that are no science targets are in use; None: none of them.
+    in_turn : bool
+        Whether passes come one after the other.
+    """
+
+    def __init__(self, visits, priority, kind, category, *, n_passes: int, others, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # sky and standards are there for every tile that asks for them
         self.left = self.wanted.copy()
         self._spend = None
-        if science is not None and use_others:
-            self.left[~science] = 1
+        if science is not None and others is not None:
+            self.left[~science & others] = 1
             self._spend = science
         self.flags = np.zeros(len(visits), dtype=np.uint8)
         self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
@@ -67,6 +79,7 @@ class Bookkeeping:
         slot, observed = slot[slot >= 0], observed[slot >= 0]
         self.flags[slot[~observed]] |= LOST
         slot = slot[observed]
+        self.flags[slot] |= DONE
         if self._spend is not None:
             slot = slot[self._spend[slot]]
         self.left[slot] -= 1
@@ -87,12 +100,25 @@ class Bookkeeping:
 
     def outcomes(self) -> np.ndarray:
         """Return the outcome of each target, an index of ``OUTCOMES``."""
-        done, flags = self.done(), self.flags
-        code = np.full(len(done), Outcome.IN_NO_FIELD, dtype=np.uint8)
-        code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
-        code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED
-        code[(flags & LOST) > 0] = Outcome.LOST_TO_A_COLLISION
+        done = self.done()
+        code = _outcomes_by_flags(self.flags)
         code[done > 0] = Outcome.PARTLY_OBSERVED
         code[done == self.wanted] = Outcome.OBSERVED
         code[self.wanted == 0] = Outcome.NOT_REQUESTED
         return code
+
+    def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return those of some targets without a visit that counts, and the outcome of each: why there is none."""
+        slot = slot[(self.flags[slot] & DONE) == 0]
+        code = _outcomes_by_flags(self.flags[slot])
+        code[self.left[slot] == 0] = Outcome.NOT_REQUESTED
+        return slot, code
+
+
+def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:
+    """Return the outcomes of targets without a visit that counts."""
+    code = np.full(len(flags), Outcome.IN_NO_FIELD, dtype=np.uint8)
+    code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
+    code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED
+    code[(flags & LOST) > 0] = Outcome.LOST_TO_A_COLLISION
+    return code

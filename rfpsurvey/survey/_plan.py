@@ -56,7 +56,10 @@ def plan_survey(
     """Plan tile after tile; a target leaves the list once it was observed as often as it is wanted.
 
     Each tile is planned as `plan_tile` plans it, by the same code. Tiles that share targets are planned one after the
-    other, all others at the same time if there is an executor: the plan does not depend on it.
+    other, all others at the same time if there is an executor: the plan does not depend on it. Required targets
+    (`AllocationOptions`) come first in every tile as long as visits of them are left; those that are standards or sky
+    positions are never used up, and are in use without requirements, too. Circles that no arm may cover are obstacles
+    of the tiles whose arms can touch them.
 
     Parameters
     ----------
@@ -105,17 +108,17 @@ def plan_survey(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, a name is unknown, a number is impossible, or the folder is in use, holds
-        another survey, or cannot be written to. Tiles that are written stay.
+        If the catalog or the tiling is empty, a name or a required id is unknown, a number is impossible, or the folder
+        is in use, holds another survey, or cannot be written to. Tiles that are written stay.
     concurrent.futures.BrokenExecutor
         If a worker process died, and the executor does not replace it. Tiles that are written stay.
 
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, targets share ids, nothing in the catalog meets a requirement, an option changes
-        nothing, or tiles were placed for fields of another size; on resuming, if the software is another, or files are
-        damaged.
+        If no target was observed, required targets were never observed (``summary["unmet"]``), targets share ids,
+        nothing in the catalog meets a requirement, an option changes nothing, or tiles were placed for fields of
+        another size; on resuming, if the software is another, or files are damaged.
 
     See Also
     --------
@@ -171,6 +174,8 @@ def plan_survey(
     survey = run(request, folder, executor, progress, resume=resume)
     if request.visits.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: are the tiles where the targets are?")
+    for text in survey.summary["unmet"]:
+        warn(text)
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
     return survey
 

@@ -11,7 +11,7 @@ from rfpsurvey._units import to_plain, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import blank_ids, field_radius_rad
+from rfpsurvey.pipeline import blank_ids, field_radius_rad, mark_required
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -38,6 +38,8 @@ class Request:
     options: AllocationOptions
     visits: np.ndarray
     """How often each target is wanted, by slot."""
+    is_required: np.ndarray | None
+    """Which targets come before all others, by slot; None where none are required."""
     order: str
     epoch: str | None
     seed: int
@@ -62,15 +64,19 @@ class Request:
     def open_state(self) -> Bookkeeping:
         """Return a state without a visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        others = bool(self.options.requirements)
+        # standards and sky positions in use: all where there are requirements, else those that are required
+        others = True if self.options.requirements else self.is_required
         in_turn = self.order == "color"
-        return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), use_others=others, in_turn=in_turn)
+        return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row) with what is left of the targets."""
         # blank sky is where no target is, done or not
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
+        if self.is_required is not None:
+            columns = field.targets.columns._replace(is_required=self.is_required[field.slot])
+            field = field._replace(targets=field.targets._replace(columns=columns))
         name, *where = (column[tile] for column in self._places)
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         return Job(self.model, name, *where, field, seed, as_file)
@@ -173,4 +179,6 @@ def make_request(
     if visits is not None and np.ndim(visits):
         wanted = source.to_slots(wanted)
     wanted = np.ones(len(source), dtype=np.uint8) if wanted is None else wanted
-    return Request(source, tiling, place, passes, instrument, options, wanted, **others)
+    is_required = mark_required(options.required, source.ids_by_part())
+    is_required = None if is_required is None else source.to_slots(is_required)
+    return Request(source, tiling, place, passes, instrument, options, wanted, is_required, **others)

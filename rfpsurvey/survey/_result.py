@@ -3,6 +3,7 @@
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey.allocation import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.tile import describe, model_sentence
@@ -62,6 +63,8 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
 def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
     tally = state.tallies["priority"]
     wanted, observed = int(tally.n_wanted.sum()), int(tally.n_observed.sum())
+    required = np.flatnonzero([] if request.is_required is None else request.is_required)
+    missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}
     return {
@@ -83,8 +86,26 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_obstacle_collisions": total["n_obstacle_collisions"],
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "n_unmet": total["n_unmet"],
+        "n_required": len(required),
+        "n_required_observed": len(required) - len(missed),
+        "unmet": _unmet(request.source, missed, why),
         "model": model_sentence(request.instrument),
     }
+
+
+def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
+    """Return a sentence for each outcome of required targets (by slot) that were never observed."""
+    if len(missed) == 0:
+        return []
+    code = np.full(len(source), len(OUTCOMES), dtype=np.uint8)
+    code[missed] = why
+    code = source.by_row(code)
+    rows = np.flatnonzero(code < len(OUTCOMES))
+    ids, code = source.ids_of(rows), code[rows]
+    return [
+        f"required targets never observed, {OUTCOMES[k]}: {brief(tuple(ids[code == k].tolist()))}"
+        for k in np.unique(code).tolist()
+    ]
 
 
 def completeness_table(request, state: Bookkeeping) -> QTable:

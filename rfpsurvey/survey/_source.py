@@ -87,6 +87,10 @@ class InMemory:
         """Return the ids of all targets."""
         return [self._catalog.id]
 
+    def ids_of(self, row: np.ndarray) -> np.ndarray:
+        """Return the ids of targets by row."""
+        return self._catalog.id[row]
+
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Return values by slot in the order of rows."""
         out = np.empty_like(values)
@@ -202,6 +206,11 @@ class Partitioned:
     def ids_by_part(self) -> Iterator[np.ndarray]:
         """Return the ids of each partition, one after the other."""
         return (self._parts.part(k).id for k in range(len(self._parts.files)))
+
+    def ids_of(self, row: np.ndarray) -> np.ndarray:
+        """Return the ids of targets by row, in ascending order."""
+        parts = np.searchsorted(self._first, row, side="right") - 1
+        return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
     def digest(self) -> str:
         """Return what tells one catalog from another; all files are read, but only the columns that a survey needs."""

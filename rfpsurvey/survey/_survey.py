@@ -38,9 +38,9 @@ class Survey:
         ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets still wanted), ``n_reachable``,
         ``n_assigned``, ``n_science``, ``n_standard``, ``n_sky`` (of these), ``n_colliding``, ``n_counted`` (positioners
         with a target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet``
-        (requirements), ``n_observed`` (visits that count), ``collision_rate``, ``fiber_use``, ``completeness`` (visits
-        of all tiles to the targets of this field over those wanted; NaN without targets). Its ``meta`` holds
-        ``summary`` and ``provenance``.
+        (requirements, of which the required targets of a tile count as one), ``n_observed`` (visits that count),
+        ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field over those
+        wanted; NaN without targets). Its ``meta`` holds ``summary`` and ``provenance``.
     completeness : QTable
         A row for each pass and class, after that pass: ``priority`` and, where there are several, ``category``
         (``all``: all of them), ``n_targets``, ``n_wanted`` and ``n_observed`` (visits), ``n_complete`` (targets
@@ -75,7 +75,11 @@ class Survey:
 
     @property
     def summary(self) -> dict:
-        """Counts of tiles, targets, visits, fibers, collisions and outcomes, and the model behind them as text."""
+        """Counts of tiles, targets, visits, fibers, collisions and outcomes, and the model behind them as text.
+
+        ``n_required`` and ``n_required_observed`` count required targets and those with a visit that counts; ``unmet``
+        is a list of sentences on the others, one for each outcome.
+        """
         return self.tiles.meta["summary"]
 
     @property

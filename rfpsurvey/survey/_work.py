@@ -129,9 +129,8 @@ def work(job: Job) -> Done:
     """Plan a tile."""
     model, field = job.model, job.field
     instrument = model.instrument
-    plan = plan_field(
-        instrument, _projection(job), field.targets, model.options, np.random.default_rng(job.seed), model.blank
-    )
+    projection, rng = _projection(job), np.random.default_rng(job.seed)
+    plan = plan_field(instrument, projection, field.targets, model.options, rng, model.blank)
     colliding = plan.report.in_collision[plan.positioner]
     columns = {
         "target_id": plan.id,

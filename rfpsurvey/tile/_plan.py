@@ -11,14 +11,21 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_center, to_generator
-from rfpsurvey.allocation import KINDS, AllocationOptions, TargetColumns, as_options, hint_of_name, packages, sentences
+from rfpsurvey.allocation import (
+    KINDS,
+    AllocationOptions,
+    TargetColumns,
+    as_options,
+    brief,
+    hint_of_name,
+    packages,
+    sentences,
+)
 from rfpsurvey.catalog import Catalog, as_catalog, to_time
 from rfpsurvey.errors import InputError, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.pipeline import FieldTargets, blank_ids, field_radius_rad, plan_field
-from rfpsurvey.region import Region
+from rfpsurvey.pipeline import FieldTargets, are_among, blank_ids, field_radius_rad, mark_required, plan_field
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._constraints import absent_required, add_keep_out, as_keep_out, find_required
 from rfpsurvey.tile._field import epoch_text, where
 from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
 from rfpsurvey.tile._tile import Tile
@@ -40,14 +47,12 @@ def plan_tile(
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
     allocator: AllocationOptions | str | Callable = "lamost",
-    required: np.ndarray | None = None,
-    keep_out: Region | list[Region] | None = None,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
     """Assign the targets of one field to fibers and find the arms that collide there.
 
-    Without requirements only targets of the kind ``science`` are assigned; sky positions and standard stars are counted
-    and set aside.
+    Without requirements only targets of the kind ``science``, and required ones, are assigned; other sky positions and
+    standard stars are counted and set aside.
     Where each fiber type has its own radial map, a target without a fiber type is one for the first type.
 
     Parameters
@@ -65,13 +70,8 @@ def plan_tile(
     epoch : Time, str or float, optional
         Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
     allocator : AllocationOptions or str or callable, optional
-        The allocator and its options, such as sky fibers and standards that the tile must hold; or the allocator alone.
-        See `AllocationOptions`.
-    required : array_like, optional
-        Ids of targets that come before everything else.
-    keep_out : Region or list of Region, optional
-        Circles made by `Region.cap`, such as the surroundings of guide stars, that no arm may cover; obstacles of this
-        tile.
+        The allocator and its options, such as sky fibers and standards that the tile must hold, required targets, and
+        circles that no arm may cover; or the allocator alone. See `AllocationOptions`.
     rng : int, Generator or None, optional
         Seed or source of random numbers, for allocators that draw. The default gives the same tile every time.
 
@@ -84,8 +84,7 @@ def plan_tile(
     ------
     InputError
         If the catalog is empty, does not overlap the field, or has no target that a positioner reaches; if a name or a
-        required id is unknown, a unit is missing, ``keep_out`` is no circle, or targets move and there is no epoch
-        that they move from.
+        required id is unknown, a unit is missing, or targets move and there is no epoch that they move from.
 
     Examples
     --------
@@ -106,16 +105,17 @@ def plan_tile(
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = to_center(catalog.mean_direction if center is None else center)
     plane = instrument.projection(center, position_angle)
-    circles = as_keep_out(keep_out)
-    instrument = add_keep_out(instrument, plane, circles)
     options = asked.for_instrument(instrument)
     everything, radius = catalog, field_radius_rad(instrument)
     _warn_of_unknown_categories(asked, catalog)
+    is_required = mark_required(options.required, [catalog.id])
     if epoch is not None:
         to_time(epoch, "epoch")
         if not catalog.has_proper_motion:
             warn("without proper motions the epoch changes nothing")
-        catalog = catalog[catalog.arrays.rows_near(center, radius, epoch)].at_epoch(epoch)
+        near = catalog.arrays.rows_near(center, radius, epoch)
+        catalog = catalog[near].at_epoch(epoch)
+        is_required = None if is_required is None else is_required[near]
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
         nearest = everything.coord.icrs.separation(center.icrs).min().deg
@@ -124,9 +124,10 @@ def plan_tile(
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
             f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
-    is_required, given = find_required(everything.id, catalog.id, required), rows
+    given = rows
     if catalog.kind is not None and not options.requirements:
-        given = rows[(catalog.kind[rows] == "science") | is_required[rows]]
+        wanted = catalog.kind == "science"
+        given = rows[(wanted if is_required is None else wanted | is_required)[rows]]
     if len(given) == 0:
         raise InputError(
             f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
@@ -137,14 +138,14 @@ def plan_tile(
         warn(text)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
-    columns["is_required"] = is_required[given] if is_required.any() else None
+    columns["is_required"] = None if is_required is None else is_required[given]
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
     targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns), extra=extra)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
     plan = plan_field(instrument, plane.plain, targets, options, rng, blank)
-    allocation = plan.allocation
+    instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
         what = "target" if options.requirements else "science target"
@@ -158,7 +159,7 @@ def plan_tile(
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
         "kinds": counts_by_kind(catalog, rows, plan),
-        "unmet": sentences(allocation.unmet) + absent_required(targets.id, required),
+        "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
         "search": allocation.meta,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
@@ -168,8 +169,6 @@ def plan_tile(
         "epoch": epoch_text(catalog.epoch),
         "epoch_asked": None if epoch is None else str(epoch),
         **options.record,
-        "required": [] if required is None else [str(name) for name in np.atleast_1d(required)],
-        "n_keep_out": len(circles),
         "rng": seed,
     }
     row_of = np.full(len(instrument.focal_plane), -1)
@@ -191,6 +190,13 @@ def plan_tile(
         targets=targets_of_field(catalog, rows, given, plan),
         software=packages(options),
     )
+
+
+def _outside(required: tuple, ids: np.ndarray) -> list[str]:
+    """Return a sentence on the required targets that are not among those of the field, if there are any."""
+    there = are_among(required, ids) if required else np.ones(0, dtype=bool)
+    outside = tuple(name for name, is_there in zip(required, there.tolist(), strict=True) if not is_there)
+    return [f"required targets outside the field: {brief(outside)}"] if outside else []
 
 
 def _objectives(levels: list) -> list:

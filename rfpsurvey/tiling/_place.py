@@ -85,7 +85,8 @@ def place_tiles(
         fibers reach any target of the field.
     allocator : AllocationOptions or str or callable, optional
         The positioners of the instrument decide what a tile observes, as in `plan_survey`, see `AllocationOptions`;
-        ``lamost`` by default. A target whose arm collides is not observed, see `~rfpsurvey.tiling.Fibers`.
+        ``lamost`` by default. A target whose arm collides is not observed, see `~rfpsurvey.tiling.Fibers`. Required
+        targets come first in each tile; circles that no arm may cover are obstacles of each tile.
     radius : Quantity, optional
         Angular radius of a tile, instead of the instrument's.
     centers : Centers, SkyCoord, Tiling or Table, optional

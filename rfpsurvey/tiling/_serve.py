@@ -11,7 +11,7 @@ from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.errors import check_keywords, refusal
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import FieldTargets, blank_ids, plan_field
+from rfpsurvey.pipeline import FieldTargets, blank_ids, mark_required, plan_field
 from rfpsurvey.tiling._tiling import to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
@@ -154,6 +154,7 @@ class FocalPlaneFibers:
         self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
         self.angles, self.seed = angles, seed
         columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
+        columns["is_required"] = mark_required(options.required, [catalog.id])
         self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
         self.science = None if catalog.kind is None else self.columns["kind"] == "science"
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
@@ -180,7 +181,9 @@ class FocalPlaneFibers:
         if self.science is not None:
             served = served[self.science[near[served]]]
         if self.fibers.number is not None and len(served) > self.fibers.number:
-            order = served if priority is None else served[np.argsort(-priority[served], kind="stable")]
+            keys = [np.zeros(len(near)) if priority is None else -priority]
+            keys += [] if columns["is_required"] is None else [~columns["is_required"]]
+            order = served[np.lexsort([key[served] for key in keys])]
             served = np.sort(order[: self.fibers.number])
         return near[served]
 

@@ -379,6 +379,32 @@ def test_required_targets_come_before_everything_else(method):
     assert said(method, ["sky=1"], required=[0]) == ["sky targets: 0 of 1, 1 missing"]
 
 
+@pytest.mark.parametrize("method", ["nearest", "lamost"])
+def test_rules_by_class_take_required_targets_as_a_class_before_all(method):
+    """Of whatever kind; and requirements release none of them."""
+    xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
+    kind = ["science", "sky", "science", "standard", "sky", "science"]
+    more = {"kind": kind, "priority": [9, 0, 9, 0, 0, 1]}
+    options = rs.AllocationOptions(method, requirements=["science=3"])
+    found = rs.allocate(ROW, xy, allocator=options, required=[1, 3, 5], **more)
+    assert found.target_of_positioner.tolist() == [1, 3, 5]
+    assert rs.allocate(ROW, xy, allocator=options, **more).target_of_positioner.tolist() == [0, 2, 5]
+    assert rs.allocate(ROW, xy, allocator=method, required=[5], **more).target_of_positioner.tolist() == [0, 2, 5]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_required_targets_are_to_lamost_what_the_highest_priority_is(seed):
+    rng = np.random.default_rng(seed)
+    xy, priority = rng.uniform(-75, 75, (160, 2)) * MM, rng.integers(0, 3, 160)
+    rows = np.flatnonzero(rng.random(160) < 0.1)
+    for method in ("lamost", "nearest"):
+        found = rs.allocate(two_fibers(), xy, allocator=method, priority=priority, required=rows)
+        first = rs.allocate(
+            two_fibers(), xy, allocator=method, priority=np.where(np.isin(np.arange(160), rows), 9, priority)
+        )
+        assert found.target_of_positioner.tolist() == first.target_of_positioner.tolist()
+
+
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_required_targets_that_do_not_fit_are_reported(method):
     found = rs.allocate(ROW, [[5, 0], [0, 6], [0, 900]] * MM, allocator=method, required=[0, 1, 2])

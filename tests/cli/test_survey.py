@@ -70,6 +70,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
         (["--require", "sky=5"], "allocator", rs.AllocationOptions(requirements=["sky=5"])),
         (["--sky-separation", 10], "allocator", rs.AllocationOptions(sky_separation=10 * u.arcsec)),
         (["--time-limit", 5], "allocator", rs.AllocationOptions(time_limit=5 * u.s)),
+        (["--required", 7, "--required", "a"], "allocator", rs.AllocationOptions(required=["7", "a"])),
         (["--resume"], "resume", True),
         ([], "executor", None),
     ],
@@ -85,6 +86,48 @@ def test_every_option_reaches_the_library(call, files, monkeypatch, words, name,
     monkeypatch.setattr(rs, "plan_survey", plan_survey)
     call("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", *words, code=2)
     assert seen[name] == value
+
+
+def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_path):
+    folder, sky, tiling = files
+    wanted, outside = np.flatnonzero(sky.visits > 0)[:2], int(np.argmax(sky.coord.separation(CENTER)))
+    required, circles = [*wanted.tolist(), outside], ["95.0,23.0,0.02", "cap 94.8 23.05 0.01"]
+    words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
+    words += tuple(word for k in required for word in ("--required", k))
+    words += tuple(word for circle in circles for word in ("--keep-out", circle))
+    out, err = call(*words, "--folder", tmp_path / "plan")
+    regions = [rs.Region.parse(text) for text in ("cap 95 23 0.02", "cap 94.8 23.05 0.01")]
+    options = rs.AllocationOptions(required=required, keep_out=regions)
+    with pytest.warns(rs.RfpsurveyWarning, match="required targets never observed"):
+        expected = rs.plan_survey(sky, "moons", tiling, allocator=options)
+    found = rs.Survey.read(tmp_path / "plan")
+    assert found.summary == expected.summary
+    assert found.summary["n_obstacle_collisions"] > 0
+    assert found.targets["target_id"].tolist() == expected.targets["target_id"].tolist()
+    assert found.provenance["parameters"]["keep_out"] == expected.provenance["parameters"]["keep_out"]
+    assert all(f"warning: {sentence}" in err for sentence in expected.summary["unmet"])
+    assert "required targets                             3" in out
+    call(*words, "--folder", tmp_path / "plan", "--resume")  # by the same words
+    assert "holds another survey: keep_out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
+
+
+@pytest.mark.parametrize("command", ["plan", "compare-allocators"])
+def test_one_tile_has_the_same_words(call, files, tmp_path, command):
+    folder, sky, _ = files
+    words = ["--instrument", "moons", "--center", "95 23", "--required", 9, "--keep-out", "95,23.05,0.02"]
+    words += ["--allocator", "lamost", "--output", tmp_path / "out.ecsv"]
+    call(command, folder / "stars.fits", *words)
+    options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator=options)
+    assert tile.summary["n_obstacle_collisions"] > 0
+    if command == "plan":
+        found = rs.Tile.read(tmp_path / "out.ecsv")
+        assert found.table["target_id"].tolist() == tile.table["target_id"].tolist()
+        assert found.provenance["parameters"]["required"] == ["9"]
+        assert found.provenance["parameters"]["keep_out"] == ["cap 95.0 23.05 0.02"]
+    else:
+        found = QTable.read(tmp_path / "out.ecsv")
+        assert found["at_obstacles"].tolist() == [tile.summary["n_obstacle_collisions"]]
 
 
 def test_a_folder_of_partitions(call, files, tmp_path):
@@ -106,6 +149,10 @@ def test_a_folder_of_partitions(call, files, tmp_path):
         (["--plot", "plan.txt"], "must end in"),
         (["--scheduler", "nobody"], "no scheduler answers"),
         (["--require", "stars=5"], ""),
+        (["--required", "nobody"], "required must hold ids of the catalog, got nobody (1 of 1)"),
+        (["--keep-out", "95,23"], "--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got '95,23'"),
+        (["--keep-out", "95,93,1"], "--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got '95,93,1'"),
+        (["--keep-out", "box 1 2 3 4"], "--keep-out must be RA,DEC,RADIUS in deg"),
     ],
 )
 def test_wrong_words(call, files, words, sentence):

@@ -86,20 +86,20 @@ def test_no_arm_covers_a_guide_star(crowded):
         assert np.nanmin(np.hypot(*(points - star).T)) > radius + 2 - 0.1
     blind = flat.plan_tile(crowded, "moons", CENTER, allocator="lamost", **options)
     assert blind.summary["n_obstacle_collisions"] > 0
-    assert tile.provenance["parameters"]["n_keep_out"] == 2
+    assert len(tile.provenance["parameters"]["keep_out"]) == 2
 
 
 def test_circles_that_no_arm_covers_have_radii_of_their_own(crowded):
     star = SkyCoord(150.05, 2.15, unit="deg")
     n = [
-        rs.plan_tile(crowded, "moons", CENTER, keep_out=rs.Region.cap(star, r * u.arcsec)).summary[
+        flat.plan_tile(crowded, "moons", CENTER, keep_out=rs.Region.cap(star, r * u.arcsec)).summary[
             "n_obstacle_collisions"
         ]
         for r in (1, 100)
     ]
     assert n[0] < n[1]
     opposite = rs.Region.cap(SkyCoord(330, -2.15, unit="deg"), 1 * u.deg)  # has no image
-    plain, other = (rs.plan_tile(crowded, "moons", CENTER, keep_out=k) for k in (None, opposite))
+    plain, other = (flat.plan_tile(crowded, "moons", CENTER, keep_out=k) for k in (None, opposite))
     assert plain.summary["n_obstacle_collisions"] == other.summary["n_obstacle_collisions"]
 
 
@@ -115,9 +115,9 @@ def test_circles_that_no_arm_covers_have_radii_of_their_own(crowded):
         (rs.Region.parse("box 1 2 3 4"), ValueError, "one or a list, got <Region box of "),
     ],
 )
-def test_what_no_arm_covers_is_a_list_of_circles(crowded, keep_out, kind, message):
+def test_what_no_arm_covers_is_a_list_of_circles(keep_out, kind, message):
     with pytest.raises(rs.InputError, match=message) as told:
-        rs.plan_tile(crowded, "moons", CENTER, keep_out=keep_out)
+        rs.AllocationOptions(keep_out=keep_out)
     assert isinstance(told.value, kind)
 
 
@@ -125,14 +125,14 @@ def test_required_targets_are_found_by_their_ids(crowded):
     named = rs.Catalog(crowded.coord, id=[f"g{k}" for k in range(len(crowded))])
     plain = rs.plan_tile(named, "moons", CENTER, allocator="optimal")
     left = sorted(set(named.id) - set(plain.table["target_id"].filled("")))[:20]
-    tile = rs.plan_tile(named, "moons", CENTER, allocator="optimal", required=left)
+    tile = flat.plan_tile(named, "moons", CENTER, allocator="optimal", required=left)
     assert set(left) <= set(tile.table["target_id"].filled(""))
     assert tile.summary["unmet"] == []
     with pytest.raises(rs.InputError, match="required must hold ids of the catalog, got nobody"):
-        rs.plan_tile(named, "moons", CENTER, allocator="optimal", required=["nobody"])
+        flat.plan_tile(named, "moons", CENTER, allocator="optimal", required=["nobody"])
     wide = rs.synthetic_catalog("uniform", CENTER, 2 * u.deg, n_targets=20000, rng=1)
     far = int(np.argmax(wide.coord.separation(CENTER)))
-    tile = rs.plan_tile(wide, "moons", CENTER, allocator="optimal", required=[far])
+    tile = flat.plan_tile(wide, "moons", CENTER, allocator="optimal", required=[far])
     assert tile.summary["unmet"] == [f"required targets outside the field: {far} (1 in all)"]
 
 

@@ -10,15 +10,15 @@ RANDOM = {"n_targets": "number", "target_radius": "radius", "min_separation": "m
 NAMES = {field.name for field in fields(rs.AllocationOptions)} - {"allocator"}
 
 
-def split(allocator, options):
+def split(allocator, options, names=NAMES):
     """Return the options of an allocation, and the other ones."""
     allocator = options.pop("method", allocator)
-    own = {name: options.pop(name) for name in list(options) if name in NAMES}
+    own = {name: options.pop(name) for name in list(options) if name in names}
     return rs.AllocationOptions(allocator, **own), options
 
 
 def allocate(plane, xy, allocator="balanced", **options):
-    allocator, others = split(allocator, options)
+    allocator, others = split(allocator, options, NAMES - {"required", "keep_out"})  # rows of targets, no ids
     return rs.allocate(plane, xy, allocator=allocator, **others)
 
 

@@ -1,5 +1,7 @@
 """Whole surveys: what a tile gets, what becomes of targets, and that nothing depends on who does the work."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -62,9 +64,12 @@ def one_by_one(sky, tiling, instrument, order, **options):
     return left, visits, summaries
 
 
+@pytest.mark.filterwarnings("ignore:required targets never observed")
+@pytest.mark.parametrize("allocator", ["lamost", "repair"])
+@pytest.mark.parametrize("constrained", [False, True])
 @pytest.mark.parametrize("text", [False, True])
-def test_a_survey_of_one_tile_is_a_tile_in_every_column(text):
-    """Blank sky, fiber types and spectrographs among them; column by column, to the last bit."""
+def test_a_survey_of_one_tile_is_a_tile_in_every_column(text, constrained, allocator):
+    """Blank sky, fiber types, required targets and keep-outs among them; column by column, to the last bit."""
     rng = np.random.default_rng(7)
     sky = rs.synthetic_catalog("poisson", CENTER, 1.6 * u.deg, density=200 / u.deg**2, rng=3)
     n = len(sky)
@@ -75,9 +80,22 @@ def test_a_survey_of_one_tile_is_a_tile_in_every_column(text):
         kind=rng.choice(["science", "standard"], n, p=[0.9, 0.1]),
         fiber_type=rng.choice(["BOSS", "APOGEE", ""], n),
     )
-    options = rs.AllocationOptions(requirements=["sky@BOSS=20", "standard=10"], sky_separation=10 * u.arcsec)
+    options = rs.AllocationOptions(allocator, requirements=["sky@BOSS=20", "standard=10"], sky_separation=10 * u.arcsec)
+    if constrained:
+        circles = [rs.Region.cap(where, 0.01 * u.deg) for where in sky.coord[:60]]
+        options = replace(options, required=sky.id[::40], keep_out=circles)
     survey = rs.plan_survey(sky, "sdss_apo", CENTER.reshape(1), allocator=options)
     tile = rs.plan_tile(sky, "sdss_apo", CENTER, allocator=options)
+    for name in ("n_obstacle_collisions", "n_colliding", "n_colliding_pairs", "n_assigned"):
+        assert survey.tiles[name][0] == tile.summary[name], name
+    outside = [s for s in tile.summary["unmet"] if "outside the field" in s]
+    assert survey.tiles["n_unmet"][0] == len(tile.summary["unmet"]) - len(outside)
+    if constrained:
+        assert (survey.tiles["n_obstacle_collisions"][0] > 20) == (allocator == "lamost")
+        seen = np.isin(sky.id[::40], tile.table["target_id"].filled("" if text else 0))
+        assert survey.summary["n_required"] == len(seen) > seen.sum() > 5
+        lost = tile.table["target_id"][tile.table["in_collision"] & (tile.table["status"] == "assigned")]
+        assert survey.summary["n_required_observed"] == seen.sum() - np.isin(lost, sky.id[::40]).sum()
     visits, table = survey.targets, tile.table[tile.table["status"] == "assigned"]
     names = {"positioner": "id", "target_id": "target_id", "fiber_type": "fiber_type", "kind": "kind"}
     for name, own in {**names, "in_collision": "in_collision"}.items():

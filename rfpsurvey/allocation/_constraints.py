@@ -1,0 +1,60 @@
+"""Constraints of an allocation that are stated on the sky: required identifiers, and circles that no arm may cover."""
+
+import hashlib
+
+import numpy as np
+
+from rfpsurvey._units import to_labels, to_lonlat
+from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.region import Region
+
+__all__ = ["as_keep_out", "as_required", "brief", "circle_text", "recorded"]
+
+# A result lists at most so many identifiers or circles; of more, it holds the number and a digest.
+MOST_LISTED = 1000
+
+
+def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
+    """Return the different identifiers of required targets, all integers or all text, in the order given."""
+    if required is None or np.size(required) == 0:
+        return ()
+    names = to_labels(np.atleast_1d(required), "required")
+    if np.asarray(required).dtype.kind == "b":
+        raise InputTypeError("required must hold ids of targets, integers or text, got truth values")
+    if names.ndim != 1:
+        raise InputError(f"required must hold ids of targets in one row, got the shape {names.shape}")
+    return tuple(dict.fromkeys(names.tolist()))
+
+
+def as_keep_out(keep_out: object) -> tuple[Region, ...]:
+    """Return circles on the sky from one, from several, or from None."""
+    regions = () if keep_out is None else (keep_out,) if isinstance(keep_out, Region) else keep_out
+    what = "keep_out must be circles made by Region.cap, one or a list"
+    if not isinstance(regions, list | tuple):
+        raise InputTypeError(f"{what}, got {type(keep_out).__name__}")
+    for region in regions:
+        if not isinstance(region, Region):
+            raise InputTypeError(f"{what}, got {type(region).__name__} in the list")
+        if region.kind != "cap":
+            raise InputError(f"{what}, got {region!r}")
+    return tuple(regions)
+
+
+def circle_text(region: Region) -> str:
+    """Return a circle in the form ``cap RA DEC RADIUS`` (deg), with all digits."""
+    lon, lat = to_lonlat(region.values[:3])
+    degrees = np.rad2deg([lon % (2 * np.pi), lat, region.values[3]])
+    return " ".join(["cap", *(repr(value) for value in degrees.tolist())])
+
+
+def recorded(texts: list[str]) -> list[str]:
+    """Return what a result holds of identifiers or circles: all of them, or their number and a digest."""
+    if len(texts) <= MOST_LISTED:
+        return texts
+    return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]
+
+
+def brief(values: tuple, most: int = 5) -> str:
+    """Return the first values as text, and how many there are."""
+    listed = ", ".join(str(value) for value in values[:most])
+    return f"{listed} ({len(values)} in all)"

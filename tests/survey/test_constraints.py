@@ -1,0 +1,240 @@
+"""Required targets and circles that no arm may cover, in surveys: tile after tile, and on disk."""
+
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+
+import flat
+import rfpsurvey as rs
+
+CENTER = SkyCoord(0.1 * u.deg, 60 * u.deg)
+NEVER = "ignore:required targets never observed"
+
+
+@pytest.fixture(scope="module")
+def sky():
+    coord = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=900, rng=3).coord
+    rng = np.random.default_rng(5)
+    return rs.Catalog(coord, priority=rng.integers(2, 5, len(coord)), visits=rng.integers(1, 3, len(coord)))
+
+
+@pytest.fixture(scope="module")
+def tiles():
+    lon, lat = np.array([-0.7, 0, 0.7, 0.2, 0.4]) * u.deg, np.array([0, 0.1, 0, 0.5, -0.2]) * u.deg
+    return SkyCoord(lon, lat, frame=CENTER.skyoffset_frame()).icrs
+
+
+@pytest.fixture(scope="module")
+def circles():
+    """Circles of different sizes, some of them in several fields, one in none."""
+    rng = np.random.default_rng(1)
+    lon, lat = rng.uniform(-1.2, 1.2, (2, 300)) * u.deg
+    centers = SkyCoord(lon, lat, frame=CENTER.skyoffset_frame()).icrs
+    found = [rs.Region.cap(c, r * u.deg) for c, r in zip(centers, rng.uniform(0, 0.02, 300), strict=True)]
+    return [*found, rs.Region.cap(SkyCoord(180 * u.deg, -60 * u.deg), 1 * u.deg)]
+
+
+def covered(survey, instrument, circles):
+    """Count by hand, for each tile, the pairs of an arm and a circle that it covers."""
+    clearance = instrument.focal_plane.positioner.clearance.value
+    found = []
+    for row in survey.tiles:
+        center, angle = SkyCoord(row["ra"], row["dec"]), row["position_angle"]
+        scored = rs.score_tile(survey.visits(row["tile"]), instrument, center=center, position_angle=angle).table
+        scored = scored[np.isin(scored["status"], ["assigned", "parked"])]
+        elbow, tip = (
+            np.column_stack([scored[f"{part}_x"].value, scored[f"{part}_y"].value]) for part in ("elbow", "tip")
+        )
+        plane, n = instrument.projection(center, angle), 0
+        for circle in circles:
+            where = SkyCoord(*circle.values[:3], representation_type="cartesian")
+            where.representation_type = "unitspherical"
+            point = plane.to_focal_plane(where.reshape(1)).value[0]
+            radius = circle.values[3] * instrument.plate_scale.to_value(u.mm / u.rad)
+            if np.isfinite(point).all():
+                arm = tip - elbow
+                along = np.clip(((point - elbow) * arm).sum(axis=1) / (arm**2).sum(axis=1), 0, 1)
+                n += np.count_nonzero(np.hypot(*(elbow + along[:, None] * arm - point).T) < radius + clearance)
+        found.append(n)
+    return found
+
+
+@pytest.mark.parametrize("allocator", ["lamost", "repair", "optimal"])
+def test_every_arm_that_covers_a_circle_is_counted(sky, small, tiles, circles, allocator):
+    survey = flat.plan_survey(sky, small, tiles, allocator=allocator, keep_out=circles)
+    n = survey.tiles["n_obstacle_collisions"].tolist()
+    assert n == covered(survey, small, circles)
+    plain = rs.plan_survey(sky, small, tiles, allocator=allocator)
+    assert not plain.tiles["n_obstacle_collisions"].any()
+    assert sum(covered(plain, small, circles)) > 20
+    if allocator == "lamost":
+        assert min(n) > 0
+    else:  # arms with a target avoid them
+        assert not survey.targets["in_collision"].any()
+        assert survey.summary["n_assigned"] > 0.8 * plain.summary["n_assigned"]
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "lamost", "sdss", "optimal", "repair"])
+def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles, allocator):
+    """Targets of the least priority that no tile observes are all observed once they are required."""
+    low = rs.Catalog(sky.coord, priority=np.where(np.arange(len(sky)) % 4 == 0, 0, 5))
+    plain = flat.plan_survey(low, small, tiles, allocator=allocator, lost_in_collision=False)
+    lost = np.flatnonzero((plain.outcomes["observed"] == 0) & (low.priority == 0))
+    reach = np.array([rs.Survey.OUTCOMES[k] == "in reach not assigned" for k in plain.outcomes["outcome"]])
+    # far from each other, so that all of them can be observed
+    chosen = []
+    for k in lost[reach[lost]]:
+        if all(low.coord[k].separation(low.coord[j]) > 0.25 * u.deg for j in chosen):
+            chosen.append(int(k))
+    assert len(chosen) > 4
+    survey = flat.plan_survey(low, small, tiles, allocator=allocator, lost_in_collision=False, required=chosen)
+    assert (survey.outcomes["observed"][chosen] == 1).all()
+    assert survey.summary["unmet"] == []
+    assert survey.summary["n_required"] == survey.summary["n_required_observed"] == len(chosen)
+    visits = survey.targets
+    first = dict(reversed(list(zip(visits["target_id"].tolist(), visits["tile"].tolist(), strict=True))))
+    in_field = [tiles.separation(low.coord[k]) < small.field_radius for k in chosen]
+    assert all(first[k] in np.flatnonzero(there) for k, there in zip(chosen, in_field, strict=True))
+
+
+@pytest.mark.filterwarnings("ignore:no target was observed")
+def test_required_targets_without_a_visit_are_told_with_their_outcome(small):
+    """One for each outcome: no field, no reach, taken by another, lost, not requested."""
+    one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
+    instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
+    xy = np.array([[-1.0, 1.0], [-1.0, 2.0], [0.0, 30.0], [-2.0, 0.0], [9.0, 0.0], [11.0, 0.0]])
+    near = instrument.projection(CENTER).to_sky(xy * u.mm)
+    coord = SkyCoord([*near, CENTER.directional_offset_by(0 * u.deg, 9 * u.deg)])
+    names = np.array(["first", "second", "beyond", "unwanted", "left", "right", "far"])
+
+    def plan(chosen, required, visits=1):
+        rows = np.flatnonzero(np.isin(names, chosen))
+        catalog = rs.Catalog(coord[rows], id=names[rows], visits=np.full(len(rows), visits))
+        survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), allocator="nearest", required=required)
+        assert survey.summary["n_required"] - survey.summary["n_required_observed"] == len(required)
+        return survey.summary["unmet"]
+
+    begin = "required targets never observed, "
+    with pytest.warns(rs.RfpsurveyWarning, match=begin) as told:
+        unmet = plan(["second", "first", "beyond", "far"], ["far", "beyond"])
+    assert unmet == [f"{begin}out of reach: beyond (1 in all)", f"{begin}in no field: far (1 in all)"]
+    assert [str(one.message) for one in told] == unmet
+    with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}lost to a collision"):
+        unmet = plan(["left", "right"], ["left", "right"])
+    assert unmet == [f"{begin}lost to a collision: left, right (2 in all)"]
+    with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}not requested"):
+        assert plan(["first", "unwanted"], ["unwanted"], [1, 0]) == [f"{begin}not requested: unwanted (1 in all)"]
+    row = rs.FocalPlane([[0, 0]] * u.mm, one)
+    instrument = rs.Instrument("one", row, plate_scale=100 * u.mm / u.deg)
+    catalog = rs.Catalog(instrument.projection(CENTER).to_sky(xy[:2] * u.mm), id=["first", "second"])
+    with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}in reach not assigned"):
+        survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), required=["first", "second"])
+    assert survey.summary["n_required_observed"] == 1
+    assert survey.tiles["n_unmet"].tolist() == [1]
+
+
+def test_a_required_standard_is_in_use_without_requirements_in_every_tile(small, sky):
+    kind = np.full(len(sky), "science", dtype="U8")
+    near = np.argsort(sky.coord.separation(CENTER))[:40]
+    kind[near] = "standard"
+    catalog = rs.Catalog(sky.coord, kind=kind)
+    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
+    visits = flat.plan_survey(catalog, small, tiles, requirements="standard=9").visits(0)
+    chosen = int(visits["target_id"][visits["kind"] == "standard"][0])
+    survey = flat.plan_survey(catalog, small, tiles, required=chosen)
+    visits = survey.targets[survey.targets["kind"] == "standard"]
+    assert visits["target_id"].tolist() == [chosen, chosen]
+    assert survey.summary["n_required_observed"] == 1
+    for k in (0, 1):
+        left = np.ones(len(sky), dtype=bool)
+        left[survey.visits(0)["target_row"][survey.visits(0)["observed"]]] = k == 0
+        left[chosen] = True
+        tile = flat.plan_tile(catalog[left], small, tiles[k], required=chosen)
+        assigned = tile.table[tile.table["status"] == "assigned"]
+        assert assigned["target_id"].tolist() == survey.visits(k)["target_id"].tolist()
+
+
+@pytest.mark.filterwarnings(NEVER)
+def test_threads_processes_and_partitions_give_the_same(sky, small, tiles, circles, tmp_path):
+    options = {"allocator": "repair", "required": [str(k) for k in range(0, 900, 30)], "keep_out": circles}
+    expected = flat.plan_survey(sky, small, tiles, **options, folder=tmp_path / "one")
+    files = {p.relative_to(tmp_path / "one"): p.read_bytes() for p in (tmp_path / "one").rglob("*.fits")}
+    assert expected.tiles["n_unmet"].any() or expected.summary["n_required_observed"] > 0
+    pools = {"threads": ThreadPoolExecutor(2), "processes": ProcessPoolExecutor(2, get_context("spawn"))}
+    for name, pool in pools.items():
+        with pool:
+            survey = flat.plan_survey(sky, small, tiles, **options, executor=pool, folder=tmp_path / name)
+        assert survey.summary == expected.summary
+        assert {p.relative_to(tmp_path / name): p.read_bytes() for p in (tmp_path / name).rglob("*.fits")} == files
+    rs.partition_catalog(sky, tmp_path / "parts")
+    parts = rs.PartitionedCatalog(tmp_path / "parts")
+    survey = flat.plan_survey(parts, small, tiles, **options)
+    whole = flat.plan_survey(parts.read(), small, tiles, **options)
+    assert survey.targets["target_id"].tolist() == whole.targets["target_id"].tolist()
+    assert survey.summary["n_required"] == 30 > survey.summary["n_required_observed"] > 0
+    assert (
+        sum(int(s.split("(")[1].split()[0]) for s in survey.summary["unmet"])
+        == 30 - survey.summary["n_required_observed"]
+    )
+    assert {name: survey.summary[name] for name in ("unmet", "outcomes", "n_required_observed")} == {
+        name: whole.summary[name] for name in ("unmet", "outcomes", "n_required_observed")
+    }
+    with pytest.raises(rs.InputError, match=r"required must hold ids of the catalog, got 900 \(1 of 2\)"):
+        flat.plan_survey(parts, small, tiles, required=[3, 900])
+
+
+@pytest.mark.filterwarnings(NEVER)
+def test_a_survey_is_continued_with_the_same_constraints_only(sky, small, tiles, circles, tmp_path):
+    options = {"required": [1, 2, 3], "keep_out": circles[:2], "folder": tmp_path / "survey"}
+    before = flat.plan_survey(sky, small, tiles, **options)
+    again = flat.plan_survey(sky, small, tiles, **options, resume=True)
+    assert again.summary == before.summary
+    assert rs.Survey.read(tmp_path / "survey").provenance["parameters"]["required"] == ["1", "2", "3"]
+    (tmp_path / "survey" / "tiles" / "000" / "000001.fits").unlink()
+    with pytest.warns(rs.RfpsurveyWarning, match="000001"):
+        repaired = flat.plan_survey(sky, small, tiles, **options, resume=True)
+    assert repaired.summary == before.summary
+    wider = rs.Region.cap(CENTER, 0.001 * u.deg)
+    for name, other in (
+        ("required", [1, 2]),
+        ("required", None),
+        ("keep_out", [*circles[:1], wider]),
+        ("keep_out", ()),
+    ):
+        with pytest.raises(rs.InputError, match=f"holds another survey: {name} differ"):
+            flat.plan_survey(sky, small, tiles, **{**options, name: other}, resume=True)
+
+
+def test_many_ids_and_circles_are_recorded_by_their_number_and_a_digest(sky):
+    some, more = (rs.AllocationOptions(required=np.arange(n)) for n in (1000, 1001))
+    assert some.record["required"] == [str(k) for k in range(1000)]
+    (text,) = more.record["required"]
+    assert text.startswith("1001 in all, digest ")
+    assert text != rs.AllocationOptions(required=np.arange(1, 1002)).record["required"][0]
+    assert repr(more) == "AllocationOptions('lamost', required=(0, 1, 2, 3, 4 (1001 in all)))"
+
+
+def test_a_circle_is_recorded_as_region_reads_it(circles):
+    for text, circle in zip(rs.AllocationOptions(keep_out=circles).record["keep_out"], circles, strict=True):
+        assert np.allclose(rs.Region.parse(text).values, circle.values, rtol=0, atol=1e-15)
+
+
+def test_place_tiles_has_both():
+    """The arm to a required target is in the way of another; a circle leaves a positioner without a target."""
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm))
+    two = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
+    stars = rs.Catalog(two.projection(CENTER).to_sky([[-2, 0], [3.9, 0], [4.1, 0]] * u.mm), id=["own", "left", "right"])
+    options = {"centers": CENTER.reshape(1), "n_tiles": 1, "method": "max_density"}
+
+    def served(**more):
+        allocator = rs.AllocationOptions("optimal", **more)
+        return rs.place_tiles(stars, two, **options, allocator=allocator).table["n_new"].tolist()
+
+    assert served() == served(required=["own", "right"]) == [2]
+    assert served(required=["left"]) == [1]
+    assert served(keep_out=rs.Region.cap(stars.coord[2], 0.01 * u.deg)) == [1]
