@@ -9,7 +9,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.errors import shown, warn
+from rfpsurvey.errors import short, warn
 
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 PLANE = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, ROBOT)
@@ -84,7 +84,7 @@ def test_warnings_point_to_the_caller_of_the_package():
 
 def test_tables_are_never_pasted_into_errors():
     table = PLANE.to_table()
-    assert shown(table) == "a QTable of 2 rows"
-    assert shown("a") == "'a'"
-    assert "\n" not in shown("a\nb" * 50)
-    assert len(shown("a" * 500)) < 60
+    assert short(table) == "a QTable of 2 rows"
+    assert short("a") == "'a'"
+    assert "\n" not in short("a\nb" * 50)
+    assert len(short("a" * 500)) < 60

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._progress import Progress
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
@@ -116,7 +117,7 @@ def _repeat(scene, method, stop, repeats, settings):
     held, widths, errors, iterations = dict.fromkeys(kinds, 0), dict.fromkeys(kinds, 0.0), [], []
     seed = [settings.seed, 95, list(SCENES).index(scene), ("monte_carlo", "conditional").index(method), len(stop)]
     for rng in np.random.default_rng(seed).spawn(repeats):
-        tally, found = run(task, CHUNK[method], precision, plane, rng, None, False, given=False)
+        tally, found = run(task, CHUNK[method], precision, plane, rng, None, Progress(False), given=False)
         errors.append(found["value"] - truth)
         iterations.append(len(tally.pairs))
         for kind in kinds:

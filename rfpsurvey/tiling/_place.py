@@ -18,6 +18,7 @@ from rfpsurvey.errors import (
     InputTypeError,
     check_choice,
     check_keywords,
+    check_switch,
     refusal,
     short,
     warn,
@@ -148,6 +149,7 @@ def place_tiles(
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
     passes = _whole(passes, "passes")
     where, exclude = as_centers(centers), _regions(exclude)
+    progress = progress if callable(progress) else check_switch(progress, "progress")
     if method == GIVEN and where.tiling is None:
         raise InputError("the method 'given' needs a list of tiles as centers, got none")
     summary = {

@@ -9,7 +9,7 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex
-from rfpsurvey.errors import check_keywords, refusal
+from rfpsurvey.errors import check_keywords, check_switch, refusal
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldTargets, blank_ids, mark_required, plan_field
 from rfpsurvey.tiling._tiling import to_ra_dec
@@ -49,6 +49,7 @@ class Fibers:
     lost_in_collision: bool = True
 
     def __post_init__(self):
+        check_switch(self.lost_in_collision, "lost_in_collision")
         number = self.number
         if number is not None and (isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1):
             raise refusal("fibers must be a whole number of at least 1", number, Number)
