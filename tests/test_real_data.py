@@ -153,8 +153,8 @@ def test_what_rules_lose_to_collisions_in_crowded_fields_is_won_back(real_data, 
     catalog = rs.Catalog.read(real_data(file))
     center = catalog.mean_direction if center is None else SkyCoord(*center, unit="deg")
     table = rs.compare_allocators(catalog, name, center, allocators=["lamost", "repair", "optimal"])
-    rule, mended, best = table
+    rule, repaired, best = table
     assert best["gap"] == 0
-    assert best["colliding"] == mended["colliding"] == 0
-    assert rule["usable"] < mended["usable"] <= best["usable"]
+    assert best["colliding"] == repaired["colliding"] == 0
+    assert rule["usable"] < repaired["usable"] <= best["usable"]
     assert rule["loss"] > least > best["loss"]

@@ -56,7 +56,7 @@ UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a colum
 FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE of rows that have none, as priority=0 or visits=1.")
 ]
-ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners stand in the way.")]
+ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners are parked, as obstacles for others.")]
 OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
 TargetsOption = Annotated[

@@ -60,7 +60,7 @@ class AllocationOptions:
         the least important targets, which are released.
         ``sdss``: network flow: as many as possible class after class, arms may collide; then the least sum of squared
         distances from the centers. ``optimal``: as many as possible class after class such that no arm with a target
-        collides with another arm or an obstacle, with a proof. Idle arms that stay in the way (parked equal-arm
+        collides with another arm or an obstacle, with a proof. Idle arms that are obstacles (parked equal-arm
         units with ``parked_obstacles``, disabled and stuck units) count as other arms; two idle arms that collide
         with each other, or an idle arm at an obstacle, are left as they are.
         ``repair``: the plan ``start``, its collisions removed by local moves. Another name is that

@@ -131,7 +131,7 @@ class Shortfall:
     possible : int
         How many such targets are in reach of positioners that can take them.
     hint : str, optional
-        A name that may have been meant, or what stands in the way.
+        A name that may have been meant, or the reason why there are none.
     """
 
     requirement: Requirement | None

@@ -25,7 +25,7 @@ COUNTS = {
     "NSTANDAR": ("n_standard", "of these, with a standard star"),
     "NSKY": ("n_sky", "of these, on sky"),
     "NCOLLIDE": ("n_colliding", "positioners in collision"),
-    "NCOUNTED": ("n_counted", "positioners with a target or in the way"),
+    "NCOUNTED": ("n_counted", "positioners with a target, or parked obstacles"),
     "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
     "NUNMET": ("n_unmet", "requirements not met"),

@@ -323,7 +323,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     if neighbors is not None:
         some = np.flatnonzero(wanted > 0)
         indptr, other = neighbors
-        # only neighbors that want a visit are in the way
+        # only neighbors that still want a visit are too close
         near = (
             np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
         )

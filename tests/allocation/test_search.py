@@ -135,8 +135,8 @@ def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_o
     xy, rng = sparse_targets(plane, seed)
     options = {"priority": rng.integers(0, 2, len(xy)), "required": np.flatnonzero(rng.random(len(xy)) < 0.2)}
     blind = flat.allocate(plane, xy * MM, allocator="sdss", **options)
-    mended = flat.allocate(plane, xy * MM, allocator="repair", **options)
-    for level, best in zip(mended.levels, blind.levels, strict=True):
+    repaired = flat.allocate(plane, xy * MM, allocator="repair", **options)
+    for level, best in zip(repaired.levels, blind.levels, strict=True):
         assert (level.name, level.bound) == (best.name, best.value)
         assert level.value <= level.bound
         if level.value < level.bound:

@@ -58,14 +58,14 @@ def hexagons():
             xy = disc(0.95 * (rings + 0.5) * pitch, n, seed)
             options = {"parked_obstacles": False}
             seconds, best = median(rs.allocate, xy, plane, method="optimal", repeats=5, **options)
-            mend_s, mended = median(rs.allocate, xy, plane, method="repair", repeats=5, **options)
+            mend_s, repaired = median(rs.allocate, xy, plane, method="repair", repeats=5, **options)
             blind = int((maximum_bipartite_matching(plane.reachable(xy), perm_type="column") >= 0).sum())
             rule = flat.allocate(plane, xy, allocator="lamost", **options)
             usable = rule.n_assigned - int(rs.find_collisions(plane, rule).in_collision.sum())
             pairs = len(rs.find_collisions(plane, best).pairs)
             print(
                 f"  {name:<20} {best.n_assigned:>5} of {blind}  gap {best.gap:g}  collisions {pairs}  {seconds:.3f} s"
-                f"   repair {mended.n_assigned} in {1e3 * mend_s:.1f} ms   lamost {rule.n_assigned}, usable {usable}"
+                f"   repair {repaired.n_assigned} in {1e3 * mend_s:.1f} ms   lamost {rule.n_assigned}, usable {usable}"
                 f"   {best.meta['n_candidates']} candidates, {best.meta['n_conflicts']} conflicts, "
                 f"{best.meta['n_open']} positioners left to the solver"
             )

@@ -109,12 +109,12 @@ def test_collision_free_losses_are_counted_in_two_plans():
     alone = explore(central_arm=4 * MM, estimand="collision_free", n_skies=40, targets_per_positioner=1)[0]
     assert alone["multiplicity"] < 1
     assert alone["assigned"] == pytest.approx(1 - alone["empty"], abs=0.03)
-    best, mended = (
+    best, repaired = (
         explore(ratio=1.5, pitch=24.6 * MM, method=m, targets_per_positioner=1, n_skies=4)[0]
         for m in ("optimal", "repair")
     )
-    assert best["assigned"] == mended["assigned"]
-    assert 0 < best["loss"] < mended["loss"]
+    assert best["assigned"] == repaired["assigned"]
+    assert 0 < best["loss"] < repaired["loss"]
     assert best["usable"] == pytest.approx(best["assigned"] * (1 - best["loss"]))
 
 
