@@ -234,9 +234,14 @@ class Tile:
     def __repr__(self):
         s = self.summary
         return (
-            f"<Tile of {self.provenance['instrument']['name']!r}: {s['n_assigned']} of {s['n_positioners']} "
-            f"positioners assigned, {s['n_colliding']} in collision>"
+            f"<Tile of {self.instrument!r}: {s['n_assigned']} of {s['n_positioners']} positioners assigned"
+            f"{self._kinds()}, {s['n_colliding']} in collision>"
         )
+
+    def _kinds(self) -> str:
+        """Return the numbers of positioners by kind, where there are several kinds."""
+        counts = {kind: row["n_assigned"] for kind, row in self.summary.get("kinds", {}).items() if row["n_assigned"]}
+        return f" ({', '.join(f'{n} {kind}' for kind, n in counts.items())})" if set(counts) - {"science"} else ""
 
 
 def _plain(table: QTable) -> QTable:

@@ -193,3 +193,10 @@ def test_many_classes_are_summed_up(presets):
     assert len(lines) == 12
     assert lines[-1][0] == f"{n_classes - 11} more classes"
     assert sum(value for _, value, _ in lines) == tile.summary["n_assigned"]
+
+
+def test_the_short_text_counts_kinds(tile, science_only):
+    """'500 of 500 assigned' hid the sky fibers."""
+    kinds = {kind: counts["n_assigned"] for kind, counts in tile.summary["kinds"].items()}
+    assert f"({kinds['science']} science, {kinds['standard']} standard, {kinds['sky']} sky)" in repr(tile)
+    assert "(" not in repr(science_only)
