@@ -156,7 +156,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def grid(self) -> tuple:
-        """Square cells with the positioners that reach into each, see `make_grid`."""
+        """Square cells with the positioners that reach into each."""
         return make_grid(self.xy, self.outer_radius)
 
     @cached_property

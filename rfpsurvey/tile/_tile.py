@@ -180,8 +180,8 @@ class Tile:
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
         """Write the tile as FITS or ECSV; the file appears whole or not at all.
 
-        The first table of a FITS file, ``TILE``, is `table`; the second, ``OUTCOMES``, is `outcomes`, where there are
-        any. ECSV holds `table` only.
+        The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
+        where there are any. ECSV holds ``table`` only.
 
         Parameters
         ----------

@@ -29,7 +29,7 @@ class Fibers:
     min_separation : Quantity, optional
         No two targets of a tile are closer than this angle; for ideal fibers only.
     lost_in_collision : bool, optional
-        Whether a target whose arm collides counts as not observed, as in `plan_survey`; for allocators only.
+        Whether a target whose arm collides counts as not observed, as in `~rfpsurvey.plan_survey`; for allocators only.
 
     Raises
     ------
