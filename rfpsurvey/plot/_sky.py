@@ -43,8 +43,8 @@ def plot_tiling(
 
     The axes are right ascension and declination; offsets from the mean direction near a pole; or a map of the whole sky
     where tiles are more than 60 deg away from their mean direction. Colors run from the smallest to the largest value.
-    Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be seen; ``rfpsurvey.plot.draw_tiling``
-    draws a panel for each pass.
+    Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be seen;
+    ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
 
     Parameters
     ----------
