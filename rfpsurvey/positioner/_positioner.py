@@ -7,10 +7,11 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms
-from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian, to_scalar
+from rfpsurvey._units import to_points_mm, to_radian, to_scalar
 from rfpsurvey.errors import InputError, check_choice, check_keywords
+from rfpsurvey.positioner._numbers import PositionerNumbers
 
-__all__ = ["HANDEDNESS", "Positioner", "PositionerNumbers"]
+__all__ = ["ARM_MODELS", "HANDEDNESS", "Positioner"]
 
 HANDEDNESS = ("right", "left", "both")
 ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
@@ -228,96 +229,3 @@ class Positioner:
         inner, outer = self.inner_radius.value, self.outer_radius.value
         ok = (r >= inner - slack) & (r <= outer + slack)
         return theta, phi, ok & self.numbers.joints_allowed(theta, phi)
-
-
-class PositionerNumbers:
-    """The geometry of a positioner as plain numbers in mm and radians.
-
-    Parameters
-    ----------
-    positioner : Positioner
-        The positioner.
-
-    Attributes
-    ----------
-    central_arm, eccentric_arm : float
-        Arm lengths, mm.
-    clearance : float
-        Radius around an arm that must be free of other arms, mm.
-    separation : float
-        Distance below which two arms collide, mm.
-    arm_length : float or None
-        Length of the colliding segment, if it is not that from elbow to fiber, mm.
-    home : ndarray of float, shape (2,)
-        theta and phi of a parked positioner.
-    joints_free : bool
-        Whether the joint limits leave the whole patrol area in reach with the usual elbow.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> import rfpsurvey as rs
-    >>> numbers = rs.Positioner(0.825 * u.cm, 8.25 * u.mm, 2.25 * u.mm).numbers
-    >>> numbers.central_arm, numbers.separation, numbers.home
-    (8.25, 4.5, array([0.        , 3.14159265]))
-    """
-
-    def __init__(self, positioner: Positioner):
-        self.positioner = positioner
-        self.central_arm = float(to_mm(positioner.central_arm, "central_arm"))
-        self.eccentric_arm = float(to_mm(positioner.eccentric_arm, "eccentric_arm"))
-        self.clearance = float(to_mm(positioner.clearance, "clearance"))
-        length = positioner.arm_length
-        self.arm_length = None if length is None else float(to_mm(length, "arm_length"))
-        if positioner.displacement is None:
-            moved = (self.central_arm + self.eccentric_arm) * np.sin(2 * float(to_radian(positioner.step, "step")))
-        else:
-            moved = float(to_mm(positioner.displacement, "displacement"))
-        self.separation = float(moved + 2 * self.clearance)
-
-    @cached_property
-    def home(self) -> np.ndarray:  # noqa: D102
-        if self.positioner.home is not None:
-            return locked(to_radian(self.positioner.home, "home"))
-        home = np.array([0.0, np.pi])
-        for k, limits in enumerate((self.positioner.theta_range, self.positioner.phi_range)):
-            if limits is not None and not _allowed(home[k : k + 1], *to_radian(limits, "limits"))[0]:
-                ends = to_radian(limits, "limits")
-                home[k] = ends[np.argmin(np.abs(np.mod(ends - home[k] + np.pi, 2 * np.pi) - np.pi))]
-        return locked(home)
-
-    def joints_allowed(self, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """Mark joint angles inside the joint limits."""
-        limits, positioner = [], self.positioner
-        for value, name in ((positioner.theta_range, "theta_range"), (positioner.phi_range, "phi_range")):
-            limits += [-np.inf, np.inf] if value is None else list(to_radian(value, name))
-        return _allowed(theta, *limits[:2]) & _allowed(phi, *limits[2:])
-
-    @cached_property
-    def joints_free(self) -> bool:  # noqa: D102
-        return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
-
-    def joints_free_for(self, side: float) -> bool:
-        """Return whether the joint limits leave the whole patrol area in reach with an elbow, +1 right or -1 left."""
-        theta, phi = self.positioner.theta_range, self.positioner.phi_range
-        if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
-            return False
-        low, high = (-180 * u.deg, 0 * u.deg) if side < 0 else (0 * u.deg, 180 * u.deg)
-        return phi is None or bool(phi[0] <= low and phi[1] >= high)
-
-    def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
-        """Return the angle of the colliding segment from the fiber, for each fiber type."""
-        given = self.positioner.arm_angle
-        if isinstance(given, dict):
-            for name in given:
-                check_choice(name, fiber_types, "fiber type of arm_angle")
-            return np.array([float(to_radian(given.get(t, 0 * u.deg), "arm_angle")) for t in fiber_types])
-        return np.full(len(fiber_types), 0.0 if given is None else float(to_radian(given, "arm_angle")))
-
-
-def _allowed(angle, low, high):
-    """Mark angles that lie in [low, high] up to whole turns."""
-    if np.isinf(low) or high - low >= 2 * np.pi:
-        return ~np.isnan(angle)
-    with np.errstate(invalid="ignore"):
-        return np.mod(angle - low + 1e-12, 2 * np.pi) <= high - low + 2e-12

@@ -1,0 +1,6 @@
+"""One theta-phi positioner: two arms, their joints, and the shape that can collide."""
+
+from rfpsurvey.positioner._numbers import PositionerNumbers
+from rfpsurvey.positioner._positioner import ARM_MODELS, HANDEDNESS, Positioner
+
+__all__ = ["ARM_MODELS", "HANDEDNESS", "Positioner", "PositionerNumbers"]
