@@ -45,7 +45,7 @@ TESTS = {
     "rfpsurvey/probability/*": PROBABILITY,
     "rfpsurvey/_kernels/allocation.py": "allocation/methods collision/count probability/targets " + ALLOCATION,
     "rfpsurvey/_kernels/areas.py": "probability/closed_form probability/collision_probability",
-    "rfpsurvey/_kernels/arms.py": "positioner " + COLLISION + " probability/quadrature",
+    "rfpsurvey/_kernels/arms.py": "positioner/positioner " + COLLISION + " probability/quadrature",
     "rfpsurvey/_kernels/batch.py": (
         "collision/count probability/targets probability/hard_cases probability/collision_probability"
     ),
