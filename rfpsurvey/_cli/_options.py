@@ -33,7 +33,10 @@ RequireOption = Annotated[
 RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
 KeepOutOption = Annotated[
     list[str] | None,
-    typer.Option(help="Circle that no arm may cover, as 95.0,23.0,0.01: RA,DEC,RADIUS, deg, ICRS. May be repeated."),
+    typer.Option(
+        help="Circle that no arm may cover, as 95.0,23.0,0.01: RA,DEC,RADIUS, deg, ICRS. repair and optimal keep it free; "
+        "with other allocators, arms there are counted as collisions."
+    ),
 ]
 SkyOption = Annotated[float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.")]
 ObjectiveOption = Annotated[

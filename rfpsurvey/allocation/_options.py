@@ -93,8 +93,8 @@ class AllocationOptions:
     keep_out : Region or list of Region, optional
         Circles made by `Region.cap` that no arm may cover, such as the light of bright stars. In each field, those
         that an arm can touch are obstacles: ``optimal`` and ``repair`` avoid them, for other allocators the arms that
-        cover them are counted. The radius on the focal plane is that at the plate scale of the field center; a circle
-        whose center has no image on the focal plane is left out.
+        cover them are counted. On the focal plane, an obstacle holds the whole image of its circle, also where the
+        center of the circle is outside the field.
 
     Raises
     ------

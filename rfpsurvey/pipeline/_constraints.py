@@ -14,24 +14,59 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
+# Points on the rim of a circle on the sky, and what a circle between them may be larger, at most.
+N_RIM, MARGIN = 360, 1 + 1e-4
+
+
 def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
     """Return the instrument with the circles of ``keep_out`` that its arms can touch in a field as obstacles."""
     if not options.keep_out:
         return instrument
-    circles, plane = options.circles, instrument.focal_plane
-    points = projection.project(circles[:, :3])
-    radius = circles[:, 3] * instrument.plate_scale.to_value(u.mm / u.rad)
+    plane, circles = instrument.focal_plane, options.circles
     arrays = plane.arrays
     size = (np.hypot(*arrays.xy.T) + arrays.arm_reach).max() + arrays.separation
-    near = np.hypot(*points.T) <= size + radius  # False where there is no image
+    # the arms at the edge look a little beyond the field
+    limit = circles[:, 3] + 1.1 * size / instrument.plate_scale.to_value(u.mm / u.rad)
+    apart = np.arccos(np.clip(circles[:, :3] @ projection.basis[2], -1, 1))
+    images = np.array([image_of_circle(projection, *circles[k]) for k in np.flatnonzero(apart <= limit)])
+    images = images.reshape(-1, 3)
+    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False where there is no image
     if not near.any():
         return instrument
-    obstacles = np.vstack([arrays.obstacles, np.column_stack([points, radius])[near]]) * u.mm
     return replace(
         instrument,
-        focal_plane=replace(plane, obstacles=obstacles),
+        focal_plane=replace(plane, obstacles=np.vstack([arrays.obstacles, images[near]]) * u.mm),
         plate_scale=None if instrument.distortion else instrument.plate_scale,
     )
+
+
+def image_of_circle(
+    projection: FieldProjection, x: float, y: float, z: float, radius_rad: float
+) -> tuple[float, float, float]:
+    """Return x, y and radius (mm) of a circle on the focal plane that holds the image of a circle on the sky.
+
+    The image of a circle is none where the scale changes, and the images by several fiber types differ: the circle holds
+    all of them. The center may be so far from the field that it has no image; the part inside the field has one.
+    NaN without any image.
+    """
+    center = np.array([x, y, z])
+    names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
+    east = np.cross(center, projection.basis[2])
+    # a circle about the field center has no direction of its own
+    east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-9 else projection.basis[0]
+    inward = np.cross(east, center)
+    turn = np.linspace(0, 2 * np.pi, N_RIM, endpoint=False)[:, None]
+    rim = np.cos(radius_rad) * center + np.sin(radius_rad) * (np.cos(turn) * inward + np.sin(turn) * east)
+    rims = np.vstack([projection.project(rim, name) for name in names])
+    middle = np.mean([projection.project(center[None], name)[0] for name in names], axis=0)
+    if not np.isfinite(middle).all():
+        # continue from the point of the rim that is nearest to the field center, at the scale that holds there
+        step = 1e-4
+        steps = np.cos(radius_rad + [[0], [step]]) * center + np.sin(radius_rad + [[0], [step]]) * inward
+        nearest, beyond = projection.project(steps, names[0])
+        middle = nearest - (beyond - nearest) * radius_rad / step
+    apart = np.hypot(*(rims - middle).T)
+    return *middle, np.max(apart[np.isfinite(apart)], initial=np.nan if np.isnan(apart).all() else 0.0) * MARGIN
 
 
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:

@@ -54,6 +54,7 @@ ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
 
 
 ZERO_IS_LEFT_OUT = (
+    "  collisions with obstacles",
     "  to standard stars",
     "  to sky",
     "requirements not met, all tiles",
@@ -117,6 +118,7 @@ def survey_facts(survey: Survey) -> dict:
         "  fraction of all": s["fiber_use"],
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
+        "  collisions with obstacles": s["n_obstacle_collisions"],
         "requirements not met, all tiles": s["n_unmet"],
         "required targets": s.get("n_required", 0),
         "  never observed": s.get("n_required", 0) - s.get("n_required_observed", 0),

@@ -238,3 +238,24 @@ def test_place_tiles_has_both():
     assert served() == served(required=["own", "right"]) == [2]
     assert served(required=["left"]) == [1]
     assert served(keep_out=rs.Region.cap(stars.coord[2], 0.01 * u.deg)) == [1]
+
+
+@pytest.mark.parametrize("name", ["sdss_apo", "desi", "moons"])
+@pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1)])
+def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):
+    """Circles whose center has no image were left out, and others were smaller than on the sky."""
+    instrument = presets[name]
+    field = instrument.field_radius
+    sky = rs.synthetic_catalog("uniform", CENTER, field, n_targets=2000, rng=1)
+    center = CENTER.directional_offset_by(37 * u.deg, away * field)
+    options = rs.AllocationOptions("repair", keep_out=rs.Region.cap(center, radius * field))
+    plans = [rs.plan_tile(sky, instrument, CENTER, allocator=allocator) for allocator in ("repair", options)]
+    inside, assigned = [], []
+    for tile in plans:
+        table = tile.table[tile.table["status"] == "assigned"]
+        inside.append((SkyCoord(table["ra"], table["dec"]).separation(center) < radius * field).sum())
+        assigned.append(len(table))
+    assert inside[0] > 3
+    assert inside[1] == 0
+    # no more is kept free than the circle and the width of arms around it
+    assert assigned[0] - assigned[1] < 2 * inside[0] + 10
