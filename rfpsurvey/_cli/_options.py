@@ -34,8 +34,8 @@ RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target t
 KeepOutOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Circle that no arm may cover, as 95.0,23.0,0.01: RA,DEC,RADIUS, deg, ICRS. repair and optimal keep it free; "
-        "with other allocators, arms there are counted as collisions."
+        help="Circle that no arm may cover, as 95.0,23.0,0.01: RA,DEC,RADIUS, deg, ICRS. repair and optimal keep it "
+        "free; with other allocators, arms there are counted as collisions."
     ),
 ]
 SkyOption = Annotated[float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.")]

@@ -45,9 +45,9 @@ def image_of_circle(
 ) -> tuple[float, float, float]:
     """Return x, y and radius (mm) of a circle on the focal plane that holds the image of a circle on the sky.
 
-    The image of a circle is none where the scale changes, and the images by several fiber types differ: the circle holds
-    all of them. The center may be so far from the field that it has no image; the part inside the field has one.
-    NaN without any image.
+    The image of a circle is not a circle where the scale changes, and the images by several fiber types differ: the
+    circle holds all of them. The center may be so far from the field that it has no image, while a part of the circle
+    has one. NaN without any image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
@@ -62,7 +62,8 @@ def image_of_circle(
     if not np.isfinite(middle).all():
         # continue from the point of the rim that is nearest to the field center, at the scale that holds there
         step = 1e-4
-        steps = np.cos(radius_rad + [[0], [step]]) * center + np.sin(radius_rad + [[0], [step]]) * inward
+        angles = np.array([[radius_rad], [radius_rad + step]])
+        steps = np.cos(angles) * center + np.sin(angles) * inward
         nearest, beyond = projection.project(steps, names[0])
         middle = nearest - (beyond - nearest) * radius_rad / step
     apart = np.hypot(*(rims - middle).T)
