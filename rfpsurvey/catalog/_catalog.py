@@ -115,8 +115,8 @@ class Catalog:
         if "kind" in columns:
             for kind in np.unique(columns["kind"]).tolist():
                 check_choice(kind, KINDS, "kind of target")
-        if "priority" in columns and (lacking := np.isnan(columns["priority"])).any():
-            raise InputError(f"priority must be a number for every target, but {rows_of(lacking)} have none")
+        if "priority" in columns and (lacking := ~np.isfinite(columns["priority"])).any():
+            raise InputError(f"priority must be a finite number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
