@@ -247,7 +247,10 @@ class Catalog:
     @classmethod
     def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
         found = _tables.read_columns(table, columns, units, frame, fill, assume_units=assume_units)
-        return cls(**found, extra=None if keep is None else pick_columns(_tables.as_table(table, columns)[0], keep))
+        if keep is None:
+            return cls(**found)
+        table = _tables.as_table(table, columns)[0]
+        return cls(**found, extra=pick_columns(table, keep, _tables.names_in_results(table, columns, frame)))
 
     @classmethod
     @check_keywords
