@@ -23,6 +23,7 @@ from rfpsurvey.errors import InputError, check_switch
 
 __all__ = [
     "TEMPORARY_PREFIX",
+    "check_fits_text",
     "check_output",
     "fits_bytes",
     "output_path",
@@ -84,6 +85,19 @@ def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite
     if not check_switch(overwrite, "overwrite") and path.exists():
         raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)")
     return path
+
+
+def check_fits_text(columns: dict, remedy: str) -> None:
+    """Refuse text that FITS files cannot hold; ``columns`` is a dict from what an array holds to the array."""
+    for what, values in columns.items():
+        values = np.asarray(values)
+        text = np.unique(values).tolist() if values.dtype.kind == "U" else []
+        bad = [one for one in text if not (one.isascii() and one.isprintable()) and one]
+        if bad:
+            raise InputError(
+                f"FITS files hold printable ASCII text only, but {len(bad)} {what} are other, such as "
+                f"{bad[0]!r}; change them, or {remedy}"
+            )
 
 
 @contextmanager

@@ -133,7 +133,7 @@ def test_masked_values_count_as_missing(small):
     tips = Masked([[3, 0]] * MM, mask=[[True, True]])
     plane = rs.FocalPlane([[0, 0]] * MM, small.focal_plane.positioner)
     assert not rs.find_collisions(plane, tips).assigned.any()
-    with pytest.raises(rs.InputError, match="priority must be a number for every target"):
+    with pytest.raises(rs.InputError, match="priority must be a finite number for every target"):
         few(2, priority=np.ma.array([1.0, 2.0], mask=[True, False]))
     x, y = small.focal_plane.xy[:2].T
     plan = QTable({"positioner": [0, 1], "x": x, "y": y, "assigned": MaskedColumn([1, 1], mask=[True, False])})

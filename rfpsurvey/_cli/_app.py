@@ -26,7 +26,7 @@ from rfpsurvey._cli._print import (
     finish_tiling,
     print_table,
 )
-from rfpsurvey._io import WRITABLE, check_output, read_table, suffix_of
+from rfpsurvey._io import WRITABLE, check_fits_text, check_output, read_table, suffix_of
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog
 from rfpsurvey.errors import check_choice
@@ -40,6 +40,7 @@ __all__ = [
     "check_chart",
     "check_outputs",
     "check_targets",
+    "check_text",
     "files",
     "finish",
     "finish_comparison",
@@ -275,6 +276,18 @@ def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | N
         raise rs.InputError("--targets needs a plot to draw them in: give --plot")
     if catalog is not None and color in ("category", "priority") and getattr(catalog, color) is None:
         raise rs.InputError(f"--targets {color} needs a {color}, which the catalog does not have: give --column")
+
+
+def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, output: Path | None) -> None:
+    """Refuse text of the targets of a field that FITS output cannot hold before any work is done."""
+    if output is None or suffix_of(output) != ".fits" or len(catalog) == 0:
+        return
+    center = catalog.mean_direction if center is None else center
+    targets = catalog.within(center, instrument.field_radius)
+    columns = {"category": targets.category, **targets.arrays.extra}
+    columns = {f"values of {name!r}": values for name, values in columns.items() if values is not None}
+    columns = {"positioner ids": instrument.focal_plane.id, "target ids": targets.id, **columns}
+    check_fits_text(columns, "write .ecsv instead")
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:

@@ -55,6 +55,7 @@ def plan(
         required=required,
         keep_out=keep_out,
     )
+    _app.check_text(sky, model, field, output)
     tile = rs.plan_tile(
         sky,
         model,

@@ -17,6 +17,7 @@ __all__ = ["read_csv", "read_ecsv"]
 
 MOST_HEADER = 2**18
 MOST_CELLS = 100_000
+MARK = "x"  # makes a number text
 COMMA = re.compile(rb"^# *delimiter: *['\"]?,", re.MULTILINE)
 SHAPE = re.compile(rb"subtype: *['\"]?\w+\[([^\]\n]*)")
 WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
@@ -30,23 +31,19 @@ def read_csv(path: Path) -> Table:
         raise InputError(f"{path}: the first row must hold the names of the columns, got no row")
     if delimiter == b"\t" and b'"' not in content:  # values between commas lose blanks in any case
         content = re.sub(rb" *\t *", b"\t", content)
+    zeros = re.compile(rb'(?<=[\n"%s])( *)(?=0\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))
+    marked = zeros.sub(rb"\1" + MARK.encode(), content).decode("utf-8") if zeros.search(content) else None
     text = content.decode("utf-8")
     del content
-    from astropy.io import ascii as text_tables
-
     # of the two kinds only "tab" keeps an empty first value
     options = {"format": "tab" if delimiter == b"\t" else "csv", "guess": False, "comment": "#"}
     if delimiter not in b",\t":
         options["delimiter"] = delimiter.decode()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        if text.isascii():
-            if "\n" not in text:  # it would be taken for a path
-                text += "\n"
-            table = text_tables.read(text, fast_reader={"enable": "force"}, **options)
-        else:  # which the fast reader cannot read
-            lines = [line for line in text.split("\n") if _is_data(line)]
-            table = text_tables.read(lines, fast_reader=False, **options)
+        table = _parse(text, options)
+        if marked is not None:
+            _keep_leading_zeros(table, _parse(marked, options))
     for message in dict.fromkeys(str(w.message) for w in caught if "FloatType" in str(w.message)):
         warn(f"{path}: {message}")
     table.meta.clear()
@@ -81,6 +78,28 @@ def read_ecsv(path: Path) -> Table:
         warnings.simplefilter("ignore")
         table = text_tables.read(lines, format="ecsv", guess=False)
     return _with_all_rows(path, table, n_lines - 1)
+
+
+def _parse(text: str, options: dict) -> Table:
+    from astropy.io import ascii as text_tables
+
+    if text.isascii():
+        if "\n" not in text:  # it would be taken for a path
+            text += "\n"
+        return text_tables.read(text, fast_reader={"enable": "force"}, **options)
+    # which the fast reader cannot read
+    return text_tables.read([line for line in text.split("\n") if _is_data(line)], fast_reader=False, **options)
+
+
+def _keep_leading_zeros(table: Table, marked: Table) -> None:
+    """Replace integers by text in columns of digits that have a mark before a leading zero."""
+    for name, other in zip(table.colnames, marked.colnames, strict=True):
+        if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
+            continue
+        missing = np.ma.getmaskarray(np.ma.asarray(table[name]))
+        text = np.char.lstrip(np.where(missing, "", np.asarray(marked[other])), MARK)
+        if np.char.isdigit(text[~missing]).all():
+            table[name] = np.ma.array(text, mask=missing) if missing.any() else text
 
 
 def _checked_content(path: Path) -> bytes:

@@ -8,7 +8,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_generator, to_plain, to_points_mm
+from rfpsurvey._units import rows_of, to_generator, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_method
@@ -181,8 +181,8 @@ def _priorities(priority, n):
         raise InputError(f"priority must be numbers: {error}") from None
     if values.shape != (n,):
         raise InputError(f"priority must have one value per target, shape ({n},), got {values.shape}")
-    if np.isnan(values).any():
-        raise InputError(f"priority must be numbers, but {int(np.isnan(values).sum())} of {n} are NaN")
+    if (lacking := ~np.isfinite(values)).any():
+        raise InputError(f"priority must be a finite number for every target, but {rows_of(lacking)} have none")
     return values
 
 

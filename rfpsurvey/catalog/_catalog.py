@@ -115,8 +115,8 @@ class Catalog:
         if "kind" in columns:
             for kind in np.unique(columns["kind"]).tolist():
                 check_choice(kind, KINDS, "kind of target")
-        if "priority" in columns and (lacking := np.isnan(columns["priority"])).any():
-            raise InputError(f"priority must be a number for every target, but {rows_of(lacking)} have none")
+        if "priority" in columns and (lacking := ~np.isfinite(columns["priority"])).any():
+            raise InputError(f"priority must be a finite number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
@@ -247,7 +247,10 @@ class Catalog:
     @classmethod
     def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
         found = _tables.read_columns(table, columns, units, frame, fill, assume_units=assume_units)
-        return cls(**found, extra=None if keep is None else pick_columns(_tables.as_table(table, columns)[0], keep))
+        if keep is None:
+            return cls(**found)
+        table = _tables.as_table(table, columns)[0]
+        return cls(**found, extra=pick_columns(table, keep, _tables.names_in_results(table, columns, frame)))
 
     @classmethod
     @check_keywords

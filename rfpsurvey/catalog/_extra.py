@@ -24,8 +24,8 @@ MOST_EXACT = 2**53
 KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
-def pick_columns(table: Table, keep: object) -> QTable | None:
-    """Return the columns of a table that are to be kept, None for none."""
+def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
+    """Return the columns of a table that are to be kept, without ``others``, None for none."""
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):
@@ -34,6 +34,7 @@ def pick_columns(table: Table, keep: object) -> QTable | None:
     for name in names:
         if name not in table.colnames:
             raise InputError(f"keep must name columns of the table ({', '.join(table.colnames)}), got {name!r}")
+    names = [name for name in names if name not in others]
     return extra_columns(QTable({name: table[name] for name in names}), len(table)) if names else None
 
 
@@ -55,7 +56,9 @@ def extra_columns(columns: object, n: int) -> QTable | None:
 
 def result_name(name: str) -> str:
     """Return the name of a column in results; FITS does not tell small and capital letters apart."""
-    return f"target_{name}" if name.lower() in RESERVED else name
+    while name.lower() in RESERVED:
+        name = f"target_{name}"
+    return name
 
 
 def _plain(column, name):

@@ -11,7 +11,7 @@ from rfpsurvey.catalog._frames import as_table
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
-__all__ = ["has_units", "read_columns"]
+__all__ = ["has_units", "names_in_results", "read_columns"]
 
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
@@ -48,6 +48,17 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
         "epoch": _epoch(find, coord),
         "meta": meta,
     }
+
+
+def names_in_results(table: Table, columns: dict | None, frame: str) -> set:
+    """Return the names of columns that results have in any case under the same name, with the same values."""
+    columns = columns or {}
+    has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
+    roles = ["id", "priority", "kind", "category"]
+    roles += ["ra", "dec"] if frame.lower() == "icrs" and not has_coordinates else []
+    find = Finder(table, columns)
+    found = {role: find.name_of(role) for role in roles if not columns.get(role, "").startswith("-")}
+    return {name for role, name in found.items() if name and name.lower() in (role, "target_id")}
 
 
 def has_units(table: Table) -> bool:

@@ -7,6 +7,7 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_plain, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.errors import InputError, warn
@@ -125,15 +126,7 @@ class Request:
         if self.source.has_text_ids:
             columns["target ids"] = self.source.ids()
         columns.update(self.source.text_columns())
-        for what, names in columns.items():
-            names = np.asarray(names)
-            text = np.unique(names).tolist() if names.dtype.kind == "U" else []
-            bad = [name for name in text if not (name.isascii() and name.isprintable()) and name]
-            if bad:
-                raise InputError(
-                    f"FITS files hold printable ASCII text only, but {len(bad)} {what} are other, such as "
-                    f"{bad[0]!r}; change them, or plan without a folder"
-                )
+        check_fits_text(columns, "plan without a folder")
 
     def identity(self) -> dict:
         """Return what tells one survey from another."""

@@ -11,7 +11,7 @@ from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import BlankIds, plan_field, project_field
 from rfpsurvey.survey._source import Field
-from rfpsurvey.tile import TARGET_COLUMNS
+from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 
@@ -85,7 +85,7 @@ class Model:
     def cards(self, columns: tuple[str, ...]) -> tuple:
         """Return the cards that all parts share."""
         units = {"ra": "deg", "dec": "deg", **self.units}
-        cards = table_cards("VISITS", columns, VISITS, units)
+        cards = table_cards("VISITS", columns, {k: VISITS.get(k, KEPT_COLUMN) for k in columns}, units)
         cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
         if self.epoch is not None:
             cards["REFEPOCH"] = (self.epoch, "epoch of the positions")

@@ -1,7 +1,7 @@
 """One tile end to end: planned from a catalog, or scored as another planner assigned it."""
 
 from rfpsurvey.tile._build import versions
-from rfpsurvey.tile._columns import OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit
+from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit
 from rfpsurvey.tile._field import north_of_date
 from rfpsurvey.tile._model import model_sentence
 from rfpsurvey.tile._plan import plan_tile
@@ -9,6 +9,7 @@ from rfpsurvey.tile._score import score_tile
 from rfpsurvey.tile._tile import Tile
 
 __all__ = [
+    "KEPT_COLUMN",
     "OUTCOMES_COLUMNS",
     "TARGET_COLUMNS",
     "TILE_COLUMNS",

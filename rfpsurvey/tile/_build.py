@@ -12,7 +12,7 @@ from astropy.table import QTable
 
 from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.tile._columns import TILE_COLUMNS, describe, id_column
+from rfpsurvey.tile._columns import KEPT_COLUMN, TILE_COLUMNS, describe, id_column
 from rfpsurvey.tile._model import model_sentence
 from rfpsurvey.tile._targets import TargetsOfField
 from rfpsurvey.tile._tile import Tile
@@ -116,7 +116,7 @@ def build_tile(
         },
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold
-    return Tile(describe(table, TILE_COLUMNS), targets)
+    return Tile(describe(table, TILE_COLUMNS, KEPT_COLUMN), targets)
 
 
 def _one_or_all(values):

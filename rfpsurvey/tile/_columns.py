@@ -6,6 +6,7 @@ from astropy.table import MaskedColumn, QTable
 
 __all__ = [
     "COMPLETENESS",
+    "KEPT_COLUMN",
     "OUTCOMES_COLUMNS",
     "TARGET_COLUMNS",
     "TILE_COLUMNS",
@@ -42,6 +43,7 @@ TILE_COLUMNS = {
     "arm_x": "end of the arm segment that can collide",
     "arm_y": "end of the arm segment that can collide",
 }
+KEPT_COLUMN = "column of the catalog"
 OUTCOMES_COLUMNS = {
     "target_id": "identifier of the target",
     **TARGET_COLUMNS,
@@ -62,11 +64,11 @@ COMPLETENESS = {
 }
 
 
-def describe(table: QTable, about: dict) -> QTable:
-    """Set the descriptions of columns, and return the table."""
+def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
+    """Set the descriptions of columns, those not in ``about`` to ``others``, and return the table."""
     for name in table.colnames:
-        if name in about:
-            table[name].info.description = about[name]
+        if name in about or others:
+            table[name].info.description = about.get(name, others)
     return table
 
 

@@ -188,6 +188,8 @@ def _positioners(find: Finder, plane):
     if values.dtype.kind == "f":  # integers in a column with blanks
         values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
     names = np.char.strip(values.astype(str))
+    if plane.id.dtype.kind == "i":  # CSV keeps leading zeros
+        names = np.array([str(int(v)) if v.isdecimal() else v for v in names.tolist()], dtype=str)
     index = {str(i): k for k, i in enumerate(plane.id)}
     # blank, and -1 where no positioner is called so, mean that the row assigns none
     rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))

@@ -9,7 +9,7 @@ from astropy.table import QTable
 from rfpsurvey._units import to_lonlat
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.pipeline import OUTCOMES, FieldPlan, Outcome, category_classes, outcome_codes, priority_classes
-from rfpsurvey.tile._columns import COMPLETENESS, OUTCOMES_COLUMNS, describe, only_with_target, with_unit
+from rfpsurvey.tile._columns import COMPLETENESS, KEPT_COLUMN, OUTCOMES_COLUMNS, describe, only_with_target, with_unit
 
 __all__ = ["TargetsOfField", "by_positioner", "completeness_table", "counts_by_kind", "targets_of_field"]
 
@@ -45,7 +45,7 @@ class TargetsOfField(NamedTuple):
         table["positioner"] = only_with_target(positioner_id[self.positioner], self.positioner >= 0)
         for name, values in self.columns.items():
             table[name] = values
-        return describe(table, OUTCOMES_COLUMNS)
+        return describe(table, OUTCOMES_COLUMNS, KEPT_COLUMN)
 
 
 def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> TargetsOfField:

@@ -17,7 +17,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.tile._columns import OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
+from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
 from rfpsurvey.tile._targets import completeness_table
 
 __all__ = ["Tile"]
@@ -170,12 +170,14 @@ class Tile:
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
             table["target_id"] = id_column(table["target_id"], has_target)
-            tile = cls(describe(_plain(table), TILE_COLUMNS))
-        except (KeyError, InputError) as error:
+            tile = cls(describe(_plain(table), TILE_COLUMNS, KEPT_COLUMN))
+        except KeyError as error:
+            raise InputError(f"{path} does not hold a tile: the column {error.args[0]} is missing") from None
+        except InputError as error:
             raise InputError(f"{path} does not hold a tile: {error}") from None
         if not tile.provenance.get("outcomes") or _io.suffix_of(_io.to_path(path)) != ".fits":
             return tile
-        return cls(tile.table, describe(_plain(_io.read_table(path, number=1)), OUTCOMES_COLUMNS))
+        return cls(tile.table, describe(_plain(_io.read_table(path, number=1)), OUTCOMES_COLUMNS, KEPT_COLUMN))
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
         """Write the tile as FITS or ECSV; the file appears whole or not at all.

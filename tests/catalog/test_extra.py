@@ -90,6 +90,38 @@ def test_keep_names_columns_of_the_table():
         rs.Catalog.from_table(table(), keep="mag")
 
 
+def test_columns_that_results_have_are_not_kept_twice():
+    stars = table()
+    for name in ("id", "target_id", "priority", "category", "kind", "fiber_type"):
+        stars[name] = ["science"] * 3 if name == "kind" else [1, 2, 3] if "id" in name else ["5", "6", "7"]
+    names = ["ra", "dec", "id", "priority", "category", "kind"]
+    assert rs.Catalog.from_table(stars, keep=names).extra is None
+    assert rs.Catalog.from_table(stars, keep=[*names, "g"]).extra.colnames == ["g"]
+    # what results have by these names is something else
+    other = {"category": "name", "priority": "-priority"}
+    kept = rs.Catalog.from_table(stars, keep=[*names, "fiber_type"], columns=other)
+    assert list(kept.arrays.extra) == ["target_priority", "target_category", "target_fiber_type"]
+    assert rs.Catalog.from_table(stars, keep="ra", frame="fk5").extra.colnames == ["ra"]
+    kept = rs.Catalog.from_table(stars, keep="id", columns={"id": "target_id"})
+    assert list(kept.arrays.extra) == ["target_target_id"]
+
+
+def test_kept_columns_are_described_in_files(tmp_path):
+    from astropy.io import fits
+
+    coord = rs.synthetic_catalog("uniform", "95 23", 1 * u.deg, n_targets=50, rng=1).coord
+    stars = rs.Catalog(coord, extra={"g": np.arange(50.0) * u.mag})
+    tile = rs.plan_tile(stars, "sdss_apo", "95 23")
+    tile.write(tmp_path / "tile.fits")
+    rs.plan_survey(stars, "sdss_apo", SkyCoord([95] * u.deg, [23] * u.deg), folder=tmp_path / "survey")
+    (part,) = (tmp_path / "survey" / "tiles").rglob("*.fits")
+    for file, number in ((tmp_path / "tile.fits", 1), (tmp_path / "tile.fits", 2), (part, 1)):
+        header = fits.getheader(file, number)
+        name = next(key for key, value in header.items() if value == "g")
+        assert header[name.replace("TTYPE", "TCOMM")] == "column of the catalog"
+    assert rs.Tile.read(tmp_path / "tile.fits") == tile
+
+
 def test_partitions_keep_columns(tmp_path):
     pytest.importorskip("pyarrow")
     rng = np.random.default_rng(1)

@@ -203,10 +203,11 @@ def test_values_for_missing_priorities():
     ):
         with pytest.raises(rs.InputError, match=message):
             rs.Catalog.from_table(table, columns=columns, fill=fill)
-    with pytest.raises(
-        rs.InputError, match=r"priority must be a number for every target, but 1 of 2 rows .row 2. have"
-    ):
-        rs.Catalog(SkyCoord([1, 2] * DEG, [1, 2] * DEG), priority=[1, np.nan])
+    for bad in (np.nan, np.inf, -np.inf):
+        with pytest.raises(
+            rs.InputError, match=r"priority must be a finite number for every target, but 1 of 2 rows .row 2. have"
+        ):
+            rs.Catalog(SkyCoord([1, 2] * DEG, [1, 2] * DEG), priority=[1, bad])
 
 
 def test_identifiers_that_are_whole_numbers_may_be_floats():

@@ -417,3 +417,27 @@ def test_plan_draws_all_targets_and_the_quality(run, tmp_path):
         assert code == 2
         assert message in err
         assert out == ""
+
+
+def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, monkeypatch):
+    def write(names, notes):
+        rows = zip(names, (95, 95.1, 130), (23, 23.1, 23), notes, strict=True)
+        text = "id,ra,dec,note\n" + "\n".join(",".join(map(str, row)) for row in rows)
+        (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+
+    plan = ["plan", tmp_path / "a.csv", "--center", "95 23", "--instrument", "sdss_apo"]
+    fits = ["--output", tmp_path / "a.fits"]
+    write(["a", "b", "β Ori"], ["x", "y", "ö"])  # the last is in another field
+    assert run(*plan, "--keep", "note", *fits)[0] == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(rs, "plan_tile", None)
+        write(["β Ori", "b", "c"], ["x", "y", "z"])
+        code, _, err = run(*plan, *fits, "--overwrite")
+        assert code == 2
+        assert "FITS files hold printable ASCII text only, but 1 target ids are other, such as 'β Ori'" in err
+        assert "write .ecsv instead" in err
+        write(["a", "b", "c"], ["x", "ä", "z"])
+        code, _, err = run(*plan, "--keep", "note", *fits, "--overwrite")
+        assert code == 2
+        assert "1 values of 'note' are other, such as 'ä'" in err
+    assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0

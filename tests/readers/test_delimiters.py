@@ -107,3 +107,31 @@ def test_words_for_missing_numbers(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("ra,dec,pmra,pmdec\n10,20,null,--\n11,21,N/A,\n12,22,1,2\n")
     np.testing.assert_allclose(rs.Catalog.read(path).coord.pm_dec.value, [np.nan, np.nan, 2])
+
+
+@pytest.mark.parametrize("last", ["s", "ä"])  # which another reader of astropy reads
+@pytest.mark.parametrize("delimiter", ROWS.values(), ids=ROWS)
+def test_digits_with_leading_zeros_stay_text(tmp_path, delimiter, last):
+    rows = ["id,n,zero,signed,dec,quoted,gap,last", '001,1,0,-5,05,"007",,a', '01,20,3,05,1.5,"8",02,b']
+    rows.append(f'12,3,10,7,2,"9",3,{last}')
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(rows).replace(",", delimiter), encoding="utf-8")
+    table = read_table(path)
+    assert table["id"].tolist() == ["001", "01", "12"]
+    assert table["quoted"].tolist() == ["007", "8", "9"]
+    assert table["gap"].tolist() == [None, "02", "3"]
+    assert table["n"].tolist() == [1, 20, 3]
+    assert table["zero"].tolist() == [0, 3, 10]
+    assert table["signed"].tolist() == [-5, 5, 7]
+    assert table["dec"].tolist() == [5, 1.5, 2]
+    assert table["last"].tolist() == ["a", "b", last]
+
+
+def test_numbers_with_leading_zeros_are_read_as_numbers(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("id,ra,dec,priority\r\n01,005,10,02\r\n001,010,20,03\r\n")
+    assert read_table(path)["priority"].tolist() == ["02", "03"]
+    catalog = rs.Catalog.read(path)
+    assert catalog.id.tolist() == ["01", "001"]
+    assert catalog.coord.ra.deg.tolist() == pytest.approx([5, 10])
+    assert catalog.priority.tolist() == [2, 3]

@@ -96,6 +96,13 @@ def test_wrong_fibers_are_counted(presets):
     assert rs.score_tile(plan, presets["sdss_apo"]).summary["n_wrong_fiber"] == 1
 
 
+def test_positioners_may_have_leading_zeros(presets):
+    x, y = presets["lamost"].focal_plane.xy[[7, 20]].T
+    plan = QTable({"positioner": ["007", "0020"], "x": x + 5 * MM, "y": y})
+    tile = rs.score_tile(plan, presets["lamost"])
+    assert tile.table["id"][tile.table["status"] == "assigned"].tolist() == [7, 20]
+
+
 def test_rows_without_a_positioner_are_ignored(presets):
     x, y = presets["lamost"].focal_plane.xy[:3].T
     plan = QTable({"robot_id": [-1, 1, 2], "x": x, "y": y, "assigned": [0, 1, 0]})

@@ -234,7 +234,7 @@ def test_bad_input_is_named(small, sky, presets, tmp_path):
         tile.write(tmp_path / "tile.txt")
     sky_path = tmp_path / "sky.ecsv"
     sky.write(sky_path)
-    with pytest.raises(rs.InputError, match="does not hold a tile"):
+    with pytest.raises(rs.InputError, match="does not hold a tile: the column status is missing$"):
         rs.Tile.read(sky_path)
     with pytest.raises(rs.InputError, match="there is no such file"):
         rs.Tile.read(tmp_path / "nothing.fits")
