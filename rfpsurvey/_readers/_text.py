@@ -31,8 +31,9 @@ def read_csv(path: Path) -> Table:
         raise InputError(f"{path}: the first row must hold the names of the columns, got no row")
     if delimiter == b"\t" and b'"' not in content:  # values between commas lose blanks in any case
         content = re.sub(rb" *\t *", b"\t", content)
-    zeros = re.compile(rb'(?<=[\n"%s])( *)(?=0\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))
-    marked = zeros.sub(rb"\1" + MARK.encode(), content).decode("utf-8") if zeros.search(content) else None
+    # the zero comes first, as a search for one byte is fast
+    zeros = re.compile(rb'0(?<=[\n" %s]0)(?=\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))
+    marked = zeros.sub(MARK.encode() + b"0", content).decode("utf-8") if zeros.search(content) else None
     text = content.decode("utf-8")
     del content
     # of the two kinds only "tab" keeps an empty first value

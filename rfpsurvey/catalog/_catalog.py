@@ -17,7 +17,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
-from rfpsurvey.catalog._extra import extra_columns, pick_columns, result_name
+from rfpsurvey.catalog._extra import extra_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn
@@ -247,10 +247,7 @@ class Catalog:
     @classmethod
     def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
         found = _tables.read_columns(table, columns, units, frame, fill, assume_units=assume_units)
-        if keep is None:
-            return cls(**found)
-        table = _tables.as_table(table, columns)[0]
-        return cls(**found, extra=pick_columns(table, keep, _tables.names_in_results(table, columns, frame)))
+        return cls(**found, extra=_tables.kept_columns(table, keep, columns, frame))
 
     @classmethod
     @check_keywords

@@ -3,15 +3,16 @@
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
-from astropy.table import Table
+from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey.catalog._columns import Finder
+from rfpsurvey.catalog._extra import pick_columns
 from rfpsurvey.catalog._frames import as_table
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
-__all__ = ["has_units", "names_in_results", "read_columns"]
+__all__ = ["has_units", "kept_columns", "read_columns"]
 
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
@@ -50,7 +51,15 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
     }
 
 
-def names_in_results(table: Table, columns: dict | None, frame: str) -> set:
+def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
+    """Return the columns that are to be kept, without those that results have in any case, None for none."""
+    if keep is None:
+        return None
+    table, _ = as_table(table, columns)
+    return pick_columns(table, keep, _names_in_results(table, columns, frame))
+
+
+def _names_in_results(table, columns, frame):
     """Return the names of columns that results have in any case under the same name, with the same values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
