@@ -36,7 +36,7 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
 
 
 def rounded(table: object) -> object:
-    """Return a table that shows as many digits as are of use; its values are as they were."""
+    """Return a copy of a table that prints with few digits; its values have all digits."""
     table = table.copy(copy_data=False)
     for column in table.itercols():
         if getattr(column.dtype, "kind", "") == "f":

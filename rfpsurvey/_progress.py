@@ -6,7 +6,7 @@ from rfpsurvey.errors import check_switch
 
 __all__ = ["Progress"]
 
-EVERY = 0.1  # seconds between two looks of the line
+EVERY = 0.1  # seconds between two updates of the line
 
 
 class Progress:

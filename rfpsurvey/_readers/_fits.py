@@ -25,7 +25,7 @@ FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 def read_fits(path: Path, number: int | None = None) -> QTable:
     """Return a table of a FITS file by its number, or the first one with a warning where there are others.
 
-    Text is returned as bytes. Other tables in files of this package are described by the first, and no surprise.
+    Text is returned as bytes. There is no warning for files of this package, whose tables belong together.
     """
     with open_content(path) as file:
         found = _find_tables(file, path)

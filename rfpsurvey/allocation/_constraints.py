@@ -10,7 +10,7 @@ from rfpsurvey.region import Region
 
 __all__ = ["as_keep_out", "as_required", "brief", "circle_text", "recorded"]
 
-# A result lists at most so many identifiers or circles; of more, it holds the number and a digest.
+# Identifiers or circles that a result lists; of more, it holds the number and a digest.
 MOST_LISTED = 1000
 
 

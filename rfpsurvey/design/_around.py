@@ -10,7 +10,7 @@ from rfpsurvey.design._axes import AXES, to_axes
 from rfpsurvey.design._explore import explore_designs, scan
 from rfpsurvey.design._rows import set_formats
 from rfpsurvey.design._start import start_of
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.instrument import Instrument, as_instrument
 
 __all__ = ["design_improvements", "explore_around"]
@@ -41,7 +41,7 @@ def explore_around(
     n_nodes : int, optional
         Values of each parameter that varies; all combinations are scanned.
     n_designs : int, optional
-        So many Sobol points between the limits instead of a grid.
+        Number of Sobol points between the limits, instead of a grid.
     **others
         Parameters of `explore_designs`. Those of the design (``central_arm``, ``ratio``, ``pitch``, ``clearance``,
         ``step``) replace the values around the instrument.
@@ -153,7 +153,5 @@ def _factors(spread, n_nodes, n_designs):
     number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
     if not (number and 0 < spread < 1):
         raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")
-    whole = isinstance(n_nodes, int | np.integer) and not isinstance(n_nodes, bool)
-    if not (whole and 2 <= n_nodes <= 1000):
-        raise InputError(f"n_nodes must be a whole number from 2 to 1000, got {n_nodes!r}")
+    check_whole(n_nodes, "n_nodes", 2, 1000)
     return 1 + spread * np.linspace(-1, 1, n_nodes if n_designs is None else 2)

@@ -71,7 +71,7 @@ def to_table(rows: np.ndarray, meta: dict) -> QTable:
 
 
 def set_formats(table: QTable) -> None:
-    """Let a table print its numbers with as many digits as mean something."""
+    """Let a table print its numbers with few digits; its values have all digits."""
     for name in table.colnames:
         if name in FORMATS:
             table[name].info.format = FORMATS[name]

@@ -30,6 +30,8 @@ def with_keep_out(instrument: Instrument, projection: FieldProjection, options: 
     apart = np.arccos(np.clip(circles[:, :3] @ projection.basis[2], -1, 1))
     images = np.array([image_of_circle(projection, *circles[k]) for k in np.flatnonzero(apart <= limit)])
     images = images.reshape(-1, 3)
+    # where a circle holds all that has an image, its rim has none
+    images[np.isnan(images[:, 2]) & (apart < circles[:, 3])[apart <= limit]] = 0, 0, 2 * size
     near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False where there is no image
     if not near.any():
         return instrument
@@ -47,7 +49,7 @@ def image_of_circle(
 
     The image of a circle is not a circle where the scale changes, and the images by several fiber types differ: the
     circle holds all of them. The center may be so far from the field that it has no image, while a part of the circle
-    has one. NaN without any image.
+    has one. NaN where the rim has no image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]

@@ -153,7 +153,7 @@ def _extent(xy, rims) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _new_axes(sky_map, xy, rims, rows):
-    """Return axes in a figure of their own, with room for a legend of so many rows."""
+    """Return axes in a figure of their own, with room for the rows of a legend."""
     below = ROW * rows
     if sky_map.kind == "whole":
         return new_axes(8, 4.8 + below, projection="aitoff")

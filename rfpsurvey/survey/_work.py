@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._io import fits_bytes, table_cards
-from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import BlankIds, plan_field, project_field
 from rfpsurvey.survey._source import Field
@@ -154,7 +154,7 @@ def work(job: Job) -> Done:
         "n_in_field": len(field.row),
         "n_reachable": plan.allocation.n_reachable,
         "n_assigned": len(plan.positioner),
-        **{f"n_{kind}": int((plan.kind == kind).sum()) for kind in ("science", "standard", "sky")},
+        **{f"n_{kind}": int((plan.kind == kind).sum()) for kind in KINDS},
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),

@@ -126,8 +126,8 @@ def plan_tile(
         )
     given = rows
     if catalog.kind is not None and not options.requirements:
-        wanted = catalog.kind == "science"
-        given = rows[(wanted if is_required is None else wanted | is_required)[rows]]
+        wanted = catalog.kind[rows] == "science"
+        given = rows[wanted if is_required is None else wanted | is_required[rows]]
     if len(given) == 0:
         raise InputError(
             f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
@@ -212,10 +212,11 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
     """Warn of requirements on categories that no target of the catalog has, but for those of the instrument."""
     if isinstance(options.requirements, str) or not options.requirements:
         return
-    there = set() if catalog.category is None else set(np.unique(catalog.category).tolist())
+    category = np.array([""]) if catalog.category is None else catalog.category
     for one in options.requirements:
-        if one.minimum and one.what not in {*KINDS, *there}:
-            hint = hint_of_name(one.what, there) or f"its categories are: {', '.join(sorted(there)[:8]) or 'none'}"
+        if one.minimum and one.what not in KINDS and not (category == one.what).any():
+            there = [] if catalog.category is None else np.unique(category).tolist()
+            hint = hint_of_name(one.what, there) or f"its categories are: {', '.join(there[:8]) or 'none'}"
             warn(f"no target of the catalog is {one.what!r}, as the requirement '{one}' asks for; {hint}")
 
 

@@ -7,13 +7,13 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_lonlat
+from rfpsurvey.allocation import KINDS
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.pipeline import OUTCOMES, FieldPlan, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.tile._columns import COMPLETENESS, KEPT_COLUMN, OUTCOMES_COLUMNS, describe, only_with_target, with_unit
 
 __all__ = ["TargetsOfField", "by_positioner", "completeness_table", "counts_by_kind", "targets_of_field"]
 
-KINDS = ("science", "standard", "sky")
 COLUMNS = ("kind", "category", "priority")
 LOST, OBSERVED, UNREACHED, UNUSED = (
     OUTCOMES[k] for k in (Outcome.LOST_TO_A_COLLISION, Outcome.OBSERVED, Outcome.OUT_OF_REACH, Outcome.NOT_REQUESTED)

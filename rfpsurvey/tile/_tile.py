@@ -158,7 +158,7 @@ class Tile:
         Returns
         -------
         Tile
-            Equal to the one that was written.
+            Equal to the one that was written; from ECSV without `outcomes`.
 
         Raises
         ------
@@ -195,7 +195,7 @@ class Tile:
         Raises
         ------
         InputError
-            If the folder is missing or the file exists.
+            If the folder is missing, the file exists, or FITS cannot hold a text.
         """
         parameters = self.provenance["parameters"]
         cards = {

@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._units import to_lonlat, to_scalar, to_unit, to_vectors
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
 
 __all__ = ["Centers", "Declinations", "as_centers"]
@@ -73,7 +73,7 @@ class Centers:
             return None
         given = self.coord
         if not isinstance(given, SkyCoord | Tiling | Table):
-            raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {given!r:.60}")
+            raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {short(given)}")
         if isinstance(given, SkyCoord):
             vectors = to_vectors(given, "centers")
             given = SkyCoord(*to_ra_dec(vectors[np.isfinite(vectors).all(axis=1)]), unit="deg")
@@ -153,7 +153,9 @@ def _two(limits):
     try:
         low, high = limits
     except (TypeError, ValueError):
-        raise InputError(f"declination must be two angles, the lower and the upper limit, got {limits!r}") from None
+        raise InputError(
+            f"declination must be two angles, the lower and the upper limit, got {short(limits)}"
+        ) from None
     low, high = (float(to_unit(one, u.deg, "declination")) for one in (low, high))
     if not -90 <= low <= high <= 90:
         raise InputError(

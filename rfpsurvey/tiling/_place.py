@@ -78,7 +78,7 @@ def place_tiles(
         How often coverings cover everything, each pass with its tiles elsewhere, whether or not a target is left. With
         ``completeness`` or ``n_tiles``, passes follow until that is reached, without tiles that serve nobody.
     n_tiles : int, optional
-        At most so many tiles; for ``sdss`` without ``completeness``, so many.
+        Largest number of tiles; for ``sdss`` without ``completeness``, the number of tiles.
     completeness : float, optional
         Part of the wanted visits, above 0 and at most 1, at which no more tiles are placed.
     fibers : Fibers or int, optional

@@ -135,7 +135,7 @@ class FocalPlaneFibers:
     index : SkyIndex
         Of the catalog.
     fibers : Fibers
-        At most so many targets, and whether collisions count.
+        The largest number of targets, and whether collisions count.
     angles : ndarray
         Position angle of each tile, radians; one for all, or as many as there are tiles.
     seed : int

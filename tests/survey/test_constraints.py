@@ -241,7 +241,7 @@ def test_place_tiles_has_both():
 
 
 @pytest.mark.parametrize("name", ["sdss_apo", "desi", "moons"])
-@pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1)])
+@pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1), (0.5, 3.0)])
 def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):
     """Circles whose center has no image were left out, and others were smaller than on the sky."""
     instrument = presets[name]

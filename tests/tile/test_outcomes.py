@@ -173,7 +173,7 @@ def test_files_explain_themselves(tile, tmp_path):
     assert len(plain) == len(tile.outcomes)
 
 
-def test_a_tile_without_outcomes_differs_from_none(tile):
+def test_tiles_with_other_outcomes_are_not_equal(tile):
     other = rs.Tile(tile.table.copy(), tile.outcomes.copy())
     assert other == tile
     other.outcomes["outcome"][0] = "elsewhere"
