@@ -97,7 +97,7 @@ class FocalPlane:
         """The columns as plain numbers in mm and radians that cannot be written to (``FocalPlaneArrays``)."""
         return FocalPlaneArrays(self)
 
-    @property
+    @cached_property
     def collision_type(self) -> int:
         """1: no two arms can touch; 2: only those of first neighbors; 3: further ones too."""
         pairs = self.neighbor_pairs()

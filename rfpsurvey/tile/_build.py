@@ -50,7 +50,6 @@ def build_tile(
     if len(ids) == 0:  # a plan without any target
         ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
     row = np.where(has_target, target_of, 0)
-    names = np.array([str(i) for i in plane.id])
     status = np.full(n, "idle", dtype="U12")
     for flag, word in (
         (posed.parked, "parked"),
@@ -73,10 +72,7 @@ def build_tile(
     table["elbow_x"], table["elbow_y"] = posed.elbow.T * u.mm
     table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
     table["in_collision"] = report.in_collision
-    partners = [list(names[p]) if p else p for p in report.colliding_with]
-    for i, j in report.obstacle_pairs.tolist():
-        partners[i].append(f"obstacle-{j}")
-    table["colliding_with"] = [" ".join(p) for p in partners]
+    table["colliding_with"] = _partners(plane, report)
     table["clearance"] = (nearest_distance(posed) - plane.positioner.numbers.separation) * u.mm
     table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
     if kind is not None:
@@ -117,6 +113,20 @@ def build_tile(
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold
     return Tile(describe(table, TILE_COLUMNS, KEPT_COLUMN), targets)
+
+
+def _partners(plane, report):
+    """Ids of what each positioner collides with, in one string; only colliding ones are looked at."""
+    partners = {}
+    for i, j in report.pairs.tolist():
+        partners.setdefault(i, []).append(str(plane.id[j]))
+        partners.setdefault(j, []).append(str(plane.id[i]))
+    for i, j in report.obstacle_pairs.tolist():
+        partners.setdefault(i, []).append(f"obstacle-{j}")
+    texts = [" ".join(found) for found in partners.values()]
+    column = np.full(len(plane), "", dtype=f"U{max(map(len, texts), default=1)}")
+    column[list(partners)] = texts
+    return column
 
 
 def _one_or_all(values):

@@ -51,7 +51,7 @@ class TargetsOfField(NamedTuple):
 def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> TargetsOfField:
     """Return all targets of a field, rows of the catalog, of which some were ``given`` to the allocator."""
     allocation, n = plan.allocation, len(given)
-    place = np.searchsorted(rows, given)
+    place = np.arange(n) if n == len(rows) else np.searchsorted(rows, given)
     outcome, positioner = np.full(len(rows), Outcome.NOT_REQUESTED, dtype=np.uint8), np.full(len(rows), -1)
     xy = np.full((len(rows), 2), np.nan)
     of_catalog, colliding = plan.target >= 0, plan.report.in_collision[plan.positioner]
