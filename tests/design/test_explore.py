@@ -174,7 +174,7 @@ def test_the_front_is_what_no_row_beats(rows, largest):
 
 def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front():
     with pytest.warns(
-        rs.RfpsurveyWarning, match=r"1 of 3 designs have no figures \(centers are nearer than the minimum"
+        rs.RfpsurveyWarning, match=r"1 of 3 designs have no values \(centers are nearer than the minimum"
     ):
         table = explore(pitch=[4, 25.6, 30] * MM, objectives={"usable_per_area": "max", "loss": "min"})
     assert table["reason"].tolist() == ["centers are nearer than the minimum separation", "", ""]
@@ -339,13 +339,13 @@ def test_shares_and_slopes_of_known_functions():
     [
         (5, "must be what explore_designs returns"),
         (scan(lambda a, b, c, d: a), "at least one of central_arm, ratio, pitch and clearance must vary"),
-        (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with figures, got 2"),
+        (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with values, got 2"),
     ],
 )
 def test_sensitivities_that_make_no_sense_are_refused(table, words):
     with pytest.raises(rs.InputError, match=words):
         rs.design.design_sensitivities(table, figures=["loss"])
-    with pytest.raises(rs.InputError, match=r"unknown figure of designs|must be what"):
+    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be what"):
         rs.design.design_sensitivities(table, figures=["reason"])
 
 
