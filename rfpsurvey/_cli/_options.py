@@ -159,6 +159,10 @@ SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask sch
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
 ]
+SurveyQualityOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw visits by class, targets by outcome, and fibers by kind, .png, .pdf or .svg."),
+]
 DesignInstrumentOption = Annotated[
     str | None,
     typer.Option(help="Scan around this preset or TOML file, whose lengths hold where None is given."),

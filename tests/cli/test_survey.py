@@ -40,7 +40,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     folder, sky, tiling = files
     picture = tmp_path / "plan.png"
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", "--workers", 2)
-    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture)
+    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture, "--quality", tmp_path / "quality.svg")
     expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["visits wanted"] == [str(sky.visits.sum())]
@@ -50,6 +50,8 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "3 of 3 tiles" in err
     assert "not met" not in out  # nothing was required
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {tmp_path / 'quality.svg'}" in out
+    assert "fraction of the visits wanted" in (tmp_path / "quality.svg").read_text()
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]
     call(*words, "--folder", tmp_path / "plan", "--resume")
