@@ -62,10 +62,8 @@ def _draw_visits(ax, survey, kwargs):
     for k, (end, color) in enumerate(zip(ends, colors, strict=True)):
         after = np.asarray(_after(survey, end)["n_observed"][:MOST_ROWS], float)
         several = k > 0 and end > ends[k - 1] + 1
-        words = (
-            f"observed in passes {passes[ends[k - 1] + 1]} to {passes[end]}" if several else f"in pass {passes[end]}"
-        )
-        words = "observed" if len(ends) == 1 else words.removeprefix("observed ")
+        words = f"in passes {passes[ends[k - 1] + 1]} to {passes[end]}" if several else f"in pass {passes[end]}"
+        words = "observed" if len(ends) == 1 else words
         pieces.append((after - before, words, {"color": color}))
         before = after
     pieces.append((wanted - observed, "not observed", {"color": FADED, "alpha": 0.5}))
