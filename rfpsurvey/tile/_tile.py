@@ -187,8 +187,8 @@ class Tile:
         """Write the tile as FITS or ECSV; the file appears whole or not at all.
 
         The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
-        where there are any. An ECSV file holds one table, so that outcomes, completeness and the plots that need them are
-        lost: write ``tile.outcomes`` to a file of its own, or FITS.
+        where there are any. An ECSV file holds ``table`` only, and a tile that is read from it has no outcomes and no
+        completeness: write FITS, or ``tile.outcomes`` to a file of its own.
 
         Parameters
         ----------

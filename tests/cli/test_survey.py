@@ -139,6 +139,25 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     assert lines == 2 * [["required", "targets", "observed", str(n), "of", str(len(required))]]
 
 
+def test_instruments_are_compared_with_required_targets_and_circles(call, files, tmp_path):
+    folder, sky, _ = files
+    words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]
+    words += ["--allocator", "lamost", "--required", 9, "--keep-out", "95,23.05,0.02", "--output", tmp_path / "c.ecsv"]
+    call(*words)
+    options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    expected = rs.compare_instruments(
+        sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"], options=options, progress=False
+    )
+    found, plain = (
+        QTable.read(tmp_path / "c.ecsv"),
+        rs.compare_instruments(sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"]),
+    )
+    assert found["probability"].tolist() == expected["probability"].tolist() != plain["probability"].tolist()
+    assert found.meta["parameters"]["required"] == ["9"]
+    _, err = call("compare", "moons", "--required", 9, code=2)
+    assert "required targets need a catalog" in err
+
+
 @pytest.mark.parametrize("command", ["plan", "compare-allocators"])
 def test_one_tile_has_the_same_words(call, files, tmp_path, command):
     folder, sky, _ = files
