@@ -60,7 +60,10 @@ FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE of rows that have none, as priority=0 or visits=1.")
 ]
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners are parked, as obstacles for others.")]
-OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(help="Write the tile, .fits or .ecsv; only FITS holds the outcomes of all targets, too."),
+]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
 TargetsOption = Annotated[
     str | None,
@@ -158,6 +161,10 @@ ProcessesOption = Annotated[bool, typer.Option("--processes", help="Processes in
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
+]
+SurveyQualityOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw visits by class, targets by outcome, and fibers by kind, .png, .pdf or .svg."),
 ]
 DesignInstrumentOption = Annotated[
     str | None,
