@@ -92,7 +92,11 @@ class Tile:
 
     @property
     def summary(self) -> dict:
-        """Counts, rates, the model that was used and why it suffices, and seconds of each stage."""
+        """Counts, rates, the model that was used and why it suffices, and seconds of each stage.
+
+        Of planned tiles, ``n_required`` and ``n_required_observed`` count required targets and those that are assigned
+        and not in collision.
+        """
         return self.table.meta["summary"]
 
     @property

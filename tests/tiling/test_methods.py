@@ -14,6 +14,7 @@ from rfpsurvey.tiling import METHODS, Centers
 from rfpsurvey.tiling._serve import FreeFibers
 
 DEG = u.deg
+EXHAUSTIVE = pytest.mark.exhaustive
 SEARCHES = [name for name in METHODS if name != "given"]
 GREEDY = ("max_density", "density_gradient", "mean_shift")
 PLACES = {"equator": (180, 0), "zero": (0, 0), "north pole": (0, 90), "south pole": (40, -90), "middle": (123, 45)}
@@ -100,8 +101,8 @@ def test_max_density_is_the_densest_place(rng):
     tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=10_000, method="max_density", n_tiles=1)
     center = SkyCoord(95 * DEG, 23 * DEG)
     grid = center.directional_offset_by(rng.uniform(0, 360, 4000) * DEG, 4 * np.sqrt(rng.random(4000)) * DEG)
-    counts = [np.sum(catalog.coord.separation(c) <= 1 * DEG) for c in grid]
-    assert tiling.table["n_new"][0] >= max(counts) - 1
+    counts = (grid.cartesian.xyz.value.T @ catalog.arrays.vectors.T >= np.cos(np.deg2rad(1))).sum(axis=1)
+    assert tiling.table["n_new"][0] >= counts.max() - 1
 
 
 def test_mean_shift_rests_at_the_mean():
@@ -182,7 +183,9 @@ def test_n_tiles_ends_the_placing(method):
         rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4, completeness=0.99)
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(m, marks=EXHAUSTIVE if m in ("sdss", "max_density") else ()) for m in SEARCHES]
+)
 def test_the_sky_has_no_edge(name):
     """The same targets at RA = 0, at the poles and elsewhere take about as many tiles."""
     center = SkyCoord(123 * DEG, 45 * DEG)
@@ -239,7 +242,7 @@ def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
     assert len(network) < len(lattice)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in (1, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in (1, 3))])
 def test_network_flow_finds_the_fewest_tiles(seed):
     """With one less, the completeness is not reached."""
     catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "sdss"}
