@@ -2,8 +2,8 @@
 SDSS-V over the anticenter
 ==========================
 
-This script plans a survey of Tycho-2 stars around the Galactic anticenter without collisions. Bright stars have priority
-and require two visits::
+This script plans a survey of Tycho-2 stars around the Galactic anticenter without collisions. Bright stars have
+priority and require two visits::
 
     python docs/examples/scripts/sdssv_anticenter.py [CATALOG]
 """
