@@ -18,7 +18,7 @@ from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
-# names that are imported on first use, for type checkers and editors
+# for type checkers and editors
 if TYPE_CHECKING:
     from rfpsurvey import benchmark, compare, design, plot, probability, report, reproduction, survey, tiling  # noqa: F401
     from rfpsurvey.compare import compare_allocators, compare_instruments

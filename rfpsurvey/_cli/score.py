@@ -31,7 +31,7 @@ def score(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Find the collisions in an assignment that another planner made."""
+    """Find the collisions in the assignments of another planner."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}

@@ -52,7 +52,7 @@ def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **option
 
 
 def _differences(table, settings):
-    """Compare the normalized results of formula and simulation, as the paper does; errors are from resampled designs."""
+    """Compare the normalized results of formula and simulation as in the paper; errors are from resampled designs."""
     rng = np.random.default_rng([settings.seed, 1])
     samples = rng.integers(0, len(table), (2000, len(table)))
     rows = []

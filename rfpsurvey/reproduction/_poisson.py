@@ -39,7 +39,7 @@ DISC_ERROR = 3e-3
 LAMOST_ERROR = 0.4
 """Ratio of the standard error of LAMOST's design, which is compared on its own, to that of the others."""
 FEW_ERROR = 5e-3
-"""Standard error of a design whose targets are in reach of few positioners; it gives 0.2 % for the mean over designs."""
+"""Standard error of a design whose targets are in reach of few positioners; that of the mean is then 0.2 %."""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
 """Edges of ranges of the ratio of the arms."""
 

@@ -81,7 +81,7 @@ def _covering_number(problem: TilingProblem) -> int:
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
-    """Return n centers spread evenly over the targets, on a hexagonal lattice whose pitch gives n tiles with targets."""
+    """Return n centers spread evenly over the targets: a hexagonal lattice whose pitch gives n tiles with targets."""
     center, reach = problem.circle()
 
     def make(pitch):
