@@ -23,7 +23,8 @@ def compare(
         list[str] | None, typer.Argument(help="Names of presets, or paths of TOML files. None: all presets.")
     ] = None,
     catalog: Annotated[
-        Path | None, typer.Option(help="Catalog for all instruments. None: synthetic Poisson targets.")
+        Path | None,
+        typer.Option(help="Catalog for all, a file or example:anticenter. None: synthetic Poisson targets."),
     ] = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,

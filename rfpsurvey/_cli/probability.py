@@ -21,7 +21,9 @@ def probability(
     max_iterations: Annotated[
         int | None, typer.Option(help="Largest number of iterations, realizations or points.")
     ] = None,
-    targets: Annotated[str, typer.Option(help="uniform, poisson, poisson_disc, or the file of a catalog.")] = "uniform",
+    targets: Annotated[
+        str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog, such as example:anticenter.")
+    ] = "uniform",
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
     target_radius: Annotated[float | None, typer.Option(help="Radius of the circle that contains them (mm).")] = None,
     min_separation: Annotated[float | None, typer.Option(help="Minimum separation for poisson_disc (mm).")] = None,

@@ -17,6 +17,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
+from rfpsurvey.catalog._example_files import path_and_name
 from rfpsurvey.catalog._extra import extra_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
@@ -270,7 +271,8 @@ class Catalog:
         Parameters
         ----------
         path : str or path-like
-            Path of the file. The file extension, optionally followed by ``.gz``, determines the format.
+            Path of the file. The file extension, optionally followed by ``.gz``, determines the format. Or
+            ``example:anticenter`` (see `example_catalog`).
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
@@ -283,21 +285,21 @@ class Catalog:
         Returns
         -------
         Catalog
-            The targets; ``meta["file"]`` is the name of the file.
+            The targets; ``meta["file"]`` is the name of the file or of the example.
 
         Raises
         ------
         InputError
             If the file does not exist or cannot be read, or a column is missing.
         """
-        path = _io.to_path(path)
+        path, name = path_and_name(path)
         table = _io.read_table(path)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
             catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        catalog.meta["file"] = path.name
+        catalog.meta["file"] = name
         return catalog
 
     def to_table(self) -> QTable:
