@@ -22,7 +22,7 @@ def score(
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     positions: Annotated[str | None, typer.Option(help="focal_plane or sky, where the table has both.")] = None,
-    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE: look at these rows only.")] = None,
+    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE: select these rows.")] = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,

@@ -15,9 +15,9 @@ def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, 
     pairs = list(objectives.items()) if isinstance(objectives, dict) else []
     if len(pairs) != 2:
         raise InputError(f"objectives must be two columns with 'max' or 'min', such as {OBJECTIVES}, got {objectives}")
-    for name, aim in pairs:
+    for name, direction in pairs:
         check_choice(name, columns, "column for an objective")
-        check_choice(aim, ("max", "min"), f"aim for {name}")
+        check_choice(direction, ("max", "min"), f"direction of {name}")
     return dict(pairs)
 
 

@@ -88,7 +88,7 @@ def collision_probability(
         Options also state whether idle equal-arm positioners are obstacles and count (``parked_obstacles``, true by
         default). They must not contain requirements or a sky separation, since all targets are science targets.
     most_entries : int, optional
-        Maximum number of entries of each queue that ``conditional`` uses, drawn anew for each realization. With long
+        Maximum number of entries of each queue that ``conditional`` uses, drawn again for each realization. With long
         queues, a larger number of faster realizations reaches a precision sooner. None for all entries.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k

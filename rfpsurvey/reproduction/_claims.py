@@ -23,7 +23,7 @@ class Claim:
 
 
 def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
-    """Return the verdict, which depends on whether the paper's number lies within ``sigmas`` errors of ours."""
+    """Return the verdict, which depends on whether the two numbers differ by at most ``sigmas`` errors."""
     return REPRODUCED if abs(paper - ours) <= sigmas * error else NOT_REPRODUCED
 
 

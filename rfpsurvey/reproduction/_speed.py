@@ -38,7 +38,7 @@ def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
             "0.15 %",
             f"{ratio:.2g} %",
             UNDECIDED if ratio <= FAR_LESS else NOT_REPRODUCED,
-            "both our own on one core, and pairs that cannot touch are skipped; the paper compares a GPU with a "
+            "both measured here on one core, and pairs that cannot touch are skipped; the paper compares a GPU with a "
             "machine that it does not describe, so that the agreement of the two numbers proves little",
         ),
         Claim(

@@ -49,7 +49,7 @@ OUTCOMES_COLUMNS = {
     **TARGET_COLUMNS,
     "x": "target in the focal plane",
     "y": "target in the focal plane",
-    "outcome": "what became of the target",
+    "outcome": "outcome of the target",
     "positioner": "identifier of its positioner",
 }
 COMPLETENESS = {

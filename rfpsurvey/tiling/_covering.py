@@ -82,7 +82,7 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
     if reach > np.pi / 2 * (1 + 1e-9):
         raise InputError(
             f"the hexagonal lattice covers at most a hemisphere, the field reaches {np.rad2deg(reach):.1f} deg from "
-            "its middle; use method='spiral'"
+            "its center; use method='spiral'"
         )
     check_number(reach, radius)
 

@@ -292,7 +292,7 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
         ({"time_limit": 0 * u.s}, "time_limit must be one finite value above 0"),
         ({"objectives": {"loss": "min"}}, "objectives must be two columns"),
         ({"objectives": {"loss": "min", "color": "max"}}, "unknown column for an objective 'color'"),
-        ({"objectives": {"loss": "least", "coverage": "max"}}, "unknown aim for loss 'least'"),
+        ({"objectives": {"loss": "least", "coverage": "max"}}, "unknown direction of loss 'least'"),
         ({"executor": 2}, "executor must be a concurrent.futures.Executor"),
         ({"resume": True}, "resume needs the path"),
         ({"path": "scan.csv"}, "must end in .fits or .ecsv"),
