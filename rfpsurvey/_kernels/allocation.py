@@ -91,7 +91,7 @@ def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
     end = start[:-1].copy()
-    # rank and distance of the last of the best ones, where there are as many as may be
+    # rank and distance of the last of the best ones, if their number is the largest allowed
     cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
     for t in range(indptr.size - 1):
         c = rank[t]
