@@ -9,11 +9,10 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
 
 import rfpsurvey as rs
 
-table = QTable.read("../../data/tycho2_anticenter_r8.ecsv.gz", format="ascii.ecsv")
+table = rs.example_catalog("anticenter").to_table()
 table["priority"] = np.where(table["vt_mag"] < 10 * u.mag, 2, 1)
 stars = rs.Catalog.from_table(table, keep=["vt_mag"])
 center = SkyCoord("06h20m00s +23d00m00s")

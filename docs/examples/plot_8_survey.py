@@ -9,11 +9,10 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
 
 import rfpsurvey as rs
 
-table = QTable.read("../../data/tycho2_anticenter_r8.ecsv.gz", format="ascii.ecsv")
+table = rs.example_catalog("anticenter").to_table()
 bright = table["vt_mag"] < 10 * u.mag
 table["priority"], table["visits"] = np.where(bright, 2, 1), np.where(bright, 2, 1)
 stars = rs.Catalog.from_table(table).within(SkyCoord("06h20m00s +23d00m00s"), 4 * u.deg)
