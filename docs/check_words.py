@@ -24,7 +24,7 @@ WORDS = {
     r"at home": "parked, folded",
     r"(at|on) (his|her|one's) own": "separately",
     r"beats?": "is better than",
-    r"(is|are|plans?) blind (to|for)": "ignores",
+    r"blind (to|for)": "ignores",
     r"cost(s)? nothing": "uses no memory, takes no time",
     r"cuts? (\w+ )?short": "ends",
     r"fates?": "outcome, status",
