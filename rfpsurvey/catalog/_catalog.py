@@ -215,9 +215,8 @@ class Catalog:
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
-            Role to the value that replaces missing values (masked or NaN), for ``priority``, ``visits``, ``kind``,
-            ``category`` and ``fiber_type``, for example ``{"priority": 0}``. A ``-`` in ``columns`` does not reverse
-            its sign.
+            Role to the value that replaces missing ones (masked or NaN), for ``priority``, ``visits``, ``kind``,
+            ``category`` and ``fiber_type``, as in ``{"priority": 0}``. A ``-`` in ``columns`` does not change it.
         keep : list of str, optional
             Names of further columns to include in results, see ``extra``.
 
@@ -264,9 +263,8 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        CSV files have no units, and Parquet files may have none. Without units, positions are assumed to be in
-        degrees and proper motions in mas / yr, unless ``units`` specifies others. CSV files may use semicolons, tabs
-        or vertical bars instead of commas.
+        Without units, as in CSV and some Parquet files, degrees and mas / yr are assumed unless ``units`` specifies
+        others. CSV files may use semicolons, tabs or vertical bars instead of commas.
 
         Parameters
         ----------
