@@ -241,9 +241,9 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Let positioners in the given order take the nearest free target that is ``wanted``, until there are enough.
+    """Assign to positioners, in the given order, their nearest free ``wanted`` targets, until there are enough.
 
-    The targets that they had are released. Returns how many are still missing.
+    The previous targets of these positioners are released. Returns the number of targets that are still missing.
     """
     for i in order:
         if need <= 0:

@@ -23,7 +23,7 @@ class CollisionSetup(NamedTuple):
     cosine: np.ndarray
     sine: np.ndarray
     idle: np.ndarray
-    """Elbow and tip of each positioner without a target, NaN if it is no obstacle, shape (4, n)."""
+    """Elbow and tip of each positioner without a target, NaN if it is not an obstacle, shape (4, n)."""
     parked: np.ndarray
     """Whether the positioner counts if it has no target."""
     obstacle_pairs: np.ndarray

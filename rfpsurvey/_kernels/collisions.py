@@ -1,4 +1,4 @@
-"""Which arms are closer than the minimum separation: a broad phase that rejects, and a distance with a proven error.
+"""Find arms closer than the minimum separation by a broad phase, and by distances with a proven error limit.
 
 Segments are columns: rows x0, y0, x1, y1 of an array (4, n); an arm that is not there is NaN.
 
@@ -79,7 +79,8 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
     """Return the squared distance of the segments a-b and c-d, its root within DISTANCE_ERROR * S of the true one.
 
-    0 where they certainly cross; where rounding could decide, an end is as near as the error allows anyway.
+    It is 0 if they certainly cross. If rounding could decide whether they cross, the distance of an end is accurate
+    enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
         orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0

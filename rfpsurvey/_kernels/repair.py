@@ -99,7 +99,7 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 
 @kernel
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
-    """Let positioners in the given order take a candidate of a group, if they can, until there are enough.
+    """Assign candidates of a group to positioners in the given order, if possible, until there are enough.
 
     ``count[g]`` of the candidates in use belong to group g, ``held[g]``, and ``most[g]`` of them may.
     """

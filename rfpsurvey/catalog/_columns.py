@@ -196,7 +196,7 @@ class Finder:
         return np.where(np.isin(np.char.lower(texts), NOTHING), "", texts)
 
     def is_text(self, role: str) -> bool:
-        """Tell whether the column holds text that does not read as decimal numbers."""
+        """Return whether the column contains text other than decimal numbers."""
         try:
             self._decimal(role)
         except InputError:

@@ -14,7 +14,7 @@ N_CIRCLES = 400
 
 
 def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the fraction of each patrol area that other positioners reach, too."""
+    """Return the fraction of each patrol area that other positioners also reach."""
     return _covered(plane, _overlapping(plane, both_ways=True)), {}
 
 

@@ -23,7 +23,7 @@ class Estimate:
         Interval around ``value`` at the confidence in ``meta``; NaN for methods without an error, and for given targets
         on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
     standard_error : float
-        Standard error of ``value``; NaN where there is no interval.
+        Standard error of ``value``; NaN if there is no interval.
     n : int
         Iterations (``monte_carlo``), realizations (``conditional``) or points per positioner and scramble
         (``quadrature``); 0 if nothing had to be computed.

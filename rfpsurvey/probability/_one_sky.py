@@ -8,9 +8,10 @@ from rfpsurvey.focal_plane import FocalPlane
 __all__ = ["FEWEST_DEGREES", "sky_variance"]
 
 FEWEST_DEGREES = 3.0
-"""With fewer degrees of freedom the variance is so uncertain that no interval is given."""
+"""With fewer degrees of freedom, the variance is so uncertain that no interval is given."""
 ENOUGH_DEGREES = 20.0
-"""Where that many are left, correlations with all neighbors count; below that, those with the nearest ring alone."""
+"""With at least this many degrees of freedom, correlations with all neighbors are used; with fewer, only those with the
+nearest ring."""
 NEAREST_RING = 1.5
 """Neighbors are in the nearest ring up to this many median distances to the nearest neighbor."""
 CORRELATION = 0.2

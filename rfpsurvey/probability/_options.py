@@ -176,12 +176,12 @@ class Precision:
 
 
 def as_precision(given: object) -> Precision:
-    """Return a precision from itself, from a standard error alone, or from None."""
+    """Return a precision from a precision, a standard error, or None."""
     return given if isinstance(given, Precision) else Precision(given)
 
 
 def _short(options: object, *lead: str) -> str:
-    """Return the representation of options: the first field as it is given, and the others that are not the default."""
+    """Return the representation of options: the first fields as given, and all others that differ from the default."""
     rest = [(f, getattr(options, f.name)) for f in fields(options)[1:]]
     changed = [f"{f.name}={v!r}" for f, v in rest if (v is not None if f.default is None else v != f.default)]
     return f"{type(options).__name__}({', '.join([*lead, *changed])})"

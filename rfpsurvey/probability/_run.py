@@ -21,8 +21,8 @@ FIRST_TASKS = 2
 GROWTH = 8
 """Largest factor by which the number of realizations grows before the next estimate of the error."""
 HITS = 25
-"""Where most realizations have no collision (or where all positioners collide in most): number of other realizations
-that is needed to estimate how the rates scatter."""
+"""If most realizations have no collision (or only collisions), the number of other realizations that is required to
+estimate the scatter of the rates."""
 FLOOR = 4.0
 """Where collisions are rare, at least this many realizations over the precision are made, times the fraction of the
 positioners that is a pair: with fewer, runs without a collision would end early, and the mean of all estimates would

@@ -27,7 +27,7 @@ AXES = {
     "eccentric over central arm": np.linspace(1.0, 3.0, 21),
     "minimum separation over pitch": np.linspace(0.02, 0.30, 9),
 }
-"""Nodes of the grid; the box of the paper's designs lies within."""
+"""Nodes of the grid, which contains the box of the paper's designs."""
 PITCH = 25.0
 N_POINTS = 1024
 FILE = "surrogate.npz"
