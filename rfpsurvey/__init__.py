@@ -1,7 +1,7 @@
 """Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
 
-The names below are the whole public interface; the way data flows is catalog, projection, reach, allocation,
-arms, collisions, tile score.
+The names below are the whole public interface. Data flow from the catalog through projection, reach, allocation,
+poses of the arms and collisions to the score of a tile.
 """
 
 from importlib import import_module
@@ -18,7 +18,7 @@ from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
-# what type checkers and editors see of the names that are imported on use
+# for type checkers and editors
 if TYPE_CHECKING:
     from rfpsurvey import benchmark, compare, design, plot, probability, report, reproduction, survey, tiling  # noqa: F401
     from rfpsurvey.compare import compare_allocators, compare_instruments
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 try:
     from rfpsurvey._version import version as __version__
-except ImportError:  # a source tree that was never built
+except ImportError:  # a source tree that has not been built
     __version__ = "0+unknown"
 
 __all__ = [
@@ -72,7 +72,7 @@ __all__ = [
     "write_report",
 ]
 
-_IMPORTED_ON_USE = {  # a script that plans a tile does not wait for these packages
+_IMPORTED_ON_USE = {  # not imported by a script that only plans a tile
     "benchmark": (),
     "compare": ("compare_allocators", "compare_instruments"),
     "design": (),
@@ -96,6 +96,6 @@ def __getattr__(name):
 
 
 def __dir__():
-    # public names and public subpackages; other subpackages hold what is behind them
+    # public names and public subpackages; other subpackages contain their implementation
     hidden = {"compare", "report", "survey"}
     return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision"} - hidden)

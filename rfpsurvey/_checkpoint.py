@@ -1,4 +1,4 @@
-"""Continue work that was begun: only the same request is continued."""
+"""Resume unfinished work, if the request is the same."""
 
 from pathlib import Path
 
@@ -8,21 +8,21 @@ __all__ = ["check_request", "warn_of_software"]
 
 
 def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:
-    """Refuse to continue another request than the one that was begun.
+    """Raise an error if the request differs from that of the unfinished work.
 
     Parameters
     ----------
     path : Path
-        Where the work was begun.
+        File or folder of the unfinished work.
     before, now : dict
-        The requests, as JSON holds them.
+        The requests, in the form that JSON represents.
     work, place : str
-        What the work is, and what to give for another one, for the error.
+        The kind of work, and the parameter to change for new work, for the error message.
 
     Raises
     ------
     InputError
-        If an entry differs.
+        If an entry of the requests differs.
     """
     different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
     if different:
@@ -34,7 +34,7 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
 
 
 def warn_of_software(path: Path, before: object, now: object, parts: str) -> None:
-    """Warn if the work was begun with other versions of the software."""
+    """Issue a warning if the work was begun with other versions of the software."""
     if before != now:
         text = f"{path} was begun with other versions of the software; its {parts} may differ in rounding"
         warn(text)

@@ -1,4 +1,4 @@
-"""How results look in a notebook."""
+"""Representations of results in notebooks."""
 
 from html import escape
 
@@ -10,21 +10,21 @@ DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
 def to_html(result: object, facts: dict, table: object = None) -> str:
-    """Return HTML of a result: its short text, a list of facts, and the first rows of a table.
+    """Return an HTML representation of a result: its short text, a list of facts, and the first rows of a table.
 
     Parameters
     ----------
     result : object
         The result; its ``repr`` is the heading.
     facts : dict
-        Names and values; what is no number or short text is left out.
+        Names and values; values that are not numbers or short text are omitted.
     table : QTable, optional
         The table to show.
 
     Returns
     -------
     str
-        HTML.
+        The HTML.
     """
     rows = "".join(
         f"<tr><th>{escape(str(name))}</th><td>{escape(_text(value))}</td></tr>"
@@ -36,7 +36,7 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
 
 
 def rounded(table: object) -> object:
-    """Return a copy of a table that prints with few digits; its values have all digits."""
+    """Return a copy of a table that prints few digits; its values are not rounded."""
     table = table.copy(copy_data=False)
     for column in table.itercols():
         if getattr(column.dtype, "kind", "") == "f":

@@ -1,4 +1,4 @@
-"""Work for executors, and workers that end when the process that started them does."""
+"""Functions that run work on executors; worker processes end when the process that started them ends."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ __all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
-    """Return what a function returns, in the order of its arguments; without an executor the work is done here."""
+    """Yield the results of a function in the order of its arguments; without an executor it runs in this thread."""
     if not isinstance(executor, Executor | None):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
@@ -24,7 +24,7 @@ def map_in_order(executor: Executor | None, function: Callable, *arguments: Iter
 def map_with_progress(
     executor: Executor | None, progress: bool | Callable, unit: str, function: Callable, *arguments: Sequence
 ) -> list:
-    """Return what a function returns, in the order of its arguments, and show how much is done."""
+    """Return the results of a function in the order of its arguments, and show the progress."""
     results = []
     with Progress(progress, len(arguments[0]), unit) as line:
         for result in map_in_order(executor, function, *arguments):
@@ -40,9 +40,9 @@ def submit(executor: Executor, function: Callable, *arguments: object) -> Future
 
 @cache
 def end_with_parent() -> None:
-    """Make this process end within a second of the process that started it, even if that one is killed.
+    """Make this process end within a second after the process that started it, even if that one is killed.
 
-    Workers of a `concurrent.futures.ProcessPoolExecutor` wait for work forever otherwise.
+    Otherwise, workers of a `concurrent.futures.ProcessPoolExecutor` would wait for work forever.
     """
     from multiprocessing import parent_process
     from threading import Thread
@@ -59,7 +59,7 @@ def _end_after(parent) -> None:
 
 @dataclass(frozen=True)
 class _InWorker:
-    """A function that is called in a worker process."""
+    """A function that first makes its worker process end with the parent process."""
 
     function: Callable
 
@@ -69,7 +69,7 @@ class _InWorker:
 
 
 def _for_workers(executor, function):
-    """Return the function to hand out: processes of a pool belong to the pool, others are left alone."""
+    """Return the function to submit; for process pools, it makes the workers end with this process."""
     from concurrent.futures import ProcessPoolExecutor
 
     return _InWorker(function) if isinstance(executor, ProcessPoolExecutor) else function

@@ -1,4 +1,4 @@
-"""HEALPix pixels as unit vectors, nested; the package behind it is imported when it is needed."""
+"""HEALPix pixels in the nested order as unit vectors; astropy-healpix is imported on first use."""
 
 from collections.abc import Callable
 from numbers import Number
@@ -13,7 +13,7 @@ MOST_NSIDE = 2**20
 
 
 def check_nside(nside: object) -> int:
-    """Return the resolution, a power of two."""
+    """Return a valid resolution, a power of two, or raise an error."""
     good = isinstance(nside, int | np.integer) and not isinstance(nside, bool) and 1 <= nside <= MOST_NSIDE
     if not good or int(nside) & (int(nside) - 1):
         raise refusal(f"nside must be a power of two from 1 to {MOST_NSIDE}", nside, Number)
@@ -38,18 +38,18 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 
 
 def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
-    """Return the pixels whose centers are at most ``margin`` from something, sorted.
+    """Return the pixels whose centers are at most ``margin`` away from an object on the sky, sorted.
 
-    From the twelve largest pixels down, those that are too far away are left out with all that they contain.
+    Starting with the twelve largest pixels, those that are too far away are dropped with all pixels inside them.
 
     Parameters
     ----------
     nside : int
         Resolution.
     distance : callable
-        Gives angles (radians) from unit vectors to what is sought.
+        Function that returns the distances (radians) of unit vectors from the object.
     margin : float
-        Angle in radians.
+        Largest distance, radians.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def to_nested(nside: int, pixels: np.ndarray) -> np.ndarray:
 
 
 def pixel_radius(nside: int) -> float:
-    """Return a bound of the distance (radians) from the center of a pixel to its corners."""
+    """Return an upper limit of the distance (radians) from the center of a pixel to its corners."""
     # measured: nside times the largest distance grows from 0.84 toward 1.07
     return 1.07 / nside
 

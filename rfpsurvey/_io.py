@@ -1,7 +1,7 @@
-"""Tables on disk: nothing half written, nothing overwritten unasked; readers are in ``_readers``.
+"""Write tables to disk, never partially and never over existing files by default; readers are in ``_readers``.
 
-FITS headers hold no nested values, so that there the table's ``meta`` travels as one JSON string under
-``RFPSURVY``, beside the plain cards that a person may want to read.
+FITS headers cannot contain nested values. The ``meta`` of a table is therefore written as one JSON string with the
+keyword ``RFPSURVY``, in addition to plain cards for human readers.
 """
 
 import gzip
@@ -52,10 +52,10 @@ def write_table(
     name: str | None = None,
     others: dict | None = None,
 ) -> None:
-    """Write FITS or ECSV.
+    """Write a table as FITS or ECSV.
 
     ``cards`` are further cards of the FITS header (a value, or a value and a comment), ``name`` is the name of the
-    extension, and ``others`` are tables that follow in further extensions, by name; ECSV holds one table only.
+    extension, and ``others`` are tables for further extensions, by name; ECSV files contain only one table.
     """
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
@@ -71,7 +71,7 @@ def write_table(
 
 
 def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
-    """Return the path if an output may go there, with one of these endings (before any .gz)."""
+    """Return the path of an output if it is allowed and has one of these endings (before any .gz)."""
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
     if suffix_of(path) not in endings or (zipped and (path.suffix.lower() != ".gz" or endings is not WRITABLE)):
@@ -88,7 +88,7 @@ def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite
 
 
 def check_fits_text(columns: dict, remedy: str) -> None:
-    """Refuse text that FITS files cannot hold; ``columns`` is a dict from what an array holds to the array."""
+    """Raise an error for text that FITS files cannot contain; ``columns`` maps descriptions to arrays."""
     for what, values in columns.items():
         values = np.asarray(values)
         text = np.unique(values).tolist() if values.dtype.kind == "U" else []
@@ -102,10 +102,10 @@ def check_fits_text(columns: dict, remedy: str) -> None:
 
 @contextmanager
 def _in_place_of(path: Path, *, overwrite: bool = True):
-    """Give a temporary path on the same disk as ``path``, renamed to it when all went well, and gone in any case.
+    """Provide a temporary path on the same disk as ``path``, which is renamed to it on success and always removed.
 
-    It lies in a new folder with a random name that nobody else may write to, so that no other thread or process
-    writes there, too, and no link can be waiting under its name.
+    It is in a new folder with a random name and without write permission for other users, so that no other thread or
+    process writes there, and no link with its name can exist.
     """
     room = None
     try:
@@ -124,25 +124,25 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
 
 
 def _rename_to_new(temporary: Path, path: Path) -> None:
-    """Rename a file, but never over one that exists."""
+    """Rename a file, but never replace an existing one."""
     try:
         os.link(temporary, path)
     except FileExistsError:
         raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)") from None
-    except OSError:  # disks without hard links
+    except OSError:  # file systems without hard links
         os.replace(temporary, path)
 
 
 @contextmanager
 def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
-    """Give a temporary path beside ``path``, renamed to it when all went well."""
+    """Provide a temporary path beside ``path``, which is renamed to it on success."""
     with _in_place_of(check_output(path, endings, overwrite=overwrite), overwrite=overwrite) as temporary:
         yield temporary
 
 
 @contextmanager
 def temporary_folder(path: str | os.PathLike):
-    """Give a temporary folder beside ``path``, renamed to it when all went well."""
+    """Provide a temporary folder beside ``path``, which is renamed to it on success."""
     path = to_path(path)
     if path.exists():
         raise InputError(f"{path} exists; give a folder that does not")
@@ -154,7 +154,7 @@ def temporary_folder(path: str | os.PathLike):
 
 
 def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str | None = None) -> bytes:
-    """Return what `write_table` would write; the same table gives the same bytes."""
+    """Return the bytes that `write_table` would write; the same table gives the same bytes."""
     if path.endswith(".ecsv"):
         file = io.StringIO(newline="\n")
         table.write(file, format="ascii.ecsv")
@@ -165,7 +165,7 @@ def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str |
 
 
 def _to_hdus(table, cards, name, others):
-    """Return a table and others as header and data units; the meta of the first is one card."""
+    """Return a table and others as header-data units; the meta of the first table is one card."""
     from astropy.io import fits
 
     meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
@@ -184,7 +184,7 @@ def _to_hdus(table, cards, name, others):
 
 
 def table_cards(name: str | None, columns: list[str], about: dict, units: dict | None = None) -> dict:
-    """Return cards with the name of an extension, and the description and unit of columns, where there are any."""
+    """Return cards with the name of an extension, and with the descriptions and units of columns, if there are any."""
     cards = {} if name is None else {"EXTNAME": (name, "name of this table")}
     for k, column in enumerate(columns, 1):
         if about.get(column):
@@ -195,10 +195,10 @@ def table_cards(name: str | None, columns: list[str], about: dict, units: dict |
 
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
-    """Write a file that appears whole or not at all; with ``sync`` its content is on disk before it has its name."""
+    """Write a file atomically; with ``sync``, the content is on disk before the file gets its name."""
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
     try:
-        # a new file with a random name: nobody else writes there, and no link is followed
+        # a new file with a random name: no other process writes to it, and no link is followed
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         try:
             with open(handle, "wb") as file:
@@ -216,16 +216,17 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 
 
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
-    """Return a FITS file with one table; the same rows and cards give the same bytes.
+    """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
 
-    For thousands of small tables of one kind: astropy makes the header of the first, with the cards that are ``fixed``
-    (pairs of a name and a value, or a value and a comment), and the others change ``cards``.
+    This is fast for thousands of small tables of one kind: astropy makes the header of the first one, with the
+    ``fixed`` cards (pairs of a name and a value, or a value and a comment); for the others, only ``cards`` are
+    replaced.
     """
     primary, header, places, disk = _fits_template(rows.dtype, fixed)
     image = bytearray(header)
     for name, card in {"NAXIS2": len(rows), **cards}.items():
         value, comment = card if isinstance(card, tuple) else (card, "")
-        place = places.get(name, len(image))  # cards that the header does not have yet follow the others
+        place = places.get(name, len(image))  # new cards follow the others
         image[place : place + 80] = fits_card(name, value, comment)
     image += f"{'END':80}".encode("ascii")
     image += b" " * (-len(image) % 2880)
@@ -241,7 +242,7 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
 
 @lru_cache(maxsize=32)
 def _fits_template(dtype: np.dtype, fixed: tuple):
-    """Return the bytes of the primary HDU, the header of a table of a kind, and the records on disk."""
+    """Return the bytes of the primary HDU, the header of a table with this dtype, and the dtype of records on disk."""
     from astropy.io import fits
 
     file = io.BytesIO()
@@ -256,7 +257,7 @@ def _fits_template(dtype: np.dtype, fixed: tuple):
 
 
 def fits_card(name: str, value: object, comment: str = "") -> bytes:
-    """Return a card of a FITS header as astropy writes it, many times sooner; what is not simple, astropy writes."""
+    """Return a card of a FITS header as astropy writes it, but faster; astropy writes the cards that are not simple."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return _slow_card(name, value, comment)
     if isinstance(value, str):
@@ -278,7 +279,7 @@ def fits_card(name: str, value: object, comment: str = "") -> bytes:
 
 
 def _float_text(value: float) -> str | None:
-    """Return a number as FITS headers have it, in at most 20 characters; None where that takes more thought."""
+    """Return a number in the format of FITS headers, in at most 20 characters; None if this simple way fails."""
     text = str(value)
     if "e" in text or "n" in text or len(text) > 20:
         return None

@@ -1,9 +1,9 @@
 """The one numba decorator of the package, and the switches of its on-disk cache.
 
-Numba keys its cache by the time and size of the file in which a kernel is defined, so that an edit in a file
-that the kernel calls, or an upgrade that leaves time and size alone, would run old code. Here a digest of the
-source of all kernels is part of the version of the cache, which numba compares before it reads anything else: the
-cache of other kernels may refer to classes that do not exist any more.
+Numba identifies an entry of its cache by the modification time and size of the file that defines a kernel. After an
+edit of another file with functions that the kernel calls, or an upgrade that changes neither time nor size, it would
+therefore run old code. Here, a digest of the source of all kernels is part of the version of the cache, which numba
+compares before it reads anything else, because the cache of other kernels may refer to classes that no longer exist.
 """
 
 import hashlib
@@ -28,10 +28,10 @@ def _source_digest() -> str:
 
 
 def kernel(function: Callable) -> Callable:
-    """Compile ``function`` on its first call, without the GIL, and keep the machine code on disk.
+    """Compile ``function`` on its first call, to run without the GIL, and keep the machine code on disk.
 
-    Nothing is kept where the environment variable ``RFPSURVEY_CACHE`` is ``0`` or where no folder can be
-    written to. Division by zero gives infinity or NaN, as in numpy.
+    No machine code is kept if the environment variable ``RFPSURVEY_CACHE`` is ``0`` or no folder is writable.
+    Division by zero gives infinity or NaN, as in NumPy.
     """
     if os.environ.get("RFPSURVEY_CACHE") != "0":
         try:
@@ -40,6 +40,6 @@ def kernel(function: Callable) -> Callable:
                 file = dispatcher._cache._cache_file
                 file._version = (file._version, _source_digest())
             return dispatcher
-        except (RuntimeError, AttributeError):  # no folder to write to, or a numba with other internals
+        except (RuntimeError, AttributeError):  # no writable folder, or a version of numba with other internals
             pass
     return numba.njit(nogil=True, error_model="numpy")(function)

@@ -1,4 +1,4 @@
-"""What other packages add by entry points, and functions from anywhere. Nothing is looked up before it is asked for."""
+"""Plugins: objects that other packages add by entry points, and functions of users; they are loaded on first use."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -13,16 +13,16 @@ __all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
 
 @dataclass(frozen=True)
 class Plugin:
-    """Something that is not ours."""
+    """A plugin: an object of another package, or a function of the user."""
 
     what: str
     name: str
     value: object
     package: str = ""
-    """Distribution that it comes with; nothing for a function that was given as it is."""
+    """Distribution that contains the plugin; empty for a function of the user."""
     version: str = ""
     place: str = ""
-    """Where in the package, as the entry point says it."""
+    """Location in the package, according to the entry point."""
 
     def __str__(self):
         origin = f" of {self.package} {self.version} ({self.place})" if self.package else ""
@@ -30,27 +30,27 @@ class Plugin:
 
     @property
     def software(self) -> dict[str, str]:
-        """Distribution and version, for the record."""
+        """Name and version of the distribution, for the provenance."""
         return {self.package: self.version} if self.package else {}
 
     @contextmanager
     def answering(self) -> Iterator[None]:
-        """Say whose error it is: one sentence, and what was raised as its cause."""
+        """Replace an exception of the plugin by an InputError that names the plugin."""
         try:
             yield
         except InputError as error:
             raise InputError(f"{self}: {error}") from error
-        except (Exception, SystemExit) as error:  # plugins raise what they like, and must not end the program
+        except (Exception, SystemExit) as error:  # plugins can raise any exception, and must not end the program
             raise InputError(f"{self} failed: {type(error).__name__}: {error}") from error
 
 
 def plugin_names(group: str) -> set[str]:
-    """Return the names in a group of entry points; none of them is imported."""
+    """Return the names in a group of entry points, without importing any."""
     return entry_points(group=group).names
 
 
 def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Plugin:
-    """Return what a package adds by a name; if none does, the error lists the choices, ``known`` ones too."""
+    """Return the plugin with a name; if there is none, the error lists all choices, including the ``known`` ones."""
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)
@@ -59,7 +59,7 @@ def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Pl
 
 
 def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:
-    """Return a function from itself, or from the name by which a package adds it."""
+    """Return the plugin of a function, or the one with the given name."""
     if callable(given):
         return Plugin(what, name_of(given), given)
     plugin = find_plugin(group, given, known, what)
@@ -69,7 +69,7 @@ def find_function(group: str, given: object, known: Iterable[str], what: str) ->
 
 
 def name_of(given: str | Callable) -> str:
-    """Return a name as it is, and for a function one that a record can hold."""
+    """Return a name unchanged, and for a function a name that can be recorded."""
     if not callable(given):
         return given
     thing = given if hasattr(given, "__qualname__") else type(given)
@@ -78,7 +78,7 @@ def name_of(given: str | Callable) -> str:
 
 @cache
 def _load(group: str, name: str, what: str) -> Plugin:
-    """Import a plugin. Only those that were found are kept, so that a package may be installed meanwhile."""
+    """Import a plugin. Failures are not cached, so that a package can be installed in the meantime."""
     points = entry_points(group=group, name=name)
     if not points:
         raise LookupError(name)

@@ -1,4 +1,4 @@
-"""How much of a run is done, on one line of the standard error."""
+"""Show the progress of a run on one line of the standard error."""
 
 from time import monotonic
 
@@ -10,21 +10,21 @@ EVERY = 0.1  # seconds between two updates of the line
 
 
 class Progress:
-    """Shows how much of a run is done, with the rate and the remaining time, or tells it to a function.
+    """Shows the progress of a run with the rate and the remaining time, or passes it to a function.
 
-    The rate counts only what is done in this run, and only the time that it took: results that are read from an
-    earlier run come much faster.
+    The rate includes only the work of this run and its time, because reading the results of an earlier run is much
+    faster.
 
     Parameters
     ----------
     progress : bool or callable
-        False: show nothing. True: show a line. A function is called with (done, total).
+        False shows nothing, and True shows a line. A function is called with (done, total).
     total : float, optional
-        All that there is to do; 1 where only a fraction is known.
+        Total amount of work; 1 if only a fraction is known.
     unit : str, optional
-        What is counted, in the plural; percent without it.
+        Unit of the work, in the plural; percent if it is empty.
     done : float, optional
-        What an earlier run did.
+        Amount of work that an earlier run did.
     """
 
     def __init__(self, progress: object, total: float = 1, unit: str = "", *, done: float = 0):
@@ -34,7 +34,7 @@ class Progress:
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 
     def __call__(self, done: float, *, new: bool = True) -> None:
-        """Say how much is done by now; ``new=False`` if the last of it was read from an earlier run."""
+        """Update the amount of work done; ``new=False`` if the last part was read from an earlier run."""
         now = monotonic()
         if new:
             self._new += done - self._done
@@ -52,7 +52,7 @@ class Progress:
 
             bar, text = progress.BarColumn(), progress.TextColumn("{task.description}")
             where = console.Console(stderr=True, force_jupyter=False)
-            # without a thread, which processes that are forked later could not be sure of
+            # without a thread, because threads and forked processes do not mix
             self._line = progress.Progress(
                 bar, text, console=where, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
             )

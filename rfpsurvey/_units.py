@@ -1,4 +1,4 @@
-"""Convert input with units and masks to plain float64 arrays in mm, radians or numbers."""
+"""Convert input with units and masks to plain float64 arrays in mm, in radians, or without unit."""
 
 from numbers import Number
 
@@ -42,14 +42,14 @@ __all__ = [
 
 
 def locked(array: np.ndarray) -> np.ndarray:
-    """Return a view of an array that cannot be written to."""
+    """Return a read-only view of an array."""
     view = np.asarray(array).view()
     view.flags.writeable = False
     return view
 
 
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
-    """Return ``value`` as a fresh float64 array in ``unit``, masked values as NaN; ``name`` is for the error."""
+    """Return ``value`` as a new float64 array in ``unit``, with NaN for masked values; errors contain ``name``."""
     if not isinstance(value, u.Quantity):
         raise InputTypeError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {short(value)} without a unit"
@@ -127,14 +127,14 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
                 raise ValueError("the right ascension must lie between -360 and 360 deg")
             return SkyCoord(float(words[0]), float(words[1]), unit="deg")
         return SkyCoord(" ".join(words), unit=("hourangle", "deg"))
-    except Exception as error:  # astropy's parsers raise what they like
+    except Exception as error:  # astropy's parsers can raise any exception
         raise InputError(
             f"{name} must be coordinates such as '06h20m00s +23d00m00s' or '95.0 23.0', got {short(center)} ({error})"
         ) from None
 
 
 def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:
-    """Return directions as ICRS unit vectors, shape (n, 3); distances do not matter."""
+    """Return directions as ICRS unit vectors, shape (n, 3); distances are ignored."""
     direction = to_direction(coord, name)
     if one and not direction.isscalar:
         raise InputError(f"{name} must be one direction, got the shape {direction.shape}")
@@ -143,7 +143,7 @@ def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.n
     direction = SkyCoord(direction.frame.realize_frame(direction.data.without_differentials()))
     try:
         icrs = direction.icrs
-    except Exception as error:  # frames raise what they like when an observer or a time is missing
+    except Exception as error:  # frames can raise any exception if an observer or a time is missing
         raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be brought to ICRS: {error}") from error
     xyz = icrs.represent_as(UnitSphericalRepresentation).to_cartesian().xyz.value
     return np.ascontiguousarray(np.atleast_2d(xyz.T), dtype=np.float64)
@@ -156,7 +156,7 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_plain(column: object, name: str = "the values", what: str = "numbers or text") -> np.ndarray:
-    """Return a table column or array without unit and mask: masked numbers are NaN, masked text is empty."""
+    """Return a table column or array without unit and mask: masked numbers become NaN, and masked text is empty."""
     values = getattr(column, "value", column)
     mask = np.asarray(getattr(column, "mask", False))
     values = np.asarray(getattr(values, "unmasked", values))
@@ -177,7 +177,7 @@ def to_plain(column: object, name: str = "the values", what: str = "numbers or t
 
 
 def _plain_object(value: object, name: str, what: str) -> object:
-    """Return a number or text as it is, and nothing as empty text."""
+    """Return a number or text unchanged, and missing values as empty text."""
     if value is None or value is np.ma.masked:
         return ""
     if isinstance(value, bytes):
@@ -188,7 +188,7 @@ def _plain_object(value: object, name: str, what: str) -> object:
 
 
 def to_flags(value: object, name: str) -> np.ndarray:
-    """Return truth values from booleans, numbers or the words true and false; masked ones are False."""
+    """Return booleans from booleans, numbers or the words true and false; masked values become False."""
     values = to_plain(value, name, "truth values")
     if values.dtype.kind == "U":
         words = np.char.lower(np.char.strip(values))
@@ -201,7 +201,7 @@ def to_flags(value: object, name: str) -> np.ndarray:
 
 
 def to_labels(value: object, name: str) -> np.ndarray:
-    """Return names as an array of int64 or of text without blanks around it."""
+    """Return identifiers as an array of int64, or of text without leading and trailing blanks."""
     blank = np.asarray(getattr(value, "mask", False))
     if blank.any() and np.asarray(value).dtype.kind in "iu":
         raise InputError(f"{name} must be integers or text for every row, but {rows_of(blank)} have none")
@@ -215,20 +215,20 @@ def to_labels(value: object, name: str) -> np.ndarray:
         where = np.isnan(values)
         what = f"but {rows_of(where)} have none" if where.any() else f"got numbers such as {values.flat[0]}"
         raise InputError(f"{name} must be integers or text for every row, {what}")
-    if values.size == 0:  # numpy cannot replace in nothing
+    if values.size == 0:  # NumPy cannot replace text in an empty array
         return values.astype(str)
     return np.char.strip(np.char.replace(values.astype(str), "\n", " "))
 
 
 def rows_of(mask: np.ndarray) -> str:
-    """Return a phrase for marked rows: their number, and the first few of them, counted from 1."""
+    """Return a phrase for marked rows: the number of rows, and the first few row numbers, counted from 1."""
     rows = np.flatnonzero(mask)
     few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:
-    """Return how often each of n targets is wanted, one small integer a target."""
+    """Return the requested number of visits of each of n targets as small integers."""
     try:
         values = to_plain(visits, "visits").astype(float)
     except InputError:
@@ -244,7 +244,7 @@ def to_visits(visits: object, n: int) -> np.ndarray:
 
 
 def to_generator(rng: object) -> np.random.Generator:
-    """Return a numpy Generator from a seed, a Generator or None."""
+    """Return a NumPy Generator from a seed, a Generator or None."""
     try:
         if isinstance(rng, np.random.RandomState):
             raise TypeError
@@ -254,13 +254,13 @@ def to_generator(rng: object) -> np.random.Generator:
 
 
 def to_seed(rng: object) -> int:
-    """Return a seed that can be written down."""
+    """Return a seed that can be recorded."""
     generator = to_generator(rng)
     return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))
 
 
 def to_spawner(rng: object) -> np.random.Generator:
-    """Return a Generator that can spawn others."""
+    """Return a Generator that can spawn others, or raise an error."""
     generator = to_generator(rng)
     try:
         generator.spawn(0)

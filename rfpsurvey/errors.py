@@ -28,7 +28,7 @@ __all__ = [
 
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
-# Parameters of earlier versions: where the function has the second name, the third says what to write.
+# Parameters of earlier versions: if the function has a parameter with the second name, the message suggests the third.
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
@@ -51,27 +51,27 @@ RENAMED = (
 
 
 class InputError(ValueError):
-    """What was given cannot be used; the message says what must be what, and what was given.
+    """An input is not valid; the message states what it must be and what was given.
 
-    An error that is due to a wrong type is a `TypeError` too, and one due to a wrong unit an
+    An error due to a wrong type is also a `TypeError`, and one due to a wrong unit is also an
     `~astropy.units.UnitsError`.
     """
 
 
 class InputTypeError(InputError, TypeError):
-    """What was given is of another type than it must be; also a `TypeError`."""
+    """An input has a wrong type; also a `TypeError`."""
 
 
 class InputUnitsError(InputError, UnitsError):
-    """What was given has another unit than it must have; also an `~astropy.units.UnitsError`."""
+    """An input has a wrong unit; also an `~astropy.units.UnitsError`."""
 
 
 class RfpsurveyWarning(UserWarning):
-    """Something was left out or assumed; the message says what, and how much of it."""
+    """Part of the input was ignored or assumed, or a goal was not reached; the message gives the details."""
 
 
 def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
-    """Raise an error unless ``value`` is a whole number from ``low`` to ``high``; booleans are none."""
+    """Raise an error unless ``value`` is a whole number from ``low`` to ``high``; booleans are not accepted."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not (whole and low <= value and (high is None or value <= high)):
         limits = f"of at least {low}" if high is None else f"from {low} to {high}"
@@ -87,7 +87,7 @@ def warn(text: str) -> None:
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return a question that names the choice most like ``name``, or empty text where none is like it."""
+    """Return a question with the choice most similar to ``name``, or empty text if none is similar."""
     lower = {str(one).lower(): str(one) for one in choices}
     close = get_close_matches(str(name).lower(), sorted(lower), n=1, cutoff=cutoff)
     return f"did you mean {lower[close[0]]!r}?" if close else ""
@@ -110,20 +110,20 @@ def check_choice(name: object, choices: Iterable[str], what: str, *, others: str
 
 
 def check_switch(value: object, name: str) -> bool:
-    """Return a truth value, or 0 or 1, as a bool."""
+    """Return a boolean, or 0 or 1, as a bool; raise an error for other values."""
     if isinstance(value, Number) or type(value).__name__ == "bool":
         return bool(value)
     raise InputTypeError(f"{name} must be True or False, got {short(value)}")
 
 
 def refusal(text: str, value: object, *types: type) -> InputError:
-    """Return the error that something cannot be used, which is one of a wrong type unless it is of one of the types."""
+    """Return the error for an invalid value: an InputTypeError unless the value has one of the types."""
     kind = InputError if isinstance(value, types) else InputTypeError
     return kind(f"{text}, got {short(value)}")
 
 
 def short(value: object) -> str:
-    """Return a value as text of one short line; a table is told by its type and length."""
+    """Return a value as one short line of text; a table is described by its type and length."""
     name = type(value).__name__
     if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, also one of another package
         return f"a {name} of {number_of(len(value), 'row')}"
@@ -132,7 +132,7 @@ def short(value: object) -> str:
 
 
 def check_keywords(function: T) -> T:
-    """Let a function, or the constructor of a class, name the parameter that may have been meant by an unknown one."""
+    """Make a function or the constructor of a class suggest a parameter in the error for an unknown one."""
     if inspect.isclass(function):
         function.__init__ = _checked(function.__init__, function.__qualname__)
         return function
@@ -153,7 +153,7 @@ def _checked(function, title):
 
 
 def _instead_of(name, parameters):
-    """Say what to write instead of an unknown parameter."""
+    """Return a hint at the parameter that may have been meant by an unknown one."""
     for old, needed, new in RENAMED:
         if old == name and needed in parameters:
             return f"write {new}"

@@ -1,4 +1,4 @@
-"""The command line: parse, call the library, write."""
+"""The command line: it parses options, calls the library, and writes the results."""
 
 from rfpsurvey._cli import (
     benchmark,

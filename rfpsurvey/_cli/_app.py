@@ -1,4 +1,4 @@
-"""The application, and what all commands share."""
+"""The application, and functions that all commands share."""
 
 import os
 import re
@@ -60,7 +60,7 @@ __all__ = [
     "units_of",
 ]
 
-# What a shell reports of a program that writes to a pipe whose reader has gone.
+# The exit code that a shell reports for a program that writes to a closed pipe.
 READER_GONE = 141
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
@@ -91,16 +91,16 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one sentence and the exit code 2."""
+    """Run the command line; invalid input ends with a one-sentence message and the exit code 2."""
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
     warnings.simplefilter("always", rs.RfpsurveyWarning)
     announce_compilation()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # let outputs that are half written be removed
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that incomplete outputs are removed
     code = 0
     try:
         app()
-    except SystemExit as stop:  # which typer raises in any case, also when the reader of the output has gone
+    except SystemExit as stop:  # typer always raises it, also if the output is a closed pipe
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:
         code = READER_GONE
@@ -110,7 +110,7 @@ def main() -> None:
 
 
 def _complain(error: Exception) -> int:
-    """Print one sentence, and return the exit code of bad input."""
+    """Print a one-sentence message, and return the exit code of invalid input."""
     with suppress(BrokenPipeError):
         print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
     return 2
@@ -129,21 +129,21 @@ def _with_options(text: str, words: list[str]) -> str:
 
 
 def _flush(code: int) -> int:
-    """Write what is still in buffers, while an error can still be told, and return the exit code."""
+    """Flush the output while errors can still be reported, and return the exit code."""
     for stream in filter(None, (sys.__stdout__, sys.__stderr__)):
         try:
             stream.flush()
         except OSError as error:
             gone = isinstance(error, BrokenPipeError)
             code = READER_GONE if gone else _complain(error)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # the interpreter flushes again
-        except ValueError:  # closed
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # because the interpreter flushes again
+        except ValueError:  # the stream is closed
             pass
     return code
 
 
 def parse_center(text: str | None):
-    """Return the field center that an option states, None without one."""
+    """Return the field center of an option, None without one."""
     return None if text is None else to_center(text, "--center")
 
 
@@ -178,7 +178,7 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the instrument asked for, or that of a tile of ours."""
+    """Return the requested instrument, or that of a tile of this package."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if name is None and own is None:
@@ -195,7 +195,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
         return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
-    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # of all rows, where no column says it
+    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # epoch of all rows, if there is no such column
     if common:
         del columns["epoch"]
     catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
@@ -203,7 +203,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
-    """Return the catalog of a file, or a synthetic one, and the field center; None is that of the catalog."""
+    """Return the catalog of a file, or a synthetic one, and the field center; None stands for that of the catalog."""
     field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -212,7 +212,7 @@ def targets_and_center(path, center, model, seed, column, unit, frame, fill, kee
 
 
 def _parse_circle(text: str) -> "rs.Region":
-    """Return a circle from text such as "95.0,23.0,0.01" (degrees), with or without the word cap before it."""
+    """Return a circle from text such as "95.0,23.0,0.01" (degrees), optionally with the word cap before it."""
     words = text.replace(",", " ").split()
     try:
         return rs.Region.parse(" ".join(words if words[:1] == ["cap"] else ["cap", *words]))
@@ -233,7 +233,7 @@ def allocation_options(
     required: list[str] | None = None,
     keep_out: list[str] | None = None,
 ) -> "rs.AllocationOptions":
-    """Return the options of an allocation that options of a command stand for."""
+    """Return the options of an allocation from the options of a command."""
     own = require is not None and "instrument" in require
     if own and len(require) > 1:
         raise rs.InputError("--require instrument stands for all requirements of the instrument: give no others")
@@ -252,7 +252,7 @@ def allocation_options(
 
 
 def read_assignment(path: Path, select: list[str] | None):
-    """Read a table, and keep the rows whose columns have the given values, compared as text."""
+    """Read a table, and select the rows whose columns have the given values, compared as text."""
     table = read_table(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
@@ -265,18 +265,18 @@ def read_assignment(path: Path, select: list[str] | None):
 
 
 def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
-    """Return the units that were given, after the usual ones of a CSV file, which carries none."""
+    """Return the given units and, for CSV files, which have no units, the usual ones of all other columns."""
     usual = {role: str(u) for role, u in UNITS.items()} if suffix_of(path) in (".csv", ".tsv") else {}
     return {**usual, **parse_pairs(unit, "--unit")}
 
 
 def to_mm(value: float | None):
-    """Return a length, if there is one."""
+    """Return a length in mm, or None."""
     return None if value is None else value * u.mm
 
 
 def read_targets(name: str):
-    """Return a catalog from a file, or the name of a kind of random targets as it is."""
+    """Return a catalog from a file, or the name of a kind of random targets unchanged."""
     return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
 
 
@@ -288,7 +288,7 @@ def check_outputs(
     *,
     overwrite: bool,
 ) -> None:
-    """Refuse an output that cannot be written before any work is done."""
+    """Raise an error for an output that cannot be written, before any work is done."""
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
     for path in (plot, quality):
@@ -299,7 +299,7 @@ def check_outputs(
 
 
 def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | None" = None) -> None:
-    """Refuse a column by which targets cannot be drawn before any work is done."""
+    """Raise an error for a column by which targets cannot be drawn, before any work is done."""
     if color is None:
         return
     check_choice(color, COLORINGS, "--targets")
@@ -310,7 +310,7 @@ def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | N
 
 
 def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, output: Path | None) -> None:
-    """Refuse text of the targets of a field that FITS output cannot hold before any work is done."""
+    """Raise an error for text of the targets of a field that FITS cannot contain, before any work is done."""
     if output is None or suffix_of(output) != ".fits" or len(catalog) == 0:
         return
     center = catalog.mean_direction if center is None else center
@@ -322,6 +322,6 @@ def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, outpu
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
-    """Return where the table goes that belongs to a chart, if all can be written."""
+    """Return the path of the table that belongs to a plot; raise an error if an output cannot be written."""
     check_outputs(None, plot, report, overwrite=overwrite)
     return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""Tell why a first command takes longer."""
+"""A message that explains why a first command takes longer."""
 
 import sys
 
@@ -8,7 +8,7 @@ __all__ = ["announce_compilation"]
 
 
 class _Announcement(event.Listener):
-    """Prints a line when kernels are compiled that no cache holds, once per process."""
+    """Prints a line when kernels that are not in the cache are compiled, once per process."""
 
     def __init__(self):
         self._told = False
@@ -23,6 +23,6 @@ class _Announcement(event.Listener):
 
 
 def announce_compilation() -> None:
-    """Print a line before the first compilation, if a person watches."""
+    """Print a line before the first compilation, if the output is a terminal."""
     if sys.stderr.isatty():
         event.register("numba:compile", _Announcement())

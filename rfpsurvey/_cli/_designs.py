@@ -1,4 +1,4 @@
-"""What the command ``design`` needs: axes from text, and a summary."""
+"""Functions of the command ``design``: axes from text, and a summary."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ FIGURE = (
     "objectives. A star with its name is the instrument of the scan, if there is one."
 )
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
-"""Values and limits where neither an option nor an instrument gives others, and the nodes of a grid between limits."""
+"""Default values and limits of parameters, and default number of nodes of a grid."""
 COLUMNS = (
     "central_arm",
     "ratio",
@@ -37,7 +37,7 @@ COLUMNS = (
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
     """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths in mm.
 
-    Those that are not given have usual values, but for a scan ``around`` an instrument, whose values they have.
+    Parameters that are not given have default values or, for a scan ``around`` an instrument, its values.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
@@ -68,7 +68,7 @@ def _axis(name, text, n_designs):
 
 
 def loss(estimand, method, each, density: float | None, n_skies: int, time_limit: float) -> "rs.design.LossOptions":
-    """Return the loss that options of the command ask for."""
+    """Return the options of the loss from options of the command."""
     return rs.design.LossOptions(
         estimand,
         method,
@@ -80,7 +80,7 @@ def loss(estimand, method, each, density: float | None, n_skies: int, time_limit
 
 
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Draw the front and write a page where asked, and print the front and the sensitivities."""
+    """Draw the front and write a page if requested, and print the front and the sensitivities."""
     page = {"title": f"{len(table)} designs", "data": output}
     if report is not None:
         page["figures"] = {FIGURE: rs.plot.plot_designs(table)}
@@ -97,7 +97,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             _print_improvements(table)
         try:
             found = rs.design.design_sensitivities(table)
-        except rs.InputError as error:  # one design, or a few
+        except rs.InputError as error:  # too few designs
             print(f"no sensitivities: {error}")
         else:
             print(
@@ -109,7 +109,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
 
 
 def _print_rows(front, table) -> None:
-    """Print designs of the front, and that of the instrument below them if it is not one of them."""
+    """Print the designs on the front, followed by that of the instrument if it is not on the front."""
     columns = [*COLUMNS, *table.meta["objectives"]]
     if "instrument" in table.colnames:
         columns = ["instrument", *columns]
@@ -119,7 +119,7 @@ def _print_rows(front, table) -> None:
 
 
 def _print_improvements(table) -> None:
-    """Print how far the instrument of a scan is from the best designs, and by which parameters."""
+    """Print a comparison of the instrument of a scan with the best designs."""
     own, objectives = table[table["instrument"] != ""][0], table.meta["objectives"]
     print(f"{own['instrument']}: {', '.join(f'{_words(name)} {own[name]:.5g}' for name in AXES)}")
     try:
@@ -137,7 +137,7 @@ def _print_improvements(table) -> None:
 
 
 def _change(name, before, after, scanned) -> str:
-    """Return a parameter of a better design with its change in percent, empty where it does not change."""
+    """Return a parameter of a better design with its change in percent, empty text if it does not change."""
     if abs(after - before) <= 1e-9 * abs(before):
         return ""
     edge = ", edge of the scan" if after in (scanned.min(), scanned.max()) else ""

@@ -25,110 +25,121 @@ CatalogArgument = Annotated[
 ]
 CenterOption = Annotated[
     str | None,
-    typer.Option(help="Field center, ICRS, as '95.1 23.0' (deg) or '06:20:24 +23:00:00'. None: the mean direction."),
+    typer.Option(help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. None: the mean direction."),
 ]
-PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.", callback=check_angle)]
-SeedOption = Annotated[int, typer.Option(help="Seed of random numbers.", min=0)]
-FrameOption = Annotated[str, typer.Option(help="Frame of the catalog's coordinates.")]
+PaOption = Annotated[
+    float, typer.Option(help="Position angle of +y (deg), from north toward east.", callback=check_angle)
+]
+SeedOption = Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)]
+FrameOption = Annotated[str, typer.Option(help="Frame of the coordinates in the catalog.")]
 AllocatorOption = Annotated[
     str,
     typer.Option(
-        help="lamost, nearest, balanced (which does not look at priorities), sdss (network flow), optimal (no "
-        "collisions, proven), repair (lamost, its collisions ended by local moves), or that of an installed package."
+        help="lamost, nearest, balanced (ignores priorities), sdss (network flow), optimal (proven, without "
+        "collisions), repair (lamost, with collisions removed by local moves), or one of an installed package."
     ),
 ]
 RequireOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="KIND=NUMBER that a tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."
+        help="Number of targets that a tile needs, KIND=NUMBER, as sky=20/spectrograph or sky_boss=300; instrument: the "
+        "numbers of the instrument."
     ),
 ]
-RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
+RequiredOption = Annotated[
+    list[str] | None, typer.Option(help="Identifier of a target that takes precedence over all others.")
+]
 KeepOutOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Circle that no arm may cover, as 95.0,23.0,0.01: RA,DEC,RADIUS, deg, ICRS. repair and optimal keep it "
-        "free; with other allocators, arms there are counted as collisions."
+        help="Circle that no arm may cover, RA,DEC,RADIUS (deg, ICRS), as 95.0,23.0,0.01. repair and optimal keep it "
+        "free; for other allocators, arms that cover it are counted as collisions."
     ),
 ]
-SkyOption = Annotated[float | None, typer.Option(help="Positions so far from all targets, arcsec, serve as sky, too.")]
+SkyOption = Annotated[float | None, typer.Option(help="Use positions this far (arcsec) from all targets as sky.")]
 ObjectiveOption = Annotated[
-    str, typer.Option(help="sdss, optimal: priority (class after class), or count (their number first).")
+    str, typer.Option(help="sdss, optimal: priority (class after class), or count (total number first).")
 ]
-TimeLimitOption = Annotated[float, typer.Option(help="sdss, optimal: seconds for the search.")]
-InstrumentOption = Annotated[str, typer.Option(help="Preset, or the path of a TOML file.")]
+TimeLimitOption = Annotated[float, typer.Option(help="sdss, optimal: time limit of the search (s).")]
+InstrumentOption = Annotated[str, typer.Option(help="Name of a preset, or path of a TOML file.")]
 EquinoxOption = Annotated[
-    str | None, typer.Option(help="Measure the position angle from the north of this date, as J2026.0.")
+    str | None, typer.Option(help="Measure the position angle from north at this equinox, as J2026.0.")
 ]
 EpochOption = Annotated[str | None, typer.Option(help="Move targets to this epoch, as 2026.5 or 2026-07-01.")]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(help="ROLE=NAME, as id=star; priority=-rank flips it; epoch=J2016 holds for all rows."),
+    typer.Option(
+        help="ROLE=NAME of a column, as id=star; priority=-rank reverses the sign; epoch=J2016 is that of all rows."
+    ),
 ]
 KeepOption = Annotated[
-    list[str] | None, typer.Option(help="Column of the catalog that the results shall carry, such as a magnitude.")
+    list[str] | None, typer.Option(help="Column of the catalog to include in the results, such as a magnitude.")
 ]
-UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without one, as ra=deg.")]
+UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without a unit, as ra=deg.")]
 FillOption = Annotated[
-    list[str] | None, typer.Option(help="ROLE=VALUE of rows that have none, as priority=0 or visits=1.")
+    list[str] | None, typer.Option(help="ROLE=VALUE that replaces missing values, as priority=0 or visits=1.")
 ]
-ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners are parked, as obstacles for others.")]
+ParkedOption = Annotated[bool, typer.Option(help="Idle positioners with equal arms are parked, and are obstacles.")]
 OutputOption = Annotated[
     Path | None,
-    typer.Option(help="Write the tile, .fits or .ecsv; only FITS holds the outcomes of all targets, too."),
+    typer.Option(help="Write the tile (.fits or .ecsv); only FITS files contain the outcomes of all targets."),
 ]
-PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
+PlotOption = Annotated[Path | None, typer.Option(help="Plot the focal plane (.png, .pdf or .svg).")]
 TargetsOption = Annotated[
     str | None,
-    typer.Option(help="Draw all targets of the field in --plot, too, by outcome, kind, category or priority."),
+    typer.Option(help="Include all targets of the field in --plot, colored by outcome, kind, category or priority."),
 ]
 QualityOption = Annotated[
     Path | None,
-    typer.Option(help="Draw how many targets are in reach, assigned and observed, .png, .pdf or .svg."),
+    typer.Option(help="Plot the numbers of targets in reach, assigned and observed (.png, .pdf or .svg)."),
 ]
 MethodOption = Annotated[
     str,
     typer.Option(
-        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, that of an installed "
-        "package, or auto: the cheapest one that has an error."
+        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, one of an installed "
+        "package, or auto: the fastest one with an error estimate."
     ),
 ]
-MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner, .fits or .ecsv.")]
-ReportOption = Annotated[Path | None, typer.Option(help="Write a page on the result that needs no network, .html.")]
-OverwriteOption = Annotated[bool, typer.Option(help="Replace files that exist.")]
+MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner (.fits or .ecsv).")]
+ReportOption = Annotated[Path | None, typer.Option(help="Write a self-contained page on the result (.html).")]
+OverwriteOption = Annotated[bool, typer.Option(help="Replace existing files.")]
 
 RegionOption = Annotated[
     str | None,
     typer.Option(
-        help="Cover this: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky. With a "
+        help="Region: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky. With a "
         "catalog: its targets inside."
     ),
 ]
 ExcludeOption = Annotated[
     list[str] | None,
-    typer.Option(help="Targets or area inside do not count: a region, as --region; several are possible."),
+    typer.Option(help="Region whose targets or area are ignored, in the form of --region; may be repeated."),
 ]
 CentersOption = Annotated[
-    Path | None, typer.Option(help="The only centers that may be: ra, dec, ... With --method given, exactly these.")
+    Path | None,
+    typer.Option(help="List of the only allowed centers: ra, dec, ... With --method given, all of them are used."),
 ]
 DeclinationOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(help="Lowest and highest declination of a center, deg.", metavar="LOW HIGH"),
+    typer.Option(help="Lowest and highest declination of a center (deg).", metavar="LOW HIGH"),
 ]
 RadiusOption = Annotated[
-    float | None, typer.Option(help="Radius of a tile, deg, instead of the instrument's; fibers reach all of it.")
+    float | None,
+    typer.Option(
+        help="Radius of a tile (deg), instead of that of the instrument; fibers then reach any target of the tile."
+    ),
 ]
 TilingAllocatorOption = Annotated[
     str | None,
     typer.Option(
-        help="Plan each tile with this allocator, as a survey does: lamost, nearest, balanced, sdss, optimal, repair, "
-        "or that of an installed package. None: lamost, unless --fibers or --radius is given."
+        help="Allocator that plans each tile, as in a survey: lamost, nearest, balanced, sdss, optimal, repair, "
+        "or one of an installed package. None: lamost, unless --fibers or --radius is given."
     ),
 ]
 TilingPaOption = Annotated[
     float | None,
     typer.Option(
-        help="Position angle of +y, deg from north to east. None: that of --centers, or 0.", callback=check_angle
+        help="Position angle of +y (deg), from north toward east. None: that of --centers, or 0.", callback=check_angle
     ),
 ]
 TilingMethodOption = Annotated[
@@ -138,18 +149,21 @@ TilingMethodOption = Annotated[
         "the other, as LAMOST), sdss (network flow), or given (those of --centers)."
     ),
 ]
-PassesOption = Annotated[int, typer.Option(help="How often coverings cover everything.")]
-CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this part of the targets, 0 to 1.")]
+PassesOption = Annotated[int, typer.Option(help="Number of passes of coverings.")]
+CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this fraction of the visits, 0 to 1.")]
 FibersOption = Annotated[
-    int | None, typer.Option(help="Targets of a tile at most; without --allocator, wherever they are in the field.")
+    int | None,
+    typer.Option(
+        help="Largest number of targets of a tile; without --allocator, fibers reach any target of the field."
+    ),
 ]
-NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
-TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
-ChartOption = Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")]
+NTilesOption = Annotated[int | None, typer.Option(help="Largest number of tiles.")]
+TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling (.fits or .ecsv).")]
+ChartOption = Annotated[Path | None, typer.Option(help="Plot the table (.png, .pdf or .svg).")]
 MapPlotOption = Annotated[
-    Path | None, typer.Option(help="Draw the probability of each positioner, .png, .pdf or .svg.")
+    Path | None, typer.Option(help="Plot the probability of each positioner (.png, .pdf or .svg).")
 ]
-TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .png, .pdf or .svg.")]
+TilingPlotOption = Annotated[Path | None, typer.Option(help="Plot the tiles (.png, .pdf or .svg).")]
 SurveyCatalogArgument = Annotated[
     Path | None,
     typer.Argument(
@@ -162,62 +176,72 @@ TilesOption = Annotated[
     Path | None, typer.Option(help="List of tiles: ra, dec, pass, ... None: two hexagonal coverings of the catalog.")
 ]
 VisitsOption = Annotated[
-    int | None, typer.Option(help="How often each target is wanted. None: as the catalog says, else once.", min=1)
+    int | None, typer.Option(help="Number of visits of each target. None: that of the catalog, or one.", min=1)
 ]
 SomePassesOption = Annotated[
-    list[int] | None, typer.Option("--pass", help="A pass of the tiling to plan, several in this order.")
+    list[int] | None, typer.Option("--pass", help="Pass of the tiling to plan; may be repeated, in this order.")
 ]
-LostOption = Annotated[bool, typer.Option("--lost/--kept", help="A target whose arm collides is not observed.")]
+LostOption = Annotated[bool, typer.Option("--lost/--kept", help="Count targets whose arms collide as not observed.")]
 OrderOption = Annotated[
-    str, typer.Option(help="color: pass after pass, tiles that do not overlap at the same time; given: as listed.")
+    str,
+    typer.Option(
+        help="color: pass after pass, with tiles that do not overlap in parallel; given: in the order of the list."
+    ),
 ]
-FolderOption = Annotated[Path | None, typer.Option(help="Write tile after tile here.")]
+FolderOption = Annotated[Path | None, typer.Option(help="Folder to which each tile is written.")]
 ResumeOption = Annotated[bool, typer.Option(help="Continue the survey in the folder.")]
-WorkersOption = Annotated[int, typer.Option(help="Threads; the result does not depend on it.", min=1)]
-ProcessesOption = Annotated[bool, typer.Option("--processes", help="Processes instead of threads.")]
+WorkersOption = Annotated[int, typer.Option(help="Number of threads; the result does not depend on it.", min=1)]
+ProcessesOption = Annotated[bool, typer.Option("--processes", help="Use processes instead of threads.")]
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
-    Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
+    Path | None, typer.Option(help="Plot the tiles on the sky and the completeness (.png, .pdf or .svg).")
 ]
 SurveyQualityOption = Annotated[
     Path | None,
-    typer.Option(help="Draw visits by class, targets by outcome, and fibers by kind, .png, .pdf or .svg."),
+    typer.Option(help="Plot visits by class, targets by outcome, and fibers by kind (.png, .pdf or .svg)."),
 ]
 DesignInstrumentOption = Annotated[
     str | None,
-    typer.Option(help="Scan around this preset or TOML file, whose lengths hold where None is given."),
+    typer.Option(help="Preset or TOML file around which to scan; its values replace the defaults (None) below."),
 ]
 SpreadOption = Annotated[
     float | None,
-    typer.Option(help="Vary central arm, ratio and pitch of --instrument by this fraction to either side. None: 0.15."),
+    typer.Option(help="Fraction by which central arm, ratio and pitch vary around those of --instrument. None: 0.15."),
 ]
 CentralArmOption = Annotated[
-    str | None, typer.Option(help="Central arm, mm: 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. None: 8.25.")
+    str | None, typer.Option(help="Central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. None: 8.25.")
 ]
-RatioOption = Annotated[str | None, typer.Option(help="Eccentric over central arm, likewise. None: from 1 to 2.")]
+RatioOption = Annotated[
+    str | None, typer.Option(help="Eccentric over central arm, in the same forms. None: from 1 to 2.")
+]
 PitchOption = Annotated[
-    str | None, typer.Option(help="Distance of neighboring centers, mm, likewise. None: from 24 to 34.")
+    str | None, typer.Option(help="Distance between neighboring centers (mm), in the same forms. None: from 24 to 34.")
 ]
-ClearanceOption = Annotated[str | None, typer.Option(help="Radius that an arm keeps free, mm, likewise. None: 2.25.")]
+ClearanceOption = Annotated[str | None, typer.Option(help="Clearance of an arm (mm), in the same forms. None: 2.25.")]
 NDesignsOption = Annotated[
-    int | None, typer.Option(help="So many designs between LOW:HIGH instead of a grid, by Sobol points.")
+    int | None, typer.Option(help="Number of designs between LOW:HIGH, at Sobol points instead of a grid.")
 ]
 EstimandOption = Annotated[
     str | None,
-    typer.Option(help="Loss: independent (targets of one's own), allocated (queues) or collision_free (idle fibers)."),
+    typer.Option(
+        help="Definition of the loss: independent (targets), allocated (queues) or collision_free (idle fibers)."
+    ),
 ]
 DesignMethodOption = Annotated[
-    str, typer.Option(help="surrogate, quadrature, conditional, optimal, repair, or auto: the cheapest good one.")
+    str,
+    typer.Option(
+        help="surrogate, quadrature, conditional, optimal, repair, or auto: the fastest one that is accurate enough."
+    ),
 ]
-EachOption = Annotated[float | None, typer.Option(help="Targets a positioner. None: 4.")]
-DensityOption = Annotated[float | None, typer.Option(help="Targets per mm^2 of the focal plane instead.")]
-SkiesOption = Annotated[int, typer.Option(help="Skies to average over.")]
+EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. None: 4.")]
+DensityOption = Annotated[float | None, typer.Option(help="Number of targets per mm^2 of the focal plane, instead.")]
+SkiesOption = Annotated[int, typer.Option(help="Number of realizations to average over.")]
 DesignObjectiveOption = Annotated[
-    list[str] | None, typer.Option(help="COLUMN=max or COLUMN=min, twice. None: coverage=max and loss=min.")
+    list[str] | None, typer.Option(help="COLUMN=max or COLUMN=min, given twice. None: coverage=max and loss=min.")
 ]
-DesignOutputOption = Annotated[Path | None, typer.Option(help="Keep the designs here as they come, .fits or .ecsv.")]
+DesignOutputOption = Annotated[Path | None, typer.Option(help="Write finished designs to this file (.fits or .ecsv).")]
 DesignResumeOption = Annotated[bool, typer.Option(help="Continue the scan in the output.")]
-DesignPlotOption = Annotated[Path | None, typer.Option(help="Draw the front, .png, .pdf or .svg.")]
+DesignPlotOption = Annotated[Path | None, typer.Option(help="Plot the front (.png, .pdf or .svg).")]
 
 PLAN_EXAMPLES = """\b
 Examples:

@@ -1,4 +1,4 @@
-"""What commands print, and the files that they write when the work is done."""
+"""The output of commands: printed text, and files that are written after the work."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,11 +35,11 @@ MAP = (
 
 @contextmanager
 def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None) -> Iterator[None]:
-    """Write files, each given as its path and what it holds, before others speak of them; then name them.
+    """Write files, each given as its path and content, before the summary is printed, and print their names after it.
 
-    Whoever reads what is printed may go away at any time, and that must cost no file. ``output`` comes with a function
-    that writes to a path, ``plot`` and ``quality`` with one that makes a figure, ``report`` with a result and options
-    of a page.
+    The reader of the printed output may close the pipe at any time, and no file must be lost. The content of
+    ``output`` is a function that writes to a path, that of ``plot`` and ``quality`` is a function that makes a
+    figure, and that of ``report`` is a result and options of a page.
     """
     written = []
     if output is not None and output[0] is not None:
@@ -71,7 +71,7 @@ def finish(
     targets: str | None = None,
     quality: Path | None = None,
 ) -> None:
-    """Write a tile, its figures and page where asked, and print its summary."""
+    """Write a tile and, if requested, its figures and page, and print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tile.write),
@@ -100,7 +100,7 @@ def finish_tiling(
 
 
 def finish_comparison(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Write methods side by side, their chart and page where asked, and print them."""
+    """Write a comparison of allocators and, if requested, its plot and page, and print it."""
     with files(
         overwrite=overwrite,
         output=(output, partial(write_table, table)),
@@ -119,7 +119,7 @@ def finish_comparison(table, output: Path | None, plot: Path | None, report: Pat
 def finish_estimate(
     estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write the map of an estimate, its picture and page where asked, and print it, a line a figure."""
+    """Write the map of an estimate, its plot and page if requested, and print it with one value per line."""
     plane = model.focal_plane
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
     table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
@@ -144,7 +144,7 @@ def finish_estimate(
 
 
 def finish_table(table, draw, output: Path, plot: Path, report: Path | None, *, overwrite: bool) -> None:
-    """Write a table of results, its chart and page where asked, and print it."""
+    """Write a table of results and, if requested, its plot and page, and print it."""
     name, page = table.meta["instrument"], {"data": output}
     if report is not None:
         page |= {"title": f"Benchmark: {name}", "figures": {f"Time against error, on {name}.": _first(draw(table))}}
@@ -162,7 +162,7 @@ def _first(axes):
 
 
 def print_summary(tile: "rs.Tile") -> None:
-    """Print what came out, a line a figure."""
+    """Print the summary of a tile, one value per line."""
     name, values = tile.provenance["instrument"]["name"], tile.provenance["parameters"]
     print(f"{name}, allocator {values['allocator']}")
     if "ra_deg" in values:
@@ -184,7 +184,7 @@ def print_summary(tile: "rs.Tile") -> None:
 
 
 def _print_objectives(tile: "rs.Tile") -> None:
-    """Print the classes of targets, whether the plan is proven, and what it lacks."""
+    """Print the classes of targets, the gap of the plan, and the requirements that are not met."""
     summary = tile.summary
     for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
@@ -196,7 +196,7 @@ def _print_objectives(tile: "rs.Tile") -> None:
 
 
 def print_table(table) -> None:
-    """Print a table of results with four digits."""
+    """Print a table of results with four significant digits."""
     table = table.copy()
     for column in table.columns.values():
         if column.dtype.kind == "f":

@@ -1,4 +1,4 @@
-"""What the command ``survey`` needs: targets and tiles from files, workers, and a summary."""
+"""Functions of the command ``survey``: targets and tiles from files, workers, and a summary."""
 
 import signal
 import sys
@@ -44,7 +44,7 @@ def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
 
 @contextmanager
 def workers(number: int, scheduler: str | None, *, processes: bool):
-    """Give an executor, None for the work to be done here."""
+    """Provide an executor; None stands for work in this thread."""
     if scheduler is not None:
         try:
             from distributed import Client
@@ -69,16 +69,16 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
 
 
 def _set_up_worker() -> None:
-    """Leave Ctrl-C to the process that has the workers: it would wait forever for those that die of it."""
+    """Ignore Ctrl-C in a worker; otherwise, the main process would wait forever for workers that Ctrl-C ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
 
 
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:
-    """Print what came out, a line a figure."""
+    """Print the summary of a survey, one value per line."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
-    if "model" in s:  # surveys of earlier versions lack it
+    if "model" in s:  # surveys of earlier versions do not have it
         print(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
@@ -99,7 +99,7 @@ def run(
     quality: Path | None,
     report: Path | None,
 ) -> None:
-    """Plan a survey, print what came out, and draw it where asked."""
+    """Plan a survey, print its summary, and plot it if requested."""
     tiling = _read_tiles(tiles, targets, model)
     begin = perf_counter()
     try:

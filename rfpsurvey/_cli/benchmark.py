@@ -10,23 +10,25 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey.instrument import as_instrument
 
-benchmark = typer.Typer(no_args_is_help=True, help="Time the methods side by side, on the arms of an instrument.")
+benchmark = typer.Typer(
+    no_args_is_help=True, help="Measure the speed and the errors of methods, for the arms of an instrument."
+)
 _app.app.add_typer(benchmark, name="benchmark")
 
 
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
-    method: Annotated[list[str] | None, typer.Option(help="These methods only; may be repeated.")] = None,
-    repeats: Annotated[int, typer.Option(help="How often each method runs at most.")] = 15,
-    seed: Annotated[int, typer.Option(help="Of the random targets.")] = 0,
-    plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
-        "benchmark_collisions.png"
-    ),
+    method: Annotated[list[str] | None, typer.Option(help="Methods to compare; may be repeated. None: all.")] = None,
+    repeats: Annotated[int, typer.Option(help="Largest number of runs of each method.")] = 15,
+    seed: Annotated[int, typer.Option(help="Seed of the random targets.")] = 0,
+    plot: Annotated[
+        Path, typer.Option(help="Plot (.png, .pdf or .svg); the table is written to the same folder.")
+    ] = Path("benchmark_collisions.png"),
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Chart the speed of every method of finding collisions against its errors."""
+    """Compare the speed and the errors of the methods of finding collisions."""
     output = _app.check_chart(plot, report, overwrite=overwrite)
     options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
     table = rs.benchmark.benchmark_collisions(as_instrument(instrument), **options)
@@ -36,7 +38,7 @@ def collisions(
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def batches(
     instrument: _options.InstrumentOption = "lamost",
-    repeats: Annotated[int, typer.Option(help="Calls of each kind, of which the median counts.")] = 5,
+    repeats: Annotated[int, typer.Option(help="Number of calls with the same settings; the median time is shown.")] = 5,
 ) -> None:
-    """Time the scoring of many configurations at once, on processor threads and a GPU if there is one."""
+    """Measure the time of scoring many configurations in one call, on CPU threads and on a GPU if there is one."""
     _app.print_table(rs.benchmark.benchmark_batches(as_instrument(instrument), repeats=repeats))

@@ -15,15 +15,17 @@ from rfpsurvey.instrument import as_instrument
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def probability(
     instrument: _options.InstrumentOption = "lamost",
-    repeats: Annotated[int, typer.Option(help="Runs of each method and effort, with other random numbers.")] = 30,
-    seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 0,
-    plot: Annotated[Path, typer.Option(help="Chart, .png, .pdf or .svg; the table is written beside it.")] = Path(
-        "benchmark_probability.png"
-    ),
+    repeats: Annotated[
+        int, typer.Option(help="Number of runs of each method and effort, with different random numbers.")
+    ] = 30,
+    seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
+    plot: Annotated[
+        Path, typer.Option(help="Plot (.png, .pdf or .svg); the table is written to the same folder.")
+    ] = Path("benchmark_probability.png"),
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Chart the time of every method of collision probability against its error; print the bias of densities."""
+    """Compare the time and the error of the methods of collision probability, and print the bias of densities."""
     output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
     table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())

@@ -20,20 +20,22 @@ from rfpsurvey.plot import draw_instruments
 @_app.app.command(epilog=_options.COMPARE_EXAMPLES)
 def compare(
     instruments: Annotated[
-        list[str] | None, typer.Argument(help="Presets, or paths of TOML files. None: all presets.")
+        list[str] | None, typer.Argument(help="Names of presets, or paths of TOML files. None: all presets.")
     ] = None,
     catalog: Annotated[
         Path | None,
-        typer.Option(help="The same sky for all, a file or example:anticenter. None: synthetic Poisson skies."),
+        typer.Option(help="Catalog for all, a file or example:anticenter. None: synthetic Poisson targets."),
     ] = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     epoch: _options.EpochOption = None,
-    targets: Annotated[float | None, typer.Option(help="Synthetic targets for each positioner. None: 1.")] = None,
-    density: Annotated[float | None, typer.Option(help="Synthetic targets per deg2 instead, equal for all.")] = None,
-    realizations: Annotated[int | None, typer.Option(help="Synthetic skies of each instrument. None: 4.")] = None,
+    targets: Annotated[float | None, typer.Option(help="Number of synthetic targets per positioner. None: 1.")] = None,
+    density: Annotated[float | None, typer.Option(help="Number of synthetic targets per deg2, instead.")] = None,
+    realizations: Annotated[
+        int | None, typer.Option(help="Number of synthetic fields of each instrument. None: 4.")
+    ] = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Methods, may be given several times. None: lamost and optimal.")
+        list[str] | None, typer.Option(help="Allocator; may be repeated. None: lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
@@ -46,12 +48,12 @@ def compare(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     fill: _options.FillOption = None,
-    output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Write the table (.fits or .ecsv).")] = None,
     plot: _options.ChartOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Put instruments side by side: reach, fibers, collisions and what they cost."""
+    """Compare instruments: reach, fibers, collisions, and the targets lost to collisions."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out

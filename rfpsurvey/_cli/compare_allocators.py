@@ -20,7 +20,9 @@ def compare_allocators(
     pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
-    allocator: Annotated[list[str] | None, typer.Option(help="Only these; may be given several times.")] = None,
+    allocator: Annotated[
+        list[str] | None, typer.Option(help="Allocator to compare; may be repeated. None: all.")
+    ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
     keep_out: _options.KeepOutOption = None,
@@ -33,12 +35,12 @@ def compare_allocators(
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
     fill: _options.FillOption = None,
-    output: Annotated[Path | None, typer.Option(help="Write the table, .fits or .ecsv.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Write the table (.fits or .ecsv).")] = None,
     plot: _options.ChartOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Plan one field by several methods, side by side."""
+    """Compare allocators on the same field."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)

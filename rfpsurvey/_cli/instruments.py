@@ -19,10 +19,10 @@ Examples:
 def instruments(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Presets, or paths of TOML files: several side by side. None: list all presets."),
+        typer.Argument(help="Names of presets, or paths of TOML files; several are compared. None: list all presets."),
     ] = None,
 ) -> None:
-    """List the instruments, describe one with the source of every value, or put several side by side."""
+    """List the instruments, describe one with the source of every value, or compare several."""
     models = [as_instrument(name) for name in names or ()]
     if not models:
         _print_list()
@@ -40,7 +40,7 @@ def _print_list() -> None:
 
 
 def _print_one(model: Instrument) -> None:
-    """Print what is known of an instrument, what follows from it, and the source of every value."""
+    """Print the description of an instrument, facts derived from it, and the source of every value."""
     notes = model.notes.strip()
     print(f"{model.name}: {model.title}" if model.title else model.name)
     print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
@@ -54,7 +54,7 @@ def _print_one(model: Instrument) -> None:
 
 
 def _print_columns(models: list[Instrument]) -> None:
-    """Print the facts of several instruments, a column each."""
+    """Print the facts of several instruments, with a column for each."""
     columns = [fact_texts(model.facts()) for model in models]
     widths = [max(len(model.name), *map(len, texts.values())) for model, texts in zip(models, columns, strict=True)]
     rows = {"": [model.name for model in models]}

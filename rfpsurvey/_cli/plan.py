@@ -37,7 +37,7 @@ def plan(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Assign one field and find the arms that collide."""
+    """Assign the targets of a field to fibers, and find the arms that collide."""
     _app.check_outputs(output, plot, report, quality, overwrite=overwrite)
     _app.check_targets(targets, plot)
     model = as_instrument(instrument)

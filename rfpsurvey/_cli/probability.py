@@ -14,28 +14,32 @@ from rfpsurvey.probability import Precision, RandomTargets
 
 @_app.app.command(epilog=_options.PROBABILITY_EXAMPLES)
 def probability(
-    instrument: Annotated[str, typer.Argument(help="Preset, or the path of a TOML file.")] = "lamost",
+    instrument: Annotated[str, typer.Argument(help="Name of a preset, or path of a TOML file.")] = "lamost",
     method: _options.MethodOption = "auto",
     estimand: Annotated[str | None, typer.Option(help="For auto: allocated (default) or independent.")] = None,
     precision: Annotated[float | None, typer.Option(help="Standard error to reach.")] = None,
-    max_iterations: Annotated[int | None, typer.Option(help="Iterations, realizations or points at most.")] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(help="Largest number of iterations, realizations or points.")
+    ] = None,
     targets: Annotated[
         str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog, such as example:anticenter.")
     ] = "uniform",
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
-    target_radius: Annotated[float | None, typer.Option(help="Of the circle where they fall, mm.")] = None,
-    min_separation: Annotated[float | None, typer.Option(help="Of poisson_disc, mm.")] = None,
-    allocator: Annotated[str, typer.Option(help="balanced, or another method of plan.")] = "balanced",
-    density: Annotated[str | None, typer.Option(help="Independent: uniform, shared or voronoi.")] = None,
-    dynamic: Annotated[float, typer.Option(help="Rate of dynamic failures.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
-    workers: Annotated[int, typer.Option(help="Threads; the result does not depend on it.", min=1)] = 1,
+    target_radius: Annotated[float | None, typer.Option(help="Radius of the circle that contains them (mm).")] = None,
+    min_separation: Annotated[float | None, typer.Option(help="Minimum separation for poisson_disc (mm).")] = None,
+    allocator: Annotated[str, typer.Option(help="balanced, or another allocator.")] = "balanced",
+    density: Annotated[
+        str | None, typer.Option(help="Density of independent targets: uniform, shared or voronoi.")
+    ] = None,
+    dynamic: Annotated[float, typer.Option(help="Rate of dynamic failures of positioners.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
+    workers: Annotated[int, typer.Option(help="Number of threads; the result does not depend on it.", min=1)] = 1,
     output: _options.MapOption = None,
     plot: _options.MapPlotOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Estimate how likely arms collide, with an interval."""
+    """Estimate the probability that arms collide, with a confidence interval."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     options = {"method": method, "estimand": estimand, "allocator": allocator, "density": density}

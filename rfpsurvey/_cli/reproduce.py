@@ -15,14 +15,14 @@ def reproduce(
     experiment: Annotated[
         str, typer.Argument(help="small, large, poisson, fit, intervals, speed, or all of them.")
     ] = "all",
-    folder: Annotated[Path, typer.Option(help="Where tables, figures and claims go.")] = Path("reproduction"),
-    quick: Annotated[bool, typer.Option("--quick", help="Few designs and repeats: see that it runs.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Threads; as many as cores by default.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of random numbers.", min=0)] = 0,
+    folder: Annotated[Path, typer.Option(help="Folder for tables, figures and claims.")] = Path("reproduction"),
+    quick: Annotated[bool, typer.Option("--quick", help="Use few designs and repeats, to test that it runs.")] = False,
+    workers: Annotated[int | None, typer.Option(help="Number of threads; by default that of the cores.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Rerun the experiments of Chen et al. (2024), arXiv:2409.07288, and judge each claim."""
+    """Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with its claims."""
     _app.check_outputs(None, report=report, overwrite=overwrite)
     options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
     claims = rs.reproduction.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)

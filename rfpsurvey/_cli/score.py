@@ -25,7 +25,7 @@ def score(
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     positions: Annotated[str | None, typer.Option(help="focal_plane or sky, where the table has both.")] = None,
-    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE: look at these rows only.")] = None,
+    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE: select these rows.")] = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
@@ -34,7 +34,7 @@ def score(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Find the collisions in an assignment that another planner made."""
+    """Find the collisions in the assignments of another planner."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}

@@ -37,7 +37,7 @@ def survey(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Plan tile after tile until targets are observed as often as they are wanted."""
+    """Plan the tiles of a survey such that each target is observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
     model = as_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)

@@ -41,7 +41,7 @@ def tile(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Decide where the tiles of a survey go."""
+    """Place the tiles of a survey."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = as_instrument(instrument)
     inside = None if region is None else rs.Region.parse(region)
@@ -78,7 +78,7 @@ def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
 
 
 def _centers(path, declination, pa):
-    """Return where centers may be."""
+    """Return the constraints on centers."""
     return rs.tiling.Centers(
         None if path is None else rs.Tiling.read(path),
         None if declination is None else declination * u.deg,
@@ -87,7 +87,7 @@ def _centers(path, declination, pa):
 
 
 def _options_of(allocator, require, sky_separation, time_limit, parked, *, given):
-    """Return the options of an allocation, None for those that are usual."""
+    """Return the options of an allocation, or None for the defaults."""
     asked = require is not None or sky_separation is not None or not parked
     if allocator is None and given and asked:
         raise rs.InputError("--fibers and --radius need an --allocator where an option of allocators is given")

@@ -1,4 +1,4 @@
-"""Allocation rules on reachable pairs in CSR form."""
+"""Allocators on reachable pairs in CSR form."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ MOST = 2**62
 
 @kernel
 def balanced(indptr, owner, r2, count, positioner_of_target):
-    """Give each target, in catalog order, to the shortest queue, then the nearest, then the lowest index."""
+    """Add each target, in catalog order, to the queue that is the shortest, then the nearest, then of lowest index."""
     count[:] = 0
     for t in range(indptr.size - 1):
         best = -1
@@ -31,7 +31,7 @@ def balanced(indptr, owner, r2, count, positioner_of_target):
 
 @kernel
 def fill_queues(positioner_of_target, count, indptr, queue):
-    """Write the queues of all positioners one after the other, each in catalog order."""
+    """Fill in the queues of all positioners one after the other, each in catalog order."""
     indptr[0] = 0
     for i in range(count.size):
         indptr[i + 1] = indptr[i] + count[i]
@@ -45,7 +45,7 @@ def fill_queues(positioner_of_target, count, indptr, queue):
 
 @kernel
 def draw_configuration(indptr, queue, uniform, target_of_positioner):
-    """Take one target from each queue that has any, by one uniform number in [0, 1) per positioner."""
+    """Draw one target from each queue that is not empty, with one uniform number in [0, 1) per positioner."""
     for i in range(indptr.size - 1):
         n = indptr[i + 1] - indptr[i]
         target_of_positioner[i] = -1
@@ -91,7 +91,7 @@ def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
     end = start[:-1].copy()
-    # rank and distance of the last of the best ones, where there are as many as may be
+    # rank and distance of the last of the best ones, if their number is the largest allowed
     cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
     for t in range(indptr.size - 1):
         c = rank[t]
@@ -154,7 +154,7 @@ def nominate(
     target_of_positioner,
     positioner_of_target,
 ):
-    """Assign targets as LAMOST does, by rounds of nomination, class after class.
+    """Assign targets with the method of LAMOST, in rounds of nomination, class after class.
 
     Every free positioner nominates its nearest unassigned target of the class; a target nominated by several
     goes to the one with the fewest unassigned targets in reach, then the nearest, then the lowest index. ``free_reach``

@@ -1,4 +1,4 @@
-"""Kinematics of a two-arm positioner: target to elbow, elbow to the segment that can collide.
+"""Kinematics of a two-arm positioner: from targets to elbows, and from elbows to colliding segments.
 
 Segments are columns here, rows x0, y0, x1, y1 of an array (4, n), and loops have no branches: both let the
 compiler work on several positioners at a time.
@@ -11,10 +11,10 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Arms whose lengths differ by less than this (mm) count as equal: they reach their own center.
+# Arms whose lengths differ by less than this (mm) are treated as equal; they reach their own center.
 EQUAL_ARMS = 1e-9
 
-# What can collide.
+# Parts of an arm that can collide.
 ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
@@ -118,7 +118,7 @@ def capsule_end(ex, ey, x, y, length, cosine, sine):
 
 @kernel
 def shape(segments, model, length, cosine, sine):
-    """Convert elbows and tips to the segments that can collide, in place."""
+    """Convert elbows and tips to colliding segments, in place."""
     if model == CAPSULE:
         ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
         for i in range(cosine.size):

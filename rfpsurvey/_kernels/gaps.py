@@ -1,4 +1,4 @@
-"""Blank sky: points within reach of each positioner that keep a distance from every target."""
+"""Blank sky: points within reach of each positioner that are at least a separation away from all targets."""
 
 import math
 

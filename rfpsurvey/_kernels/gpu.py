@@ -1,4 +1,4 @@
-"""Collisions of many configurations on a GPU; imported only when asked for.
+"""Collisions of many configurations on a GPU; this module is imported on request only.
 
 Poses and the pair test are those of the processor: the same scalar functions, compiled for the device. Each thread
 tests one positioner of one configuration against all its neighbors, those before it in the list too, so that it

@@ -85,9 +85,9 @@ def prepare_entries(indptr, idle, entries):
 def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entries, probability, pair_probability):
     """Compute the collision probability of each positioner, NaN without a queue, and of each pair.
 
-    Along the line between the centers of i and j, no entry of i comes nearer to j than its foremost point, and no entry
-    of j nearer to i: entries that cannot come near enough are skipped. All is in one function, since passing so many
-    arrays to another one takes longer than testing short queues.
+    Along the line between the centers of i and j, no entry of i comes nearer to j than its foremost point, and no
+    entry of j nearer to i: entries that cannot come near enough are skipped. This is a single function, because
+    passing the arrays to another one takes longer than testing short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead

@@ -1,4 +1,4 @@
-"""Slow ways to decide about a pair of arms, kept for comparison."""
+"""Slow methods of testing pairs of arms, for comparison."""
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def all_pairs(segments, first, second, squared):
 
 @kernel
 def swept(poses, moving, first, second, squared):
-    """Compute the least squared distance of two arms over all pairs of poses on their ways, at whatever times.
+    """Compute the least squared distance between two arms over all pairs of poses on their paths, at any times.
 
     ``poses`` has the shape (steps, 4, n), the last one at the target; of arms that do not move only the last one is
     used.

@@ -1,4 +1,4 @@
-"""Local changes of a plan that end collisions: another target, the other elbow, an exchange with a neighbor, none."""
+"""Local moves that remove collisions: another target, the other elbow, an exchange with a neighbor, or no target."""
 
 import numpy as np
 

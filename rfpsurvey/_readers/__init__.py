@@ -1,4 +1,4 @@
-"""Read tables and documents from files, within limits of size; what cannot be read is refused in one sentence."""
+"""Read tables and documents from files, within limits of size; errors are single sentences."""
 
 from rfpsurvey._readers._documents import parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes

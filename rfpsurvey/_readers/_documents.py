@@ -1,4 +1,4 @@
-"""TOML and JSON within limits of size and depth."""
+"""Read TOML and JSON within limits of size and depth."""
 
 import json
 import re
@@ -11,7 +11,7 @@ __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# A key with that many parts, at the beginning of a word so that a search takes linear time.
+# A key with this many parts; it starts at the beginning of a word, so that the search takes linear time.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
 
 
@@ -38,7 +38,7 @@ def read_toml(path: Path) -> dict:
 
 
 def parse_json(text: object, what: object) -> dict:
-    """Return the object that a text in JSON holds; ``what`` begins the sentence of an error."""
+    """Return the object in a JSON text; error messages begin with ``what``."""
     if not isinstance(text, str):
         raise InputError(f"{what} must be an object in JSON, got {type(text).__name__}")
     if len(text) > MOST_JSON:
@@ -56,7 +56,7 @@ def parse_json(text: object, what: object) -> dict:
 
 
 def check_size(found: object, what: object) -> None:
-    """Refuse nested values that are too deep or, counted as often as they are referred to, too many."""
+    """Raise an error for values that are nested too deep or are too many, counting each reference."""
     todo, n = [(found, 0)], 0
     while todo:
         value, depth = todo.pop()

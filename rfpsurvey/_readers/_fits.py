@@ -1,4 +1,4 @@
-"""FITS tables, whose headers are compared with the size of the file before astropy reads them."""
+"""FITS tables, whose headers are compared with the size of the file before astropy reads the data."""
 
 import io
 import re
@@ -18,14 +18,14 @@ BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
 META_KEY = "RFPSURVY"
-"""Card of files of this package that holds the meta of a table."""
+"""Keyword of the card that contains the meta of a table in files of this package."""
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
 def read_fits(path: Path, number: int | None = None) -> QTable:
-    """Return a table of a FITS file by its number, or the first one with a warning where there are others.
+    """Return a table of a FITS file by number, or the first one, with a warning if there are others.
 
-    Text is returned as bytes. There is no warning for files of this package, whose tables belong together.
+    Text is returned as bytes. For files of this package, whose tables belong together, there is no warning.
     """
     with open_content(path) as file:
         found = _find_tables(file, path)
@@ -41,12 +41,12 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
 
 
 def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
-    """Return the table of a header and data unit, and the number of rows that its header names."""
+    """Return the table of a header-data unit, and the number of rows according to its header."""
     from astropy.io import fits
 
     file.seek(0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of cards against the standard, and of units that are found when they are used
+        warnings.simplefilter("ignore")  # nonstandard cards, and units, which are checked on use
         with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
             unit = units[at]
             table = QTable.read(unit, format="fits", mask_invalid=False)
@@ -70,12 +70,12 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
                 return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)
     except InputError:
         raise
-    except Exception as error:  # astropy raises what it likes
+    except Exception as error:  # astropy can raise any exception
         raise InputError(f"{name} cannot be read as fits: {sentence(error)}") from error
 
 
 def _find_tables(file: BinaryIO, path: object) -> list[int]:
-    """Return the numbers of the units that are tables, at least one, if all that headers promise is there."""
+    """Return the numbers of the units that are tables; raise an error if there are none or data are missing."""
     size, place, tables = file.seek(0, io.SEEK_END), 0, []
     if size == 0:
         raise InputError(f"{path}: the file must be a FITS file, got an empty one")
@@ -106,7 +106,7 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
 
 
 def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | None, int]:
-    """Return the values of the cards that matter, and where the header ends; None where only padding follows."""
+    """Return the values of the cards that are used, and the end of the header; None if only padding follows."""
     file.seek(place)
     cards, first = {}, b"XTENSION" if place else b"SIMPLE  "
     for _ in range(-(-MOST_CARDS * CARD // BLOCK)):
@@ -130,7 +130,7 @@ def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | No
 
 
 def _refuse_rest(file, path):
-    """Raise an error where something follows that is not padding."""
+    """Raise an error if the rest of the file is not padding."""
     while chunk := file.read(2**20):
         if chunk.strip(b"\0 "):
             raise InputError(_surplus(path))
@@ -174,7 +174,7 @@ def _data_size(cards, path) -> int:
 
 
 def _check_table(file, cards, what, begin, end, path):
-    """Refuse a table whose columns do not fill its rows, or after whose rows something follows that is no padding."""
+    """Raise an error if the columns of a table do not fill its rows, or the bytes after its rows are not padding."""
     if _whole(cards, "NAXIS", path) != 2:
         raise InputError(f"{path}: the header card NAXIS of a table must be 2, got {_whole(cards, 'NAXIS', path)}")
     n_fields = _whole(cards, "TFIELDS", path, most=MOST_FIELDS)

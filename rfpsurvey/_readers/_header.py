@@ -1,4 +1,4 @@
-"""The first lines of a table of text: what separates its columns, their names and their units."""
+"""The first lines of a text table: the delimiter, and the names and units of the columns."""
 
 import re
 from itertools import islice
@@ -10,7 +10,7 @@ __all__ = ["find_names", "is_number"]
 
 DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
 DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
-# The names are sought up to here: files may be longer than that, but not what comes before the rows.
+# The names must be within this number of bytes from the beginning of the file.
 MOST_BYTES = 2**22
 QUOTED = re.compile(rb'"[^"]*"')
 
@@ -18,9 +18,9 @@ QUOTED = re.compile(rb'"[^"]*"')
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
     """Return the content with the names of the columns in its first row, the delimiter, and the units by name.
 
-    The delimiter is the one in the line of names; if there are several, the one that the next line has as often. Names
-    may stand in a comment before the first row. Lines that are no rows become comments: ``sep=;``, which spreadsheets
-    read, and those with units and dashes after the names, as VizieR writes them.
+    The delimiter is the one in the line of names; if there are several, it is the one that occurs as often in the
+    next line. Names can be in a comment before the first row. Lines that are not rows become comments: ``sep=;``,
+    which spreadsheets read, and lines with units and dashes after the names, as written by VizieR.
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content
@@ -53,7 +53,7 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
 
 
 def _data_lines(content: bytes) -> list[tuple[int, int]]:
-    """Return where the first three lines begin and end that are neither blank nor comments."""
+    """Return the begin and end of the first three lines that are neither blank nor comments."""
     return [line.span() for line in islice(DATA.finditer(content, 0, MOST_BYTES), 3)]
 
 

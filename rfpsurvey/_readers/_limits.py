@@ -1,4 +1,4 @@
-"""How large a file may become in memory, and the content of a file within these limits."""
+"""Limits of the size of a file in memory, and functions that return its content within these limits."""
 
 import bz2
 import gzip
@@ -13,19 +13,19 @@ from rfpsurvey.errors import InputError
 __all__ = ["MOST_COLUMNS", "check_width", "content_of", "is_compressed", "open_content", "sentence"]
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
-# A compressed file may hold this many times its size; tables of real targets stay below a tenth of it.
+# Largest ratio of decompressed to compressed size; tables of real targets stay below a tenth of it.
 MOST_RATIO = 100
-# No limit applies to what is smaller than this, in bytes.
+# Smaller contents, in bytes, have no limit.
 FREE = 2**26
-# A column of text takes the width of its longest value in every row: at most this many times the size of the file, or
-# this many bytes.
+# A text column takes the width of its longest value in every row; it may take at most this many times the size of the
+# file, or this many bytes.
 MOST_PADDING, FREE_TEXT = 64, 2**30
 MOST_COLUMNS = 10_000
 CHUNK = 2**20
 
 
 def sentence(error: Exception) -> str:
-    """Return the first line of what an exception says, with its type where that is no error of values or files."""
+    """Return the first line of the message of an exception, with its type unless it is an error of values or files."""
     text, kind = str(error).strip().split("\n")[0][:300], type(error).__name__
     if not text:
         return kind
@@ -39,14 +39,14 @@ def _opener(path: Path):
 
 
 def is_compressed(path: Path) -> bool:
-    """Return whether a file is compressed, by its first bytes and not by its name."""
+    """Return whether a file is compressed, according to its first bytes."""
     return _opener(path) is not None
 
 
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
-    """Return the content of a file, decompressed; ``most`` limits its size in bytes, ``kind`` is for the error.
+    """Return the decompressed content of a file; ``most`` limits its size in bytes, ``kind`` is for error messages.
 
-    Without ``most`` what is not compressed has no limit, and what is compressed has that of `MOST_RATIO`.
+    Without ``most``, uncompressed files have no limit, and the limit of compressed files is that of `MOST_RATIO`.
     """
     try:
         size, opener = path.stat().st_size, _opener(path)
@@ -72,12 +72,12 @@ def _too_large(path, limit, opener) -> str:
 
 
 def open_content(path: Path) -> BinaryIO:
-    """Return an open file that can be searched: the file itself, or its decompressed content."""
+    """Return an open, seekable file: the file itself, or its decompressed content."""
     return io.BytesIO(content_of(path)) if is_compressed(path) else path.open("rb")
 
 
 def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:
-    """Refuse a text so long that a column of its width would not fit into memory."""
+    """Raise an error for a text so long that a column of its width would not fit into memory."""
     needed = 4 * n_rows * longest
     if needed > max(FREE_TEXT, MOST_PADDING * size):
         raise InputError(

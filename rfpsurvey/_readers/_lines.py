@@ -1,7 +1,7 @@
-"""The lines of a table of text, each of which must be a whole row.
+"""Checks of the lines of a text table, each of which must be a complete row.
 
-Readers take what follows a quotation mark that is not closed for one long value, and drop the rest of the file without
-a warning. Here each line is checked first, without Python loops where lines are well formed.
+Readers interpret the text after an unclosed quotation mark as one long value, and drop the rest of the file without a
+warning. Here, each line is checked first, without Python loops if the lines are well formed.
 """
 
 from pathlib import Path
@@ -14,21 +14,21 @@ from rfpsurvey.errors import InputError
 __all__ = ["count_lines", "line_number"]
 
 BLOCK = 2**22
-# Blank lines and comments that a file may have beside ten for each row.
+# Largest number of blank lines and comments in a file, in addition to ten for each row.
 MOST_IDLE = 1_000_000
 NEWLINE, RETURN, TAB, SPACE, QUOTE, HASH = b'\n\r\t "#'
 
 
 def line_number(content: bytes, where: int) -> int:
-    """Return the number of the line, from 1, in which a byte stands."""
+    """Return the number of the line, counted from 1, that contains a byte."""
     return content.count(b"\n", 0, where) + 1
 
 
 def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, ragged: bool = False) -> int:
-    """Return the number of lines that are neither blank nor comments, the line of names among them.
+    """Return the number of lines that are neither blank nor comments, including the line of names.
 
-    Raise an error for a line with a quotation mark that is not closed, and, unless rows may be ``ragged``, for a line
-    that has another number of fields than the first.
+    Raise an error for a line with an unclosed quotation mark and, unless ``ragged``, for a line whose number of
+    fields differs from that of the first line.
     """
     number, n_lines, n_idle, longest, at, n_fields = line_number(content, begin) - 1, 0, 0, 0, 0, 0
     while begin < len(content):
@@ -58,14 +58,14 @@ def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, rag
 
 
 class _Lines:
-    """A block of whole lines.
+    """A block of complete lines.
 
     Parameters
     ----------
     block : bytes
         The lines.
     delimiter : bytes
-        What separates fields.
+        Delimiter of fields.
     """
 
     def __init__(self, block: bytes, delimiter: bytes):
@@ -89,7 +89,7 @@ class _Lines:
         return self.block[self.start[k] : self.end[k]]
 
     def are_whole(self, n_fields: int) -> bool:
-        """Return whether every quoted value is surely closed and, unless 0, every line has that many fields."""
+        """Return whether all quoted values certainly end and, unless it is 0, all lines have ``n_fields`` fields."""
         text, delimiter = self.bytes, self.delimiter[0]
         if self.comments:
             text = text.copy()
@@ -115,7 +115,7 @@ class _Lines:
 
 
 def _refuse(path: Path, lines: _Lines, before: int, n_fields: int) -> None:
-    """Raise an error for the first line of a block that is not whole; ``before`` is the number of lines before."""
+    """Raise an error for the first invalid line of a block; ``before`` is the number of lines before the block."""
     for k in np.flatnonzero(lines.data).tolist():
         found = _fields(lines.line(k), lines.delimiter)
         if found == 0:
@@ -133,7 +133,7 @@ def _open_quote(path, number) -> str:
 
 
 def _fields(line: bytes, delimiter: bytes) -> int:
-    """Return the number of fields of a line, 0 if a quoted one does not end."""
+    """Return the number of fields of a line, 0 if a quoted field does not end."""
     if b'"' not in line:
         return line.count(delimiter) + 1
     n, place = 1, 0

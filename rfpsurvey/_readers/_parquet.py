@@ -1,4 +1,4 @@
-"""Parquet, whose columns may be missing values, categories and kinds that numpy does not have."""
+"""Parquet files, whose columns can have missing values, categories and types that NumPy does not have."""
 
 import warnings
 from pathlib import Path
@@ -12,13 +12,13 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
 
-# The values of all rows take at most this many times the size of the file, or this many bytes: equal values take little
-# in the file.
+# The values of all rows take at most this many times the size of the file, or this many bytes; repeated values take
+# little space in the file.
 MOST_RATIO, FREE = 1000, 2**28
 
 
 def import_parquet():
-    """Return the module that reads Parquet."""
+    """Return the module that reads Parquet files."""
     try:
         import pyarrow.parquet
     except ImportError as error:
@@ -28,9 +28,9 @@ def import_parquet():
 
 
 def read_parquet(path: Path, names: list[str] | None = None) -> Table:
-    """Return a table of a Parquet file, with the columns that are named or with all that numpy can hold.
+    """Return a table of a Parquet file, with the columns that are named or all that NumPy can represent.
 
-    Times are read as they are; lists, structures and durations are left out.
+    Times are not converted; lists, structures and durations are omitted.
     """
     parquet, reads_all = import_parquet(), names is None
     try:
@@ -46,19 +46,19 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
         return _with_index(table, schema.metadata or {}) if reads_all else table
     except InputError:
         raise
-    except Exception as error:  # pyarrow raises what it likes
+    except Exception as error:  # pyarrow can raise any exception
         raise InputError(f"{path} cannot be read as parquet: {sentence(error)}") from error
 
 
 def table_of_arrow(content: object) -> Table:
-    """Return a table of one of Arrow in memory, with the columns that numpy can hold."""
+    """Return a table from an Arrow table in memory, with the columns that NumPy can represent."""
     names = [name for name in content.schema.names if _is_plain(content.schema.field(name).type)]
     metadata = content.schema.metadata or {}
     return _with_index(_with_units(_to_table(content, names, None), metadata), metadata)
 
 
 def _is_plain(kind) -> bool:
-    """Return whether numpy has an array for a kind of column."""
+    """Return whether NumPy can represent a type of column."""
     from pyarrow import types
 
     if types.is_dictionary(kind):
@@ -83,7 +83,7 @@ def _is_plain(kind) -> bool:
 
 
 def _to_table(content, names: list[str], path: Path | None) -> Table:
-    """Return a table of columns of Arrow, missing values masked."""
+    """Return a table from Arrow columns, with missing values masked."""
     return Table({name: _to_array(content[name], name, path) for name in names}, copy=False)
 
 
@@ -110,7 +110,7 @@ def _to_array(column, name: str, path: Path | None) -> np.ndarray:
             column = column.fill_null(False)
         elif missing is not None and types.is_integer(column.type):
             column = column.fill_null(0)
-        values = np.array(column.to_numpy())  # what pyarrow returns may not be written to
+        values = np.array(column.to_numpy())  # arrays of pyarrow can be read-only
     return values if missing is None else np.ma.array(values, mask=missing)
 
 
@@ -132,7 +132,7 @@ def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
 
 
 def _with_index(table: Table, metadata: dict) -> Table:
-    """Return the table with its index, if that has a name and pandas wrote only its limits and step."""
+    """Return the table with its index, if the index has a name and pandas wrote only its limits and step."""
     for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
         if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
             numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))
@@ -142,7 +142,7 @@ def _with_index(table: Table, metadata: dict) -> Table:
 
 
 def _with_units(table: Table, metadata: dict) -> Table:
-    """Return the table with the units and columns of coordinates that astropy wrote beside it."""
+    """Return the table with the units and coordinate columns that astropy wrote to the metadata."""
     text = metadata.get(b"table_meta_yaml")
     if text is None:
         return table

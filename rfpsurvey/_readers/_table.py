@@ -1,4 +1,4 @@
-"""Tables in any of the formats."""
+"""Tables in any of the supported formats."""
 
 import os
 import warnings
@@ -29,7 +29,7 @@ FORMATS = {
 
 
 def _read_text(path: Path) -> Table:
-    from rfpsurvey._readers import _text  # imported when a file is read, as the next
+    from rfpsurvey._readers import _text  # imported on first use, like the next one
 
     return _text.read_csv(path) if FORMATS[suffix_of(path)] == "ascii.csv" else _text.read_ecsv(path)
 
@@ -59,7 +59,7 @@ def to_path(path: object) -> Path:
 
 
 def suffix_of(path: Path) -> str:
-    """Return the ending that tells the format; ``.gz`` is looked through."""
+    """Return the file extension that determines the format, without ``.gz``."""
     suffixes = [s.lower() for s in path.suffixes]
     if suffixes and suffixes[-1] in ZIPPED:
         suffixes.pop()
@@ -67,7 +67,7 @@ def suffix_of(path: Path) -> str:
 
 
 def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
-    """Read a table in any of `FORMATS`; ``number`` is its place among the tables of a FITS file."""
+    """Read a table in any of `FORMATS`; ``number`` is its number among the tables of a FITS file."""
     path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
@@ -76,7 +76,7 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
         raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
     try:
         options = {} if number is None else {"number": number}
-        with warnings.catch_warnings():  # sexagesimal text may have a unit, such as h:m:s
+        with warnings.catch_warnings():  # sexagesimal text can have a unit, such as h:m:s
             warnings.filterwarnings("ignore", message="column .* has a unit but is kept as a")
             table = QTable(READERS[FORMATS[suffix]](path, **options))
         for name in table.colnames:
@@ -88,7 +88,7 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
         raise InputError(f"{path}: reading this format needs another package: {error}") from error
     except RecursionError as error:
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: it is nested too deep") from error
-    except Exception as error:  # readers of five formats raise what they like
+    except Exception as error:  # the readers can raise any exception
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {sentence(error)}") from error
     if META_KEY in table.meta:
         table.meta = parse_json(table.meta[META_KEY], f"{path}: the header card {META_KEY}")
@@ -98,12 +98,12 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except ValueError:  # a NUL in the name
+    except ValueError:  # the name contains a NUL
         return False
 
 
 def _make_text(table: QTable, name: str, path: Path) -> None:
-    """Replace a column of bytes, or of objects that are all text, by one of text."""
+    """Replace a column of bytes, or of objects that are all text, by a column of text."""
     column = table[name]
     kind = getattr(getattr(column, "dtype", None), "kind", "")
     if kind == "S":

@@ -1,4 +1,4 @@
-"""CSV, also with other delimiters, and ECSV, of which every line is a row."""
+"""CSV, also with other delimiters, and ECSV files, in which each line is a row."""
 
 import re
 import warnings
@@ -17,26 +17,26 @@ __all__ = ["read_csv", "read_ecsv"]
 
 MOST_HEADER = 2**18
 MOST_CELLS = 100_000
-MARK = "x"  # makes a number text
+MARK = "x"  # a prefix that makes a number text
 COMMA = re.compile(rb"^# *delimiter: *['\"]?,", re.MULTILINE)
 SHAPE = re.compile(rb"subtype: *['\"]?\w+\[([^\]\n]*)")
 WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
 
 
 def read_csv(path: Path) -> Table:
-    """Return the table of a CSV file, also one with semicolons, tabs or bars; comments begin with #."""
+    """Return the table of a CSV file with commas, semicolons, tabs or bars; comments begin with #."""
     content, delimiter, units = find_names(path, _checked_content(path))
     n_lines = count_lines(path, content, 0, delimiter)
     if n_lines == 0:
         raise InputError(f"{path}: the first row must hold the names of the columns, got no row")
-    if delimiter == b"\t" and b'"' not in content:  # values between commas lose blanks in any case
+    if delimiter == b"\t" and b'"' not in content:  # values between commas always lose blanks
         content = re.sub(rb" *\t *", b"\t", content)
-    # the zero comes first, as a search for one byte is fast
+    # search for the zero first, because searching for one byte is fast
     zeros = re.compile(rb'0(?<=[\n" %s]0)(?=\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))
     marked = zeros.sub(MARK.encode() + b"0", content).decode("utf-8") if zeros.search(content) else None
     text = content.decode("utf-8")
     del content
-    # of the two kinds only "tab" keeps an empty first value
+    # only the format "tab" keeps an empty first value
     options = {"format": "tab" if delimiter == b"\t" else "csv", "guess": False, "comment": "#"}
     if delimiter not in b",\t":
         options["delimiter"] = delimiter.decode()
@@ -85,15 +85,15 @@ def _parse(text: str, options: dict) -> Table:
     from astropy.io import ascii as text_tables
 
     if text.isascii():
-        if "\n" not in text:  # it would be taken for a path
+        if "\n" not in text:  # otherwise it would be interpreted as a path
             text += "\n"
         return text_tables.read(text, fast_reader={"enable": "force"}, **options)
-    # which the fast reader cannot read
+    # the fast reader cannot read these
     return text_tables.read([line for line in text.split("\n") if _is_data(line)], fast_reader=False, **options)
 
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
-    """Replace integers by text in columns of digits that have a mark before a leading zero."""
+    """Replace integers by text in columns of digits with leading zeros, which ``marked`` shows."""
     for name, other in zip(table.colnames, marked.colnames, strict=True):
         if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
             continue
@@ -104,8 +104,8 @@ def _keep_leading_zeros(table: Table, marked: Table) -> None:
 
 
 def _checked_content(path: Path) -> bytes:
-    """Return the content of a text file, its lines ended by a line feed (or both)."""
-    content = content_of(path).removeprefix(b"\xef\xbb\xbf")  # the mark that spreadsheets put before a file
+    """Return the content of a text file, with lines that end with a line feed, optionally after a carriage return."""
+    content = content_of(path).removeprefix(b"\xef\xbb\xbf")  # the byte-order mark that spreadsheets write
     if b"\r" in content and content.count(b"\r") != content.count(b"\r\n"):
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -130,7 +130,7 @@ def _is_data(line: str) -> bool:
 
 
 def _end_of_header(content: bytes) -> int:
-    """Return where the comments end that an ECSV file begins with."""
+    """Return the end of the comments at the beginning of an ECSV file."""
     place = 0
     while place < len(content):
         end = content.find(b"\n", place) + 1 or len(content)

@@ -1,6 +1,6 @@
-"""VOTables, which may name files and addresses to read from: none of these is followed.
+"""VOTables; files and addresses to which they refer are never read.
 
-A first pass over the XML counts rows and columns, so that what astropy returns can be compared with what is there.
+A first pass over the XML counts rows and columns, with which the table returned by astropy is compared.
 """
 
 import binascii
@@ -31,9 +31,9 @@ SIZES = {
     "floatComplex": 8,
     "doubleComplex": 16,
 }
-# The bytes of a row, and of all rows as long as they are not many times the file.
+# Largest number of bytes of a row, and of all rows unless these are many times the size of the file.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
-# Warnings of astropy about values that it changes: text that is cut off, numbers beyond their type.
+# Warnings of astropy about values that it changes: truncated text, and numbers out of the range of their type.
 ALTERED = re.compile(r"\b(?:W46|W51): (.*)")
 
 
@@ -57,7 +57,7 @@ def read_votable(path: Path) -> QTable:
 
 
 class _Contents:
-    """What is in a file, by its elements alone."""
+    """The content of a file according to its XML elements."""
 
     def __init__(self, path: Path):
         from xml.parsers import expat
@@ -125,14 +125,14 @@ class _Contents:
             )
         n = math.prod(map(int, (numbers[1] or "1").split("x")))
         if numbers[2] and kind not in ("char", "unicodeChar"):
-            # the last dimension is the one that varies
+            # the last dimension is the variable one
             n = math.prod(map(int, (numbers[1] or "1").split("x"))) if size.endswith("x*") else 1
         self._fields.append((kind, n, bool(numbers[2])))
         if len(self._fields) > MOST_COLUMNS:
             self._refuse(f"a table must have at most {MOST_COLUMNS} columns, got more")
 
     def n_rows(self, size: int) -> int:
-        """Return the number of rows, if they are whole and fit into memory; ``size`` is that of the file."""
+        """Return the number of rows; raise an error if they are incomplete or too large for a file of this ``size``."""
         path = self._path
         if self._n_tables != 1:
             raise InputError(f"{path}: the file must hold one table, got {self._n_tables}")
@@ -148,7 +148,7 @@ class _Contents:
         return n
 
     def _binary_rows(self) -> int:
-        """Return the number of rows of a stream that holds nothing else."""
+        """Return the number of rows of a binary stream; raise an error if it contains anything else."""
         try:
             content = binascii.a2b_base64(re.sub(r"\s", "", "".join(self._stream)), strict_mode=True)
         except ValueError as error:
@@ -179,7 +179,7 @@ class _Contents:
 
 
 def _skip_row(content: bytes, place: int, steps: list) -> int:
-    """Return where a row ends that begins at a place: steps of bytes, and arrays of a length that comes first."""
+    """Return the end of a row that begins at ``place``: fixed numbers of bytes, and arrays preceded by their length."""
     place = int(place)
     for step in steps:
         if isinstance(step, tuple):

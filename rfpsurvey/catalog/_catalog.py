@@ -61,9 +61,8 @@ class Catalog:
     n_dropped : int, optional
         Number of rows dropped so far because their coordinates are not finite.
     extra : dict or Table, optional
-        Further columns by name, such as magnitudes: numbers, text or booleans, with or without units. Allocators do
-        not read them; the tables of tiles and surveys include them. Missing numbers become NaN, and missing text
-        becomes empty.
+        Further columns of results, such as magnitudes: numbers, text or booleans by name, with or without units.
+        Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
 
     Raises
     ------

@@ -88,7 +88,7 @@ def compare_allocators(
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field once only
-            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # to compile
+            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)
         log.info("planned by %s: %s", method.name, tiles[method])

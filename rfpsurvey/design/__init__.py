@@ -1,4 +1,4 @@
-"""Design studies of arms, pitch and clearance: a table of methods behind `explore_designs`."""
+"""Design studies: coverage and collision losses of positioners as functions of arms, pitch and clearance."""
 
 from rfpsurvey.design._around import design_improvements, explore_around
 from rfpsurvey.design._axes import AXES

@@ -1,4 +1,4 @@
-"""Scan designs around that of an instrument, and say how far from the best of them it is."""
+"""Scan designs around that of an instrument, and compare the instrument with the best of them."""
 
 from inspect import signature
 
@@ -26,46 +26,47 @@ def explore_around(
     n_designs: int | None = None,
     **others: object,
 ) -> QTable:
-    """Scan designs around that of an instrument, which is in the table by its name.
+    """Scan designs around that of an instrument, which is included and marked by its name.
 
-    The design of the instrument is the lattice and the arms of its positioners, without edges, obstacles, joint
-    limits and broken units, see `explore_designs`.
+    The design of an instrument consists of the lattice and the arms of its positioners, without edges, obstacles,
+    joint limits and broken positioners; see `explore_designs`.
 
     Parameters
     ----------
     instrument : Instrument or str
-        An instrument, the name of a preset, or the path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file.
     spread : float, optional
-        The central arm, the ratio of the arms and the pitch vary by this fraction of the instrument's own values, to
-        either side. The clearance and the step of the motors are those of the instrument.
+        Fraction by which the central arm, the ratio of the arms and the pitch vary to either side of the values of
+        the instrument. The clearance and the motor step are those of the instrument.
     n_nodes : int, optional
-        Values of each parameter that varies; all combinations are scanned.
+        Number of values of each parameter that varies; all combinations are scanned.
     n_designs : int, optional
         Number of Sobol points between the limits, instead of a grid.
     **others
-        Parameters of `explore_designs`. Those of the design (``central_arm``, ``ratio``, ``pitch``, ``clearance``,
-        ``step``) replace the values around the instrument.
+        Parameters of `explore_designs`. Parameters of the design (``central_arm``, ``ratio``, ``pitch``,
+        ``clearance``, ``step``) replace the values around those of the instrument.
 
     Returns
     -------
     QTable
-        As for `explore_designs`, with the column ``instrument``: the name of the instrument in the row of its own
-        design, which is added as the last row if it is not among those that are scanned, and ``""`` elsewhere.
+        Table of `explore_designs` with a further column ``instrument``, which contains the name of the instrument in
+        the row of its design and ``""`` in all others. If the scan does not include that design, it is added as the
+        last row.
 
     Raises
     ------
     InputError
-        If the instrument is unknown or has one positioner only, or as for `explore_designs`.
+        If the instrument is unknown or has only one positioner, or `explore_designs` raises an error.
 
     Warns
     -----
     RfpsurveyWarning
-        If the instrument's arms do not collide from elbow to tip, as those of designs do.
+        If the arm model of the instrument is not ``elbow_to_tip``, which is that of all designs.
 
     See Also
     --------
-    rfpsurvey.design.design_improvements : How far the instrument is from the best designs.
-    rfpsurvey.plot.plot_designs : Draws the designs, the front and the instrument.
+    rfpsurvey.design.design_improvements : Compare the instrument with the best designs.
+    rfpsurvey.plot.plot_designs : Plot the designs, the Pareto front and the instrument.
 
     Examples
     --------
@@ -86,27 +87,28 @@ def explore_around(
 
 
 def design_improvements(table: QTable) -> QTable:
-    """Return how far an instrument is from the best designs of a scan, objective by objective.
+    """Compare an instrument with the best designs of a scan, for each objective.
 
-    For each objective: the best design among those that are at least as good as the instrument in the other one.
+    For each objective, the best design is that among the designs that are at least as good as the instrument in the
+    other objective.
 
     Parameters
     ----------
     table : QTable
-        What `explore_around` returns.
+        Table returned by `explore_around`.
 
     Returns
     -------
     QTable
-        A row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best design, or the
-        instrument's own where no design is better); ``change`` (``best`` minus ``value``); ``other`` (the other
-        objective of the best design); and its ``central_arm``, ``ratio``, ``pitch`` and ``clearance``. Values of
-        objectives are plain numbers, in the units of the columns of ``table``.
+        Table with a row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best
+        design, or of the instrument if no design is better); ``change`` (``best`` minus ``value``); ``other`` (other
+        objective of the best design); ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best design.
+        Values of objectives are plain numbers in the units of the columns of ``table``.
 
     Raises
     ------
     InputError
-        If the table is not one of `explore_around`, or the instrument has no values of the objectives.
+        If ``table`` was not returned by `explore_around`, or the instrument has no values of the objectives.
 
     Examples
     --------
@@ -149,7 +151,7 @@ def design_improvements(table: QTable) -> QTable:
 
 
 def _factors(spread, n_nodes, n_designs):
-    """Return what the values of an instrument are multiplied with: nodes of a grid, or limits."""
+    """Return the factors for the values of an instrument: nodes of a grid, or limits."""
     number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
     if not (number and 0 < spread < 1):
         raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")

@@ -15,7 +15,7 @@ MOST = 10_000_000
 
 
 def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quantity) -> dict[str, np.ndarray]:
-    """Return the values of each axis, lengths in mm, checked."""
+    """Return the values of each axis, with lengths in mm, or raise an error."""
     lengths = {"central_arm": central_arm, "pitch": pitch, "clearance": clearance}
     axes = {name: to_mm(value, name) for name, value in lengths.items()}
     try:
@@ -33,7 +33,7 @@ def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance
 
 
 def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) -> np.ndarray:
-    """Return a design a row: central_arm, ratio, pitch, clearance."""
+    """Return the designs as rows: central_arm, ratio, pitch, clearance."""
     if n_designs is None:
         for name, values in axes.items():
             if len(np.unique(values)) < len(values):
@@ -57,7 +57,7 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
 
 
 def _sobol(n, n_axes, seed):
-    """Return scrambled points of the unit cube; fewer of the same seed are the first of more."""
+    """Return scrambled Sobol points of the unit cube; for the same seed, n points are the first n of any larger set."""
     from scipy.stats import qmc  # takes longer to import than all of this package
 
     return qmc.Sobol(n_axes, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]

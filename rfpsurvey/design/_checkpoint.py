@@ -1,4 +1,4 @@
-"""A scan on disk: the designs that are done, and what was asked."""
+"""Checkpoint of a scan on disk: the finished designs and the request."""
 
 import json
 from collections.abc import Iterator
@@ -20,18 +20,18 @@ EVERY = 10.0  # seconds
 
 
 class Checkpoint:
-    """The file of a scan, whole at any time, with the first designs of all.
+    """The file of a scan, complete at any time, with the designs that are finished.
 
     Parameters
     ----------
     path : str, path-like or None
-        Where it is, or shall be; None keeps nothing.
+        Path of the file; None for no file.
     request : dict
-        What is asked: a scan is continued by the same request only.
+        The request; a scan can only be resumed with the same request.
     designs : ndarray of float, shape (n, 4)
-        All designs, in the order in which they are done.
+        All designs, in the order in which they are computed.
     resume, overwrite : bool
-        Continue what is there, or begin anew?
+        Whether to continue or to replace an existing file.
     """
 
     def __init__(self, path: object, request: dict, designs: np.ndarray, *, resume: bool, overwrite: bool):
@@ -55,18 +55,18 @@ class Checkpoint:
 
     @property
     def rows(self) -> np.ndarray:
-        """All that is done."""
+        """The rows of all finished designs."""
         self.parts = [np.concatenate(self.parts)] if self.parts else [np.zeros(0, ROW)]
         return self.parts[0]
 
     def add(self, rows: np.ndarray) -> None:
-        """Take the next designs into the checkpoint."""
+        """Add the next finished designs."""
         self.parts.append(rows)
         self.done += len(rows)
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Keep what is done when the work is stopped."""
+        """Write the finished designs if the work is stopped."""
         try:
             yield
         except BaseException:
@@ -75,7 +75,7 @@ class Checkpoint:
             raise
 
     def save(self) -> None:
-        """Write what is done, if the last time was a while ago."""
+        """Write the finished designs, unless they were written recently."""
         if self._path is not None and monotonic() - self._last > EVERY:
             self._write(to_table(self.rows, self.meta))
             self._last = monotonic()
@@ -89,7 +89,7 @@ class Checkpoint:
             write_table(table, self._path, overwrite=True)
 
     def _load(self):
-        """Return the designs that an earlier run has done."""
+        """Return the designs that an earlier run has finished."""
         table = read_table(self._path)
         before, now = table.meta.get("request"), self.meta["request"]
         if not isinstance(before, dict) or not set(ROW.names) <= set(table.colnames):

@@ -1,4 +1,4 @@
-"""Scan many designs of fiber positioners."""
+"""Scans of many designs of fiber positioners."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -22,7 +22,7 @@ from rfpsurvey.errors import InputTypeError, check_keywords, short, warn
 __all__ = ["explore_designs", "scan"]
 
 CHUNK = 8
-"""Designs of one task. Results do not depend on it."""
+"""Number of designs per task. Results do not depend on it."""
 
 
 @check_keywords
@@ -43,86 +43,87 @@ def explore_designs(
     resume: bool = False,
     overwrite: bool = False,
 ) -> QTable:
-    """Say of many designs what their positioners reach, and what they lose to collisions.
+    """Compute the coverage and the loss to collisions of many designs of fiber positioners.
 
-    A design is a hexagonal lattice of equal positioners without an edge: right-handed arms from elbow to tip, without
-    joint limits. What geometry says (coverage, multiplicity) is exact; the loss is the part of the fibers with
-    a target that collisions cost, and answers one of three questions, which must not be mixed:
+    A design is an infinite hexagonal lattice of equal, right-handed positioners without joint limits, whose arms
+    collide from elbow to tip. Coverage and multiplicity follow from geometry and are exact. The loss is the fraction
+    of the fibers with a target that are lost to collisions. It has one of three definitions, which must not be mixed:
 
-    * ``independent``: every positioner draws a target of its own, uniform over its patrol area; lost is who is in
-      collision.
-    * ``allocated``: targets fall at random and queue up (`~rfpsurvey.allocate`, ``balanced``); every fiber takes
-      one of its queue; lost is who is in collision.
-    * ``collision_free``: the plan avoids collisions; lost are the fibers that it leaves idle and a plan blind to
-      collisions would not.
+    * ``independent``: every positioner draws its own target, uniform over its patrol area; positioners in collision
+    are lost. * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and
+    every fiber observes one target of its queue; positioners in collision are lost. * ``collision_free``: the plan
+    avoids collisions; fibers that it leaves idle, but that a plan ignoring collisions would assign, are lost.
 
     Parameters
     ----------
     central_arm : Quantity, scalar or shape (k,)
-        Length of the central arm. Several values of a parameter are nodes of a grid of all combinations.
+        Length of the central arm. All combinations of the values of the parameters form a grid of designs.
     ratio : float or array_like of float, shape (k,)
-        Eccentric over central arm.
+        Ratio of the lengths of the eccentric and the central arm.
     pitch : Quantity, scalar or shape (k,)
-        Distance of neighboring centers.
+        Distance between neighboring centers.
     clearance : Quantity, scalar or shape (k,)
-        Radius that the eccentric arm keeps free around itself, half the minimum separation (but for ``step``).
+        Radius around the eccentric arm that must be free of other arms: half the minimum separation, except for
+        ``step``.
     n_designs : int, optional
-        So many designs instead of a grid, between limits: each parameter is one value, or (low, high). They are
-        scrambled points of Sobol; fewer designs of the same seed are the first of more.
+        Number of designs between limits, instead of a grid. Each parameter is then one value, or (low, high). The
+        designs are scrambled Sobol points; for the same seed, the first n designs do not depend on ``n_designs``.
     step : Quantity, optional
-        Angle of one step of the motors, of which the minimum separation depends, see `~rfpsurvey.Positioner`.
+        Angle of one motor step, on which the minimum separation depends; see `~rfpsurvey.Positioner`.
     loss : LossOptions or {"independent", "allocated", "collision_free"}, optional
-        Which loss, and how it is found; a name alone stands for that loss by the cheapest method that is good enough.
+        Definition of the loss, and method that computes it. A name stands for that loss and the fastest method that
+        is accurate enough.
     objectives : dict of str to str, optional
-        Two columns and whether ``"max"`` or ``"min"`` is wanted, for the front; coverage and loss by default.
+        Two columns and ``"max"`` or ``"min"`` for each, which define the Pareto front; coverage and loss by default.
     rng : int, Generator or None, optional
-        Seed or source of random numbers; each design has a stream of its own.
+        Seed or random number generator; each design has its own stream of random numbers.
     executor : concurrent.futures.Executor, optional
-        Runs designs in parallel, on threads or processes; the result does not depend on it.
+        Executor that computes designs in parallel, in threads or processes; the result does not depend on it.
     progress : bool or callable, optional
-        Show a line on the standard error, or call a function with (designs done, all designs).
+        Show the progress on the standard error, or call a function with the number of finished designs and of all
+        designs.
     path : str or path-like, optional
-        Keep what is done here, .ecsv or .fits, every ten seconds and at the end.
+        File (.ecsv or .fits) to which finished designs are written every ten seconds and at the end.
     resume : bool, optional
-        Continue the scan in ``path``, if one was begun there. Objectives may be others than before.
+        Whether to continue an unfinished scan in ``path``. The objectives may differ from those before.
     overwrite : bool, optional
-        Replace a file that exists.
+        Whether to replace an existing file.
 
     Returns
     -------
     QTable
-        A row for each design. ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
-        ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors, 3:
-        further ones too); ``multiplicity`` (patrol area over that of a cell); ``reach_0`` to ``reach_3`` (parts of the
-        plane that none, one, two, and at least three positioners reach) and ``coverage`` (that any reaches);
-        ``targets`` (per positioner) and ``empty`` (fraction of the positioners without any of them in reach);
-        ``assigned`` (fibers with a target if arms could pass each other, per positioner; 1 for independent targets),
-        ``loss`` of them,
-        ``loss_error`` (standard error), ``usable`` (what is left, a positioner); ``positioners_per_area`` and
-        ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven`` (searches that the time limit
-        cut short, so that the loss is too large, and not the same on another machine); ``reason`` why there are no
-        figures; ``pareto`` (no design is at least as good in both objectives and better in one). ``meta`` holds the
-        request.
+        Table with a row for each design: ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
+        ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors can, 3:
+        further ones can too); ``multiplicity`` (patrol area divided by the area of a cell); ``reach_0`` to
+        ``reach_3`` (fractions of the plane within reach of no, one, two, and at least three positioners) and
+        ``coverage`` (fraction within reach of at least one); ``targets`` (number per positioner) and ``empty``
+        (fraction of the positioners with no target in reach); ``assigned`` (number of fibers with a target per
+        positioner if arms could pass through each other; 1 for independent targets), ``loss`` (fraction of these lost
+        to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per positioner);
+        ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven``
+        (number of searches that the time limit ended; the loss is then too large, and depends on the machine);
+        ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good in both
+        objectives and better in one). ``meta`` contains the request.
 
     Raises
     ------
     InputError
-        If a value is impossible for every design, names are unknown, or the file holds another scan.
+        If a value is not valid for any design, a name is unknown, or the file contains another scan.
     concurrent.futures.BrokenExecutor
-        If a worker process died. What was written stays.
+        If a worker process ends abruptly. The designs written so far remain in the file.
 
     Warns
     -----
     RfpsurveyWarning
-        If designs are impossible (they stay in the table without figures), searches were cut short, or the scan was
-        begun with other versions of the software.
+        If designs are impossible (they remain in the table without values), the time limit ended searches, or the
+        scan was begun with other versions of the software.
 
     See Also
     --------
-    rfpsurvey.design.explore_around : The same around an instrument.
-    rfpsurvey.design.design_sensitivities : What the figures depend on.
-    rfpsurvey.plot.plot_designs : Draws the front.
-    rfpsurvey.collision_probability : One instrument as it is.
+    rfpsurvey.design.explore_around : Scan designs around that of an instrument.
+    rfpsurvey.design.design_sensitivities : Compute how much the values depend on each parameter.
+    rfpsurvey.plot.plot_designs : Plot the designs and the Pareto front.
+    rfpsurvey.collision_probability : Estimate the collision probability of a focal plane with its edges.
 
     Examples
     --------
@@ -167,7 +168,7 @@ def scan(
     resume: bool = False,
     overwrite: bool = False,
 ) -> QTable:
-    """Return the table of the designs that axes in mm span, and of the one that the scan starts from."""
+    """Return the table of the designs on axes in mm and, if given, of the design from which the scan starts."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
@@ -192,7 +193,7 @@ def scan(
 
 
 def _run(task, designs, checkpoint, executor, *, progress):
-    """Take all designs that are not done into the checkpoint, in their order."""
+    """Compute all designs that are not finished, and add them to the checkpoint in order."""
     starts = range(checkpoint.done, len(designs), CHUNK)
     parts = (designs[start : start + CHUNK] for start in starts)
     with checkpoint.open(), Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
@@ -203,11 +204,11 @@ def _run(task, designs, checkpoint, executor, *, progress):
 
 
 def _warn(table):
-    """Tell of designs without figures, and of those that are not proven."""
+    """Issue warnings for designs without values, and for those whose searches did not finish."""
     strange = table[table["reason"] != ""]
     if len(strange):
         text = (
-            f"{len(strange)} of {len(table)} designs have no figures ({strange['reason'][0]}): see the column 'reason'"
+            f"{len(strange)} of {len(table)} designs have no values ({strange['reason'][0]}): see the column 'reason'"
         )
         warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))

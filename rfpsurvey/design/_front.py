@@ -1,4 +1,4 @@
-"""Designs that no other one beats."""
+"""The Pareto front of designs."""
 
 import numpy as np
 from astropy.table import QTable
@@ -11,20 +11,20 @@ OBJECTIVES = {"coverage": "max", "loss": "min"}
 
 
 def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, str]:
-    """Return two columns and whether their largest or smallest value is wanted."""
+    """Return the two objectives, columns with "max" or "min", or raise an error."""
     pairs = list(objectives.items()) if isinstance(objectives, dict) else []
     if len(pairs) != 2:
         raise InputError(f"objectives must be two columns with 'max' or 'min', such as {OBJECTIVES}, got {objectives}")
-    for name, aim in pairs:
+    for name, direction in pairs:
         check_choice(name, columns, "column for an objective")
-        check_choice(aim, ("max", "min"), f"aim for {name}")
+        check_choice(direction, ("max", "min"), f"direction of {name}")
     return dict(pairs)
 
 
 def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
-    """Mark rows that no other row beats: at least as good in both columns, and better in one.
+    """Mark the rows on the Pareto front: no other row is at least as good in both columns and better in one.
 
-    Rows with the same values are on the front together, and rows without a value never.
+    Rows with the same values are all on the front, and rows without a value are not.
     """
     signs = {"max": -1.0, "min": 1.0}
     values = [signs[aim] * np.asarray(getattr(table[name], "value", table[name])) for name, aim in objectives.items()]
@@ -32,8 +32,8 @@ def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
     known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
     order = known[np.lexsort((second[known], first[known]))]
     a, b = first[order], second[order]
-    start = np.searchsorted(a, a, side="left")  # of the rows with the same first value, of which the best come first
-    least = np.append(np.inf, np.minimum.accumulate(b))[start]  # second value of all before them
+    start = np.searchsorted(a, a, side="left")  # first (and best) row with the same first value
+    least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before them
     front = np.zeros(len(table), dtype=bool)
     front[order] = (b == b[start]) & (b < least)
     return front

@@ -1,4 +1,4 @@
-"""A design: equal positioners on a hexagonal lattice without an edge, and what geometry alone says of it."""
+"""A design: equal positioners on an infinite hexagonal lattice, and the values that follow from its geometry."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -12,22 +12,22 @@ from rfpsurvey.positioner import Positioner
 __all__ = ["Lattice", "make_lattice"]
 
 MOST_REACH = 4.0
-"""Arms that reach further, in pitches, have hundreds of neighbors, and are not looked at."""
+"""Largest reach of arms, in pitches; designs beyond it have hundreds of neighbors and are not computed."""
 N_LINES = 256
 DEPTHS = 4
-"""Points in reach of 0, 1, 2 and at least 3 positioners are told apart."""
+"""Classes of points: within reach of 0, 1, 2 and at least 3 positioners."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Positioners of one kind at all points of a hexagonal lattice; the pitch in mm."""
+    """Equal positioners at all points of a hexagonal lattice; the pitch is in mm."""
 
     unit: Positioner
     pitch: float
 
     @property
     def cell(self) -> float:
-        """Area that belongs to a positioner, mm^2."""
+        """Area of the lattice cell of a positioner, mm^2."""
         return float(np.sqrt(3) / 2 * self.pitch**2)
 
     @cached_property
@@ -42,37 +42,37 @@ class Lattice:
 
     @property
     def shape(self) -> tuple[float, float, float]:
-        """What the probability depends on: central arm over pitch, ratio of the arms, minimum separation over pitch."""
+        """Parameters of the collision probability: central arm over pitch, arm ratio, minimum separation over pitch."""
         central_arm, eccentric_arm = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
         return float(central_arm / self.pitch), float(eccentric_arm / central_arm), self.separation / self.pitch
 
     @property
     def multiplicity(self) -> float:
-        """Patrol area over cell: how many positioners reach a point, on average."""
+        """Patrol area divided by the area of a cell: the mean number of positioners that reach a point."""
         inner, outer = self.radii
         return float(np.pi * (outer**2 - inner**2) / self.cell)
 
     @property
     def sight(self) -> float:
-        """Centers so far apart, in mm, or farther are out of each other's way."""
+        """Distance of centers, in mm, from which on two positioners cannot collide."""
         return 2 * self.radii[1] + self.separation
 
     @property
     def collision_type(self) -> int:
-        """1: no two arms can touch; 2: only those of first neighbors; 3: further ones too."""
+        """Collision type. 1: no two arms can touch; 2: only those of first neighbors can; 3: further ones can too."""
         return 1 if self.sight <= self.pitch else 2 if self.sight <= np.sqrt(3) * self.pitch else 3
 
     def coverage(self, n_lines: int = N_LINES) -> np.ndarray:
-        """Return the parts of the plane that exactly 0, 1, 2 and at least 3 positioners reach.
+        """Return the fractions of the plane within reach of exactly 0, 1, 2, and at least 3 positioners.
 
-        A cell is twelve times one triangle. On lines across it the pieces between the edges of patrol areas are
-        exact; with 256 lines errors are 1e-4 as a rule, and 4e-4 at most.
+        A cell consists of twelve equal triangles. On lines across a triangle, the segments between the edges of
+        patrol areas are exact; with 256 lines, errors are typically 1e-4, and at most 4e-4.
         """
         inner, outer = (r / self.pitch for r in self.radii)
         x = (np.arange(n_lines) + 0.5) / (2 * n_lines)
         top = x / np.sqrt(3)
         centers = _centers(int(np.ceil(outer)))
-        centers = centers[np.hypot(*centers.T) < outer + 1 / np.sqrt(3)]  # nothing in the triangle is farther out
+        centers = centers[np.hypot(*centers.T) < outer + 1 / np.sqrt(3)]  # others do not reach the triangle
         away = x[:, None] - centers[:, 0]
         edges, steps = [], []
         for r, sign in ((outer, 1), (inner, -1)):
@@ -86,12 +86,12 @@ class Lattice:
         pieces = np.diff(edges, axis=1, append=top[:, None])
         parts = np.bincount(np.clip(depth, 0, DEPTHS - 1).ravel(), pieces.ravel(), minlength=DEPTHS)
         parts[0] += edges[:, 0].sum()  # before the first edge
-        return np.round(parts / top.sum(), 9)  # what is covered but for rounding is covered
+        return np.round(parts / top.sum(), 9)  # so that a plane that is covered except for rounding counts as covered
 
 
 @cache
 def _centers(reach: int) -> np.ndarray:
-    """Return the points of a lattice of pitch 1 that a unit near the origin can have to do with."""
+    """Return the points of a lattice of pitch 1 at distances of at most ``reach`` + 1 from the origin."""
     k, q = (a.ravel() for a in np.mgrid[-2 * reach : 2 * reach + 1, -2 * reach : 2 * reach + 1])
     xy = np.column_stack([q + k / 2, np.sqrt(3) / 2 * k])
     return xy[np.hypot(*xy.T) <= reach + 1]
@@ -100,7 +100,7 @@ def _centers(reach: int) -> np.ndarray:
 def make_lattice(
     central_arm: float, ratio: float, pitch: float, clearance: float, step: float
 ) -> tuple[Lattice | None, str]:
-    """Return a design, or None and why there is none; lengths in mm, the step in radians."""
+    """Return a design, or None and the reason why it is impossible; lengths are in mm, the step in radians."""
     try:
         unit = Positioner(central_arm * u.mm, central_arm * ratio * u.mm, clearance * u.mm, step=step * u.rad)
     except InputError as error:

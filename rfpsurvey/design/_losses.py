@@ -1,4 +1,4 @@
-"""Fibers lost to collisions, by a table of methods; each answers one of three questions."""
+"""Methods that compute the fraction of fibers lost to collisions, each for one of three definitions."""
 
 from typing import NamedTuple
 
@@ -20,53 +20,53 @@ from rfpsurvey.probability import (
 __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 
 N_POINTS = 256
-"""Of a quadrature: its relative error is about 0.002."""
+"""Number of points of a quadrature; its relative error is then about 0.002."""
 SURROGATE_ERROR = 5e-4
 """Root mean square error of the surrogate in its box, and less; ``tests/benchmarks/design_figures.py`` measures it."""
 SURE = 0.01
-"""Where the surrogate finds less, its error is too large a part of that."""
+"""Smallest value for which the relative error of the surrogate is acceptable."""
 CORE = 5.0
-"""Positioners so far from the middle of a patch, in pitches, or nearer count: 91 of them."""
+"""Positioners at most this many pitches from the center of a patch are counted: 91 of them."""
 
 
 class Loss(NamedTuple):
-    """What a method finds for a design."""
+    """The result of a method for a design."""
 
     assigned: float
-    """Fibers with a target if arms could pass each other, per positioner."""
+    """Number of fibers with a target per positioner if arms could pass through each other."""
     loss: float
-    """Part of them that is lost."""
+    """Fraction of these fibers that is lost."""
     error: float
     n_unproven: int = 0
-    """Searches that the time limit cut short."""
+    """Number of searches that the time limit ended."""
 
 
 class Skies(NamedTuple):
-    """The targets of a design."""
+    """Random targets for a design."""
 
     each: float
-    """Targets a positioner."""
+    """Number of targets per positioner."""
     number: int
-    """Skies to average over."""
+    """Number of realizations of the targets to average over."""
     rng: np.random.Generator
     time_limit: float
-    """Of a search, in seconds."""
+    """Time limit of a search, in seconds."""
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
-    """Interpolate among quadratures."""
+    """Compute the loss of independent targets by interpolation between quadratures."""
     central_arm, ratio, distance = lattice.shape
     value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
 
 
 def quadrature(lattice: Lattice, skies: Skies) -> Loss:
-    """Integrate over the targets of a positioner and all its neighbors."""
+    """Compute the loss of independent targets by integration over the targets of a positioner and its neighbors."""
     return Loss(1.0, *interior_probability(lattice.shape, N_POINTS, skies.rng))
 
 
 def conditional(lattice: Lattice, skies: Skies) -> Loss:
-    """Average over all configurations that balanced queues allow."""
+    """Compute the loss of allocated targets as an average over all configurations that balanced queues allow."""
 
     def look(points, plane, core):
         assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
@@ -79,12 +79,12 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def optimal(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare the best plan without a collision with the best one that does not look at collisions."""
+    """Compare the best plan without collisions with the best plan that ignores collisions."""
     return _compare(lattice, skies, "optimal")
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare a plan by LAMOST's rule, repaired, with the best one that does not look at collisions."""
+    """Compare a plan by the method of LAMOST, repaired, with the best plan that ignores collisions."""
     return _compare(lattice, skies, "repair")
 
 
@@ -95,7 +95,7 @@ METHODS = {
     "optimal": optimal,
     "repair": repair,
 }
-"""Name to function from a design and its skies to a loss."""
+"""Methods by name: functions from a design and its targets to a loss."""
 
 ESTIMANDS = {
     "surrogate": "independent",
@@ -107,7 +107,7 @@ ESTIMANDS = {
 
 
 def cheapest(estimand: str, lattice: Lattice) -> str:
-    """Return the cheapest method that is good enough for a design."""
+    """Return the fastest method that is accurate enough for a design."""
     if estimand != "independent":
         return {"allocated": "conditional", "collision_free": "optimal"}[estimand]
     sure = in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
@@ -115,12 +115,12 @@ def cheapest(estimand: str, lattice: Lattice) -> str:
 
 
 def in_box(lattice: Lattice) -> bool:
-    """Say whether the surrogate answers for a design."""
+    """Return whether a design is inside the box of the surrogate."""
     return not any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
 
 
 def _compare(lattice, skies, method):
-    """Count the fibers that a plan without collisions leaves idle."""
+    """Compute the loss as the difference in assigned targets between plans with and without collisions."""
     limit = skies.time_limit * u.s
 
     def look(points, plane, core):
@@ -133,10 +133,10 @@ def _compare(lattice, skies, method):
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
-    """Return the part that is lost of what is assigned in the middle of a patch, all skies together.
+    """Return the fraction lost of the fibers assigned in the center of a patch, for all realizations together.
 
-    Positioners near the edge of a patch have fewer neighbors, and do not count. Where nothing is lost, the error is one
-    fiber, and where fibers are lost as a ``whole`` it is never less.
+    Positioners near the edge of a patch have fewer neighbors and are not counted. If nothing is lost, the error is
+    that of one fiber; if fibers are lost as a ``whole``, it is never smaller.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
@@ -148,7 +148,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
     total, n = assigned.sum(), skies.number
     if total == 0:
         return Loss(0.0, np.nan, np.nan)
-    loss = max(lost.sum() / total, 0.0)  # two plans may differ in who is idle, also across the edge of the middle
+    loss = max(lost.sum() / total, 0.0)  # different positioners may be idle in two plans
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
     if lattice.collision_type > 1 and (whole or loss == 0):
         error = max(error, 1 / total)
@@ -156,7 +156,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
 
 
 def _patch(lattice, each):
-    """Return positioners about the origin, the neighbors of those that count, their rivals, and targets for all."""
+    """Return positioners around the origin (counted ones, neighbors, those that share targets) and targets for all."""
     edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
     plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
     radius = float(np.hypot(*plane.arrays.xy.T).max()) + lattice.radii[1]

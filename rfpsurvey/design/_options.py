@@ -1,4 +1,4 @@
-"""Which loss a scan of designs looks for, and how."""
+"""The options of the loss in a scan of designs."""
 
 from dataclasses import dataclass, field
 from numbers import Number
@@ -14,36 +14,40 @@ from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 __all__ = ["LossOptions"]
 
 PER_POSITIONER = 4.0
-"""Targets per positioner where nothing says how many."""
+"""Default number of targets per positioner."""
 
 
 @check_keywords
 @dataclass(frozen=True)
 class LossOptions:
-    """Which fraction of the fibers a design loses to collisions, and how it is found.
+    """Definition of the fraction of fibers that a design loses to collisions, and the method that computes it.
 
     Parameters
     ----------
     estimand : {"independent", "allocated", "collision_free"}, optional
-        Which loss, see `~rfpsurvey.design.explore_designs`; that of the method, or ``independent``, by default.
+        Definition of the loss, see `~rfpsurvey.design.explore_designs`; by default that of the method, or
+        ``independent``.
     method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
-        ``surrogate`` and ``quadrature`` (independent), ``conditional`` (allocated; exact for each sky), ``optimal``
-        (collision_free; proven), ``repair`` (collision_free; LAMOST's rule, repaired by local moves). ``auto``: the
-        cheapest one that is good enough for a design: ``surrogate`` within its box where it finds at least 0.01, else
-        ``quadrature``; ``conditional``; ``optimal``.
+        Method: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for ``allocated``; exact for
+        each realization), ``optimal`` (for ``collision_free``; proven) or ``repair`` (for ``collision_free``; the
+        method of LAMOST, repaired by local moves). ``auto`` selects the fastest method that is accurate enough for a
+        design: for ``independent``, ``surrogate`` inside its box if the result is at least 0.01, otherwise
+        ``quadrature``; for the others, ``conditional`` and ``optimal``.
     targets_per_positioner : float, optional
-        Poisson targets, on average, for each positioner; four by default.
+        Mean number of Poisson-distributed targets per positioner; four by default.
     target_density : Quantity, optional
-        Poisson targets per area of the focal plane instead: a larger pitch then leaves more of them to each fiber.
+        Number of Poisson-distributed targets per area of the focal plane, instead of ``targets_per_positioner``. The
+        number per positioner then increases with the pitch.
     n_skies : int, optional
-        Skies over which ``conditional``, ``optimal`` and ``repair`` average, at 91 positioners each.
+        Number of realizations of the targets, with 91 positioners each, over which ``conditional``, ``optimal`` and
+        ``repair`` average.
     time_limit : Quantity, optional
-        Of each search of ``optimal``.
+        Time limit of each search of ``optimal``.
 
     Raises
     ------
     InputError
-        If a name is unknown, method and estimand do not fit each other, or a number is impossible.
+        If a name is unknown, the method does not compute the estimand, or a number is out of range.
 
     Examples
     --------
@@ -60,14 +64,14 @@ class LossOptions:
     time_limit: u.Quantity = field(default=10 * u.s)
 
     def __post_init__(self):
-        self.question, self.targets, self.seconds  # noqa: B018  (raise where something is wrong)
+        self.question, self.targets, self.seconds  # noqa: B018  (raises an error for invalid options)
         n_skies = self.n_skies
         if isinstance(n_skies, bool) or not isinstance(n_skies, int | np.integer) or n_skies < 2:
             raise refusal("n_skies must be a whole number of at least 2", n_skies, Number)
 
     @property
     def question(self) -> tuple[str, str]:
-        """Estimand and method."""
+        """The estimand and the method."""
         check_choice(self.method, [*METHODS, "auto"], "method of design studies")
         if self.estimand is not None:
             check_choice(self.estimand, set(ESTIMANDS.values()), "estimand")

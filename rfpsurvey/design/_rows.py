@@ -1,4 +1,4 @@
-"""A row for each design, as records and as a table."""
+"""The results of designs as records and as a table."""
 
 import astropy.units as u
 import numpy as np
@@ -37,7 +37,7 @@ FORMATS = {
     **dict.fromkeys(("loss_error", "empty", "change"), ".2g"),
     **dict.fromkeys(("multiplicity", "targets", "positioners_per_area", "usable_per_area"), ".4g"),
 }
-"""Digits that tables of designs are printed with; their values have all digits."""
+"""Formats of printed tables of designs; values are not rounded."""
 ROW = np.dtype(
     [
         *((name, float) for name in ("central_arm", "eccentric_arm", "ratio", "pitch", "clearance", "min_separation")),
@@ -52,7 +52,7 @@ ROW = np.dtype(
 
 
 def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
-    """Return rows of designs (central_arm, ratio, pitch, clearance) without figures."""
+    """Return records of designs (central_arm, ratio, pitch, clearance) without values."""
     rows = np.zeros(len(designs), ROW)
     for name in ("min_separation", *FIGURES):
         rows[name] = np.nan
@@ -63,7 +63,7 @@ def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
 
 
 def to_table(rows: np.ndarray, meta: dict) -> QTable:
-    """Return rows as a table with units."""
+    """Return records as a table with units."""
     columns = {name: rows[name] << UNITS[name] if name in UNITS else rows[name] for name in ROW.names}
     table = QTable(columns, meta=meta)
     set_formats(table)
@@ -71,16 +71,16 @@ def to_table(rows: np.ndarray, meta: dict) -> QTable:
 
 
 def set_formats(table: QTable) -> None:
-    """Let a table print its numbers with few digits; its values have all digits."""
+    """Make a table print its numbers with few digits; values are not rounded."""
     for name in table.colnames:
         if name in FORMATS:
             table[name].info.format = FORMATS[name]
 
 
 def to_rows(table: QTable) -> np.ndarray:
-    """Return the rows of a table that `to_table` made."""
+    """Return the records of a table that `to_table` made."""
     rows = np.zeros(len(table), ROW)
     for name in ROW.names:
         values = getattr(table[name], "value", table[name])
-        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values  # text that is empty
+        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values  # empty text
     return rows

@@ -1,4 +1,4 @@
-"""What the figures of designs depend on."""
+"""Sensitivities of the results of designs to their parameters."""
 
 from collections.abc import Sequence
 
@@ -18,38 +18,39 @@ DEGREE = 4
 def design_sensitivities(
     table: QTable, *, figures: Sequence[str] = ("coverage", "loss", "usable", "usable_per_area")
 ) -> QTable:
-    """Return how much of the variance of each figure over a scan each parameter explains.
+    """Return the share of the variance of each column over a scan that each parameter explains.
 
-    A figure is fitted by a sum of one polynomial for each parameter that varies, of degree four (less where a
-    parameter has fewer than five values). The share of a parameter is the variance of its polynomial over that of
-    the figure: the first-order index of Sobol, exactly so on a grid with at most five nodes an axis. What the sum
-    leaves over is due to parameters that act together, and to the noise of the figure. Chance alone adds about
-    the number of coefficients over the number of designs to a share.
+    The values of a column are fitted by a sum of polynomials, one for each parameter that varies, of degree four
+    (less for a parameter with fewer than five values). The share of a parameter is the variance of its polynomial
+    divided by that of the column. This is the first-order Sobol index, exactly so on a grid with at most five nodes
+    per axis. The rest of the variance is due to interactions of parameters and to noise of the values. Chance alone
+    adds about the number of coefficients divided by the number of designs to a share.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.design.explore_designs` returns; designs without figures are left out, and so is
-        that of an instrument that a scan around it added.
+        Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored, as is the design of
+        an instrument that a scan around it added.
     figures : sequence of str, optional
         Columns to explain.
 
     Returns
     -------
     QTable
-        A row for each figure and parameter that varies, and one for ``rest``. Columns: ``figure``, ``parameter``,
-        ``share`` (0 to 1; NaN for a figure that does not vary), and ``slope``, percent by which the figure changes if
-        the parameter grows by one percent, from a fit that is linear in all parameters, at the mean of the scan.
+        Table with a row for each column that is explained and each parameter that varies, and one for ``rest``.
+        Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to 1; NaN for values that do not
+        vary), and ``slope`` (change of the values in percent if the parameter grows by one percent, from a fit that
+        is linear in all parameters, at the mean of the scan).
 
     Raises
     ------
     InputError
-        If a column is missing or holds no numbers, no parameter varies, or there are fewer designs than
+        If a column is missing or does not contain numbers, no parameter varies, or there are fewer designs than
         coefficients.
 
     See Also
     --------
-    rfpsurvey.design.explore_designs : Scans a box of designs.
+    rfpsurvey.design.explore_designs : Scan many designs.
 
     References
     ----------
@@ -72,19 +73,19 @@ def design_sensitivities(
     figures = [figures] if isinstance(figures, str) else list(figures)
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
     for name in figures:
-        check_choice(name, numbers, "figure of designs")
+        check_choice(name, numbers, "column of designs")
     start = table.meta.get("request", {}).get("start", {})
-    if start.get("added"):  # the design of an instrument would break the regularity of a grid
+    if start.get("added"):  # the design of an instrument would make a grid irregular
         table = table[np.asarray(np.ma.filled(table["instrument"], "")) == ""]
     known = np.isfinite(_plain(table, "loss"))
     values = {name: _plain(table, name)[known] for name in AXES}
     axes = {name: v for name, v in values.items() if len(v) and np.ptp(v) > 0}
     if not axes:
-        raise InputError("at least one of central_arm, ratio, pitch and clearance must vary among designs with figures")
+        raise InputError("at least one of central_arm, ratio, pitch and clearance must vary among designs with values")
     blocks = {name: _polynomials(v) for name, v in axes.items()}
     n_terms = 1 + sum(block.shape[1] for block in blocks.values())
     if known.sum() <= n_terms:
-        raise InputError(f"sensitivities need more than {n_terms} designs with figures, got {int(known.sum())}")
+        raise InputError(f"sensitivities need more than {n_terms} designs with values, got {int(known.sum())}")
     rows = []
     for figure in figures:
         y = _plain(table, figure)[known]
@@ -102,7 +103,7 @@ def _plain(table, name):
 
 
 def _polynomials(x):
-    """Return polynomials of a parameter without their means, a column each."""
+    """Return polynomials of a parameter, with mean 0, as columns."""
     degree = min(DEGREE, len(np.unique(x)) - 1)
     scaled = 2 * (x - x.min()) / np.ptp(x) - 1
     block = np.polynomial.legendre.legvander(scaled, degree)[:, 1:]
@@ -110,7 +111,7 @@ def _polynomials(x):
 
 
 def _shares(y, blocks):
-    """Return the part of the variance that each block explains, and the rest."""
+    """Return the fraction of the variance that each block explains, and the rest."""
     variance = float(y.var())
     if variance <= (1e-12 * np.abs(y).max(initial=0.0)) ** 2:
         return dict.fromkeys([*blocks, "rest"], np.nan)
@@ -122,7 +123,7 @@ def _shares(y, blocks):
 
 
 def _slopes(y, axes):
-    """Return relative changes of the figure over relative changes of each parameter, at the mean."""
+    """Return the relative change of the values per relative change of each parameter, at the mean."""
     if y.mean() == 0:
         return {}
     x = np.column_stack([v / v.mean() - 1 for v in axes.values()])

@@ -1,4 +1,4 @@
-"""The design of an instrument, from which a scan starts."""
+"""The design of an instrument as the start of a scan."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from rfpsurvey.instrument import Instrument, arm_facts
 __all__ = ["Start", "start_of"]
 
 SAME = 1e-9
-"""Relative difference below which a design of the scan is that of the instrument."""
+"""A design equals that of the instrument if the relative differences are below this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +21,12 @@ class Start:
 
     name: str
     design: np.ndarray
-    """central_arm, ratio, pitch and clearance, lengths in mm."""
+    """central_arm, ratio, pitch and clearance, with lengths in mm."""
     step: float
-    """Of the motors, in radians."""
+    """Motor step, in radians."""
 
     def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
-        """Return the designs with this one among them, added as the last row if need be, its row, and a record."""
+        """Return the designs with this one, added as the last row if necessary, its row, and a record for the meta."""
         same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
         added = not same.any()
         record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}

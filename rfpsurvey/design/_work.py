@@ -1,4 +1,4 @@
-"""The work on some designs: what processes are sent, and what comes back."""
+"""The work on a set of designs, which is sent to processes."""
 
 from dataclasses import dataclass
 
@@ -15,21 +15,21 @@ MOST_TARGETS = 1000.0
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked of every design, in plain numbers."""
+    """The settings that all designs share, as plain numbers."""
 
     estimand: str
     method: str
     step: float
-    """Of the motors, in radians."""
+    """Motor step, in radians."""
     targets: float
-    """A positioner, or a mm^2."""
+    """Number of targets, per positioner or per mm^2."""
     by_area: bool
     n_skies: int
     time_limit: float
     seed: int
 
     def __call__(self, first: int, designs: np.ndarray) -> np.ndarray:
-        """Return the rows of designs that are numbered from ``first``: each has random numbers of its own."""
+        """Return the records of designs with the numbers from ``first`` on; each has its own random numbers."""
         rows = blank(designs, self.estimand)
         for number, row in enumerate(rows, first):
             self._fill(row, np.random.default_rng([self.seed, number]))

@@ -225,7 +225,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def touch_slack(self) -> float:
-        """Upper limit of the error of the gap between two arms stretched toward each other, also of almost equal ones."""
+        """Upper limit of the error of the gap between two arms stretched toward each other, also if almost equal."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property

@@ -204,7 +204,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 
 
 def _refuse_name(section: str, name: str) -> None:
-    """Raise an error for an unknown name in a section, with the most similar name or the section to which it belongs."""
+    """Raise an error for an unknown name in a section, with the most similar name or the section it belongs to."""
     home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
     if name in TOP:
         raise InputError(

@@ -15,7 +15,7 @@ N_POINTS = 2**18
 """Number of points for coverage and multiplicity, whose standard errors are then below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
-"""Number of pieces of each edge of the field, since edges that are straight on the focal plane are curved on the sky."""
+"""Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
 """A field has a shape if its radius differs from that of the shape by less than this fraction on average."""
@@ -170,7 +170,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
-    """Return the mean difference between a radius and that of a regular shape of any orientation, both with the mean 1."""
+    """Return the mean difference of a radius from that of a regular shape of any orientation, both with the mean 1."""
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())
     period = N_DIRECTIONS // n_corners

@@ -162,13 +162,13 @@ class Instrument:
 
     @property
     def target_density(self) -> u.Quantity:
-        """Number of targets per solid angle for which the field contains ``targets_per_fiber`` targets per positioner."""
+        """Number of targets per solid angle that gives the field ``targets_per_fiber`` targets per positioner."""
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """Required sky fibers and standards of a tile, in the form that `allocate` reads, such as ``sky=20/spectrograph``."""
+        """Requirements on sky fibers and standards, in the form of `allocate`, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
             match = NEED.fullmatch(name)

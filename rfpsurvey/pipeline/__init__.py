@@ -1,4 +1,4 @@
-"""The one pipeline of a field, on plain arrays: projection, reach, allocation, arms, collisions, identifiers.
+"""The pipeline of a field on plain arrays: projection, reach, allocation, arms, collisions, identifiers.
 
 `plan_tile` calls it once, `plan_survey` and `place_tiles` for each tile; collision probabilities use its first half.
 """

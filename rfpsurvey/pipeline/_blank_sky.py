@@ -10,7 +10,7 @@ from rfpsurvey.errors import InputError
 __all__ = ["BlankIds", "blank_ids"]
 
 PREFIX = "blank-sky-"
-# Digits behind the prefix, and the least number of integers that must be free.
+# Number of digits after the prefix, and the smallest number of integers that must be free.
 DIGITS, ROOM = 6, 1_000_000
 
 
@@ -32,8 +32,8 @@ class BlankIds(NamedTuple):
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
     """Return identifiers for blank sky that differ from those of a catalog, given in parts.
 
-    Integers are below -1 and all others, or above all others where there is no room below; text begins with
-    ``blank-sky-``, after one underscore more than in any other identifier of this form.
+    Integers are below -1 and below all others or, if there are too few of these, above all others. Text begins with
+    ``blank-sky-``, preceded by one underscore more than in any other identifier of this form.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

@@ -14,7 +14,7 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
-# Points on the rim of a circle on the sky, and what a circle between them may be larger, at most.
+# Number of points on the rim of a circle on the sky, and upper limit of the relative increase between two points.
 N_RIM, MARGIN = 360, 1 + 1e-4
 
 
@@ -25,14 +25,14 @@ def with_keep_out(instrument: Instrument, projection: FieldProjection, options: 
     plane, circles = instrument.focal_plane, options.circles
     arrays = plane.arrays
     size = (np.hypot(*arrays.xy.T) + arrays.arm_reach).max() + arrays.separation
-    # the arms at the edge look a little beyond the field
+    # the arms at the edge extend slightly beyond the field
     limit = circles[:, 3] + 1.1 * size / instrument.plate_scale.to_value(u.mm / u.rad)
     apart = np.arccos(np.clip(circles[:, :3] @ projection.basis[2], -1, 1))
     images = np.array([image_of_circle(projection, *circles[k]) for k in np.flatnonzero(apart <= limit)])
     images = images.reshape(-1, 3)
-    # where a circle holds all that has an image, its rim has none
+    # the rim of a circle that contains everything with an image has no image
     images[np.isnan(images[:, 2]) & (apart < circles[:, 3])[apart <= limit]] = 0, 0, 2 * size
-    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False where there is no image
+    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False if there is no image
     if not near.any():
         return instrument
     return replace(
@@ -45,16 +45,16 @@ def with_keep_out(instrument: Instrument, projection: FieldProjection, options: 
 def image_of_circle(
     projection: FieldProjection, x: float, y: float, z: float, radius_rad: float
 ) -> tuple[float, float, float]:
-    """Return x, y and radius (mm) of a circle on the focal plane that holds the image of a circle on the sky.
+    """Return x, y and radius (mm) of a circle on the focal plane that contains the image of a circle on the sky.
 
-    The image of a circle is not a circle where the scale changes, and the images by several fiber types differ: the
-    circle holds all of them. The center may be so far from the field that it has no image, while a part of the circle
-    has one. NaN where the rim has no image.
+    The image of a circle is not a circle if the scale varies, and the images for several fiber types differ; the
+    circle contains all of them. The center may be so far from the field that it has no image, although a part of the
+    circle has one. The result is NaN if the rim has no image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
     east = np.cross(center, projection.basis[2])
-    # a circle about the field center has no direction of its own
+    # a circle around the field center has no direction
     east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-9 else projection.basis[0]
     inward = np.cross(east, center)
     turn = np.linspace(0, 2 * np.pi, N_RIM, endpoint=False)[:, None]
@@ -62,7 +62,7 @@ def image_of_circle(
     rims = np.vstack([projection.project(rim, name) for name in names])
     middle = np.mean([projection.project(center[None], name)[0] for name in names], axis=0)
     if not np.isfinite(middle).all():
-        # continue from the point of the rim that is nearest to the field center, at the scale that holds there
+        # continue from the point of the rim nearest to the field center, with the scale at that point
         step = 1e-4
         angles = np.array([[radius_rad], [radius_rad + step]])
         steps = np.cos(angles) * center + np.sin(angles) * inward
@@ -89,18 +89,18 @@ def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | 
 
 
 def are_among(required: tuple, ids: np.ndarray) -> np.ndarray:
-    """Return for each required identifier whether it is among others."""
+    """Return whether each required identifier is one of ``ids``."""
     wanted, comparable = _alike(np.array(required), ids)
     return comparable & np.isin(wanted, ids)
 
 
 def _alike(names: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return names as the type of the identifiers, integers or text, and which of them can be of this type."""
+    """Convert names to the type of the identifiers, integers or text, and mark those that can be converted."""
     if names.dtype.kind == ids.dtype.kind:
         return names, np.ones(len(names), dtype=bool)
     if ids.dtype.kind == "U":
         return names.astype(str), np.ones(len(names), dtype=bool)
-    # the command line has text, and the ids of a catalog may be integers
+    # names from the command line are text, but identifiers of a catalog can be integers
     numbers = np.zeros(len(names), dtype=np.int64)
     comparable = np.zeros(len(names), dtype=bool)
     for k, name in enumerate(names.tolist()):

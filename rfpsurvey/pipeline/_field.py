@@ -1,4 +1,4 @@
-"""Plan one field: targets as unit vectors in, assigned fibers and their collisions out."""
+"""Plan a field on plain arrays, from unit vectors of targets to assigned fibers and their collisions."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -18,7 +18,7 @@ __all__ = ["FieldPlan", "FieldTargets", "assign_field", "field_radius_rad", "pla
 
 
 class FieldTargets(NamedTuple):
-    """The targets of a field, a row each."""
+    """The targets of a field, one per row."""
 
     vectors: np.ndarray
     """ICRS unit vectors, shape (n, 3)."""
@@ -26,13 +26,13 @@ class FieldTargets(NamedTuple):
     """Identifiers, shape (n,), integers or text."""
     columns: TargetColumns
     others: np.ndarray | None = None
-    """Unit vectors of what is not assigned, but blank sky keeps its distance from."""
+    """Unit vectors that are not assigned, but that blank sky must avoid."""
     extra: dict | None = None
-    """Further columns that the plan carries along, by name."""
+    """Further columns of the plan, by name."""
 
 
 class FieldPlan(NamedTuple):
-    """The plan of a field. Columns named after positioners in use have a row for each of them, ascending."""
+    """The plan of a field, with columns that have a row for each positioner in use, ascending."""
 
     instrument: Instrument
     """The instrument, with the circles that no arm may cover as obstacles."""
@@ -53,22 +53,22 @@ class FieldPlan(NamedTuple):
     """Priority, category and further columns of the targets, where there are any. Blank sky has NaN, empty text, False
     or -1."""
     seconds: dict
-    """Time of each stage."""
+    """Computing time of each stage in seconds."""
 
 
 def field_radius_rad(instrument: Instrument) -> float:
-    """Return the radius of the circle in which targets of a field are looked for, with room for rounding."""
+    """Return the radius of the circle that contains all targets of a field, slightly enlarged for rounding."""
     return instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
 
 
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return where targets fall on the focal plane, mm, and the fiber types that they need there (None: any)."""
+    """Return the positions of targets on the focal plane (mm), and the fiber types that they require (None: any)."""
     if instrument.focal_plane.fiber_types == ("",):
-        fiber_type = None  # one unnamed fiber type serves every target
+        fiber_type = None  # a single unnamed fiber type can observe all targets
     elif isinstance(instrument.distortion, dict):
-        # each type has its own image of the sky: a target without a type is one for the first
+        # each type has its own image of the sky: a target without a type uses the first
         first = next(iter(instrument.distortion))
         given = np.full(len(vectors), "") if fiber_type is None else fiber_type
         fiber_type = np.where(given == "", first, given)
@@ -113,15 +113,15 @@ def plan_field(
     instrument : Instrument
         The instrument.
     projection : FieldProjection
-        From the sky to its focal plane.
+        Projection of the sky onto the focal plane.
     targets : FieldTargets
         The targets.
     options : AllocationOptions
         Options, as `AllocationOptions.for_instrument` returns them.
     rng : Generator
-        Source of random numbers.
+        Random number generator.
     blank : BlankIds, optional
-        Identifiers of blank sky; needed where the options have a ``sky_separation``.
+        Identifiers of blank sky; required if the options have a ``sky_separation``.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def plan_field(
 
 
 def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the values of rows; where the row is -1: NaN, empty text, False or -1."""
+    """Return the values of rows; for the row -1, return NaN, empty text, False or -1."""
     if (row >= 0).all():
         return values[row]
     found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)

@@ -1,4 +1,4 @@
-"""Outcomes of targets, and the classes that completeness is given for."""
+"""Outcomes of targets, and the classes for which completeness is computed."""
 
 from enum import IntEnum
 
@@ -8,7 +8,7 @@ __all__ = ["OUTCOMES", "Outcome", "category_classes", "outcome_codes", "priority
 
 
 class Outcome(IntEnum):
-    """What became of a target."""
+    """Outcome of a target."""
 
     NOT_REQUESTED = 0
     OBSERVED = 1
@@ -20,7 +20,7 @@ class Outcome(IntEnum):
 
 
 OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
-# Priorities and categories that are counted apart; where there are more priorities, ranges of them.
+# Largest numbers of priorities and categories that are counted separately; more priorities are combined to ranges.
 MOST_CLASSES, N_RANGES = 20, 10
 
 
@@ -33,15 +33,15 @@ def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) 
 
 
 def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, the most important first, and the names of the classes.
+    """Return the class of each target, with the most important class first, and the names of the classes.
 
-    Only priorities of targets that count are looked at.
+    Only priorities of targets that count are considered.
     """
     if priority is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, numbers = np.unique(priority[counts > 0], return_counts=True)
     group = np.arange(len(values))
-    if len(values) > MOST_CLASSES:  # ranges with about as many targets each; one value is never split
+    if len(values) > MOST_CLASSES:  # ranges with similar numbers of targets; targets of one value are never split
         before = np.cumsum(numbers) - numbers
         group = np.unique(before * N_RANGES // numbers.sum(), return_inverse=True)[1].reshape(-1)
     low = values[np.searchsorted(group, np.arange(group[-1] + 1))]
@@ -52,7 +52,7 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
 
 
 def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, and the names of the categories; those with fewest targets share a class."""
+    """Return the class of each target, and the names of the categories; those with the fewest targets share a class."""
     if category is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, place = np.unique(category, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Plots. matplotlib is imported when the first one is drawn; nothing is ever shown."""
+"""Plots. matplotlib is imported when the first plot is drawn; functions return plots without showing them."""
 
 from rfpsurvey.plot._allocators import plot_allocators
 from rfpsurvey.plot._classes import COLORINGS

@@ -16,27 +16,27 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Draw the usable science fibers of each allocator, those lost to collisions, and those missing for requirements.
+    """Plot the usable science fibers of each allocator, those lost to collisions, and those missing for requirements.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.compare_allocators` returns.
+        Table returned by `~rfpsurvey.compare_allocators`.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default, with the legend below the axes.
+        Axes to draw on; by default those of a new figure, with the legend below the axes.
     **kwargs
         Passed to ``barh``, for example ``height``.
 
     Returns
     -------
     matplotlib.axes.Axes
-        The axes, a bar for each allocator in the order of the table, with the seconds it took. The dashed line is the
-        number of science fibers of the best plan that ignores collisions.
+        The axes, with a bar and the computing time of each allocator in the order of the table. The dashed line is
+        the number of science fibers of the best plan that ignores collisions.
 
     Raises
     ------
     InputError
-        If the table has other columns.
+        If the table does not have these columns.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
 
 
 def _in_words(seconds):
-    """Return a time in two digits."""
+    """Return a time as text with two digits."""
     if seconds < 0.0995:
         return f"{1e3 * seconds:.2g} ms"
     return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds:.0f} s"

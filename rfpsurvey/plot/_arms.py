@@ -15,13 +15,14 @@ MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach":
 
 
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
-    """Draw both edges of each patrol area, and yield legend entries.
+    """Draw the inner and outer edge of each patrol area, and yield legend entries.
 
-    Edges are thin and ``gray`` around cells that are filled; all are if they are ``alike``, below dots of targets.
+    Edges are thin, and ``gray`` around filled cells. With ``alike``, all edges are drawn in this way, below dots of
+    targets.
     """
     gray = gray or alike
     free = scene.with_target | (scene.status == "usable") | alike
-    usual = IDLE if gray else PATROL  # a blue edge would tint what is filled
+    usual = IDLE if gray else PATROL  # a blue edge would change the apparent color of fills
     for rows, edge, label in ((free, usual, "patrol area"), (~free, IDLE, "patrol area, no target")):
         if not rows.any():
             continue

@@ -1,4 +1,4 @@
-"""Functions that plots share: axes, axes of focal planes in mm, legends below the axes, and collections of circles."""
+"""Functions that plots share: new axes, axes of focal planes in mm, legends below the axes, collections of circles."""
 
 from typing import TYPE_CHECKING
 
@@ -33,13 +33,13 @@ __all__ = [
     "values_of",
 ]
 
-WIDTH = 7.0  # inches: a page
+WIDTH = 7.0  # inches, for a page
 PAD = 0.08  # inches around everything
 LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, for labels, the title and a legend
 
 
 def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> "Axes":
-    """Return axes in a figure of their own."""
+    """Return the axes of a new figure."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -48,7 +48,7 @@ def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> "Axe
 
 
 def new_grid(rows: int, columns: int, size: tuple[float, float], **options: object) -> "tuple[Figure, np.ndarray]":
-    """Return a figure and its axes, shape (rows, columns)."""
+    """Return a new figure and its axes, shape (rows, columns)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
@@ -56,7 +56,7 @@ def new_grid(rows: int, columns: int, size: tuple[float, float], **options: obje
 
 
 def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
-    """Return the name of an instrument, empty for a bare focal plane, and its focal plane."""
+    """Return the name and the focal plane of an instrument; the name of a focal plane is empty."""
     thing = as_instrument(thing) if isinstance(thing, str) else thing
     plane = as_focal_plane(thing)
     return ("" if plane is thing else thing.name), plane
@@ -71,7 +71,7 @@ def focal_plane_axes(
     *,
     beside: float = 0.0,
 ) -> "Axes":
-    """Return axes that show a part of a focal plane to scale, in mm; all of it by default.
+    """Return axes that show a focal plane, or a part of it, to scale in mm.
 
     ``beside`` is the width of a color bar in inches.
     """
@@ -95,20 +95,20 @@ def focal_plane_axes(
 
 
 def limits_of(ax: "Axes") -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower left and the upper right corner of what axes show, whatever their orientation."""
+    """Return the lower left and the upper right corner of the area that axes show, for any orientation."""
     corners = np.sort(np.array([ax.get_xlim(), ax.get_ylim()]), axis=1)
     return corners[:, 0], corners[:, 1]
 
 
 def points_per_unit(ax: "Axes") -> float:
-    """Return the approximate length of a unit of the data in points (1/72 inch), on axes of equal scales."""
+    """Return the approximate length of a data unit in points (1/72 inch), on axes with equal scales."""
     low, high = limits_of(ax)
     size = ax.get_window_extent()
     return 72 / ax.figure.dpi * float(np.min(np.array([size.width, size.height]) / (high - low)))
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
-    """Return the typical distance of neighboring centers; for a single one, the diameter of its patrol area."""
+    """Return the typical distance between neighboring centers; for a single one, the diameter of its patrol area."""
     from scipy.spatial import cKDTree
 
     if len(centers) <= 1:
@@ -126,13 +126,13 @@ def add_circles(ax: "Axes", points: np.ndarray, radius: np.ndarray | float, **st
 
 
 def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: object) -> None:
-    """Put a legend below the labels of the x axis, where it hides no data."""
+    """Place a legend below the labels of the x axis, so that it hides no data."""
     from matplotlib import rcParams
     from matplotlib.transforms import ScaledTranslation
 
     if not handles:
         return
-    points = 3.2 * rcParams["font.size"] + 4  # ticks, their labels and that of the axis
+    points = 3.2 * rcParams["font.size"] + 4  # ticks, tick labels and axis label
     below = ax.transAxes + ScaledTranslation(0, -points / 72, ax.figure.dpi_scale_trans)
     ax.legend(
         handles=handles,
@@ -155,7 +155,7 @@ def legend_line(label: str, **style: object) -> "Line2D":
 
 
 def check_columns(table: QTable, columns: set[str], maker: str | None = None) -> None:
-    """Raise an error for anything but a table with these columns; ``maker`` is the function that returns one."""
+    """Raise an error unless a table has these columns; ``maker`` is the function that returns such tables."""
     if not isinstance(table, QTable):
         raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
     missing = ", ".join(sorted(columns - set(table.colnames)))

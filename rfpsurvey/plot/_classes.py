@@ -1,4 +1,4 @@
-"""Targets by outcome or by class: which dots stand for them, and legend entries with their numbers."""
+"""Dots of targets by outcome or by class, with legend entries that contain the numbers of targets."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,16 +34,16 @@ OUTCOME_COLORS = {
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
-"""Size of a dot over the typical distance of dots, and its limits in points: targets left, and assigned ones."""
+"""Ratio of the size of a dot to the typical distance between dots, and limits in points: other and assigned targets."""
 ON_ARMS = 7.0  # points: largest dot with a white edge, on the end of an arm
 MANY = 3000
-"""Dots of which files of vectors hold an image."""
+"""Number of dots from which on vector files contain them as an image."""
 LONGEST = 74  # letters in three columns of a legend
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Targets that are drawn alike; without a label, they belong to the one before."""
+    """Targets that are drawn alike; a layer without a label belongs to the one before."""
 
     label: str
     rows: np.ndarray
@@ -51,12 +51,12 @@ class Layer:
     marker: str
     assigned: bool
     place: int = 0
-    """Layers with a smaller one are on top."""
+    """Layers with smaller values are on top."""
     lost: bool = False
 
 
 def layers_of(color: str, outcome: np.ndarray, columns: dict) -> list[Layer]:
-    """Return layers by outcome, or by a column of classes, each as targets that are left and assigned ones.
+    """Return layers by outcome or by class, with separate layers for targets that are not assigned and assigned ones.
 
     ``outcome`` holds indices of ``OUTCOMES``; ``columns`` may have ``kind``, ``category`` and ``priority``.
     """
@@ -78,7 +78,7 @@ def _by_class(color, assigned, columns) -> Iterator[Layer]:
     class_of, names = _classes(color, columns, len(assigned))
     if color == "kind":
         colors = [KIND_COLORS.get(name, OUTLINE) for name in names]
-    elif color == "priority" and len(names) > 2:  # in order, the most important one darkest
+    elif color == "priority" and len(names) > 2:  # in order, the most important class is darkest
         colors = [tuple(rgba) for rgba in light_scale()(np.linspace(0, 0.85, len(names)))]
     else:
         colors = [SERIES[1], SERIES[2]] if len(names) <= 2 else GROUP_COLORS
@@ -87,7 +87,7 @@ def _by_class(color, assigned, columns) -> Iterator[Layer]:
         both = rows & assigned
         if rows.any():
             label = f"{name}: {np.count_nonzero(both)} of {np.count_nonzero(rows)}"
-            place = k if color == "priority" else -k  # the most important, or the rarest ones, are on top
+            place = k if color == "priority" else -k  # the most important or rarest classes are on top
             yield Layer(label, both, colors[k], MARKERS[k % len(MARKERS)], assigned=True, place=place)
             yield Layer("", rows & ~assigned, colors[k], "o", assigned=False, place=place)
 
@@ -108,8 +108,8 @@ def _classes(color, columns, n) -> tuple[np.ndarray, list[str]]:
 
 
 def legend_options(color: str, labels: list[str]) -> dict:
-    """Return the options of a legend: its columns, and a title that explains two sizes of dots."""
-    each = -(-len(labels) // 3) or 1  # labels go down the columns
+    """Return the options of a legend: the number of columns, and a title that explains the two sizes of dots."""
+    each = -(-len(labels) // 3) or 1  # labels are in columns
     letters = sum(max(map(len, labels[k : k + each])) for k in range(0, len(labels), each))
     options: dict = {"columns": 3 if letters <= LONGEST else 2}
     if color == "outcome":
@@ -123,8 +123,9 @@ def draw_layers(
 ) -> Iterator:
     """Draw a dot for each target, and yield legend entries.
 
-    Targets that are left are small and have the zorder ``below``, assigned ones are larger and have ``above``; those
-    lost to a collision are diamonds on top. The dots of a large catalog are smaller. Dots ``on_arms`` have white edges.
+    Dots of targets that are not assigned are small and have the zorder ``below``; those of assigned targets are
+    larger and have the zorder ``above``. Targets lost to a collision are diamonds on top. The dots of a large catalog
+    are smaller. Dots ``on_arms`` have white edges.
     """
     from matplotlib.lines import Line2D
 

@@ -35,23 +35,23 @@ def plot_collision_map(
     orientation: str = "sky",
     **kwargs: object,
 ) -> "Axes":
-    """Draw how likely each positioner is to collide or, of one configuration, which ones do.
+    """Plot the collision probability of each positioner or, for one configuration, the positioners in collision.
 
-    Each positioner is a disk, open where it is not counted. The colors of probabilities run from the smallest to the
-    largest one. Inside of a regular lattice without gaps, the expected probability is the same everywhere: there, the
-    values of a simulation differ by chance alone. Disks of one configuration are hatched where they collide, and a line
-    joins those that collide with each other.
+    Each positioner is a disk, which is open if the positioner is not counted. The colors of probabilities extend from
+    the smallest to the largest one. Inside a regular lattice without gaps, the expected probability is the same
+    everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of positioners
+    in collision are hatched, and lines connect those that collide with each other.
 
     Parameters
     ----------
     collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
-        Result to draw; of an array, a probability (NaN: it is not counted) or a truth value for each positioner.
+        Result to plot. An array contains a probability (NaN if it is not counted) or a boolean for each positioner.
     focal_plane : FocalPlane, Instrument or str, optional
-        The positioners; a str is the name of a preset. A Tile has its own.
+        The positioners; a str is the name of a preset. It is not allowed for a Tile, which has its own.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; by default those of a new figure.
     region : Quantity, shape (2, 2), optional
-        Corners ((x0, y0), (x1, y1)) of the part to show; all by default.
+        Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default.
     orientation : {"sky", "focal plane"}, optional
         With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
         ``"focal plane"``, x increases to the right.
@@ -66,7 +66,7 @@ def plot_collision_map(
     Raises
     ------
     InputError
-        If the focal plane is missing or has another number of positioners, or values are no probabilities.
+        If the focal plane is missing or has another number of positioners, or values are not probabilities.
 
     Examples
     --------
@@ -156,7 +156,7 @@ def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     """Color disks by value, between the smallest and the largest one, with a color bar."""
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
-    # a little below the smallest value, whose color would else be that of the background
+    # slightly below the smallest value, whose color would otherwise be that of the background
     limits = (max(low - 0.15 * (high - low), 0.0), high) if low < high else (0.0, high or 1.0)
     small = radius * points_per_unit(ax) < SMALL
     edges = {"edgecolors": "none"} if small else {"edgecolors": "0.6", "linewidths": 0.2}

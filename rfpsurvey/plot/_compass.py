@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 __all__ = ["ORIENTATIONS", "add_compass", "position_angle_of"]
 
 ORIENTATIONS = ("sky", "focal plane")
-"""East to the left as on the sky (x increases to the left), or x increasing to the right."""
-LENGTH = 16  # points, of an arrow
+"""Orientations: east to the left as on the sky (x increases to the left), or x increasing to the right."""
+LENGTH = 16  # points, length of an arrow
 LABEL = 22  # points, from the center of the compass to the letters
 GROUND = LABEL / 2**0.5 + 5  # points, radius of the white disk below the arrows
 MARGIN = 35  # points, from the corner of the axes to the center of the compass
 
 
 def position_angle_of(thing: object) -> float | None:
-    """Return the position angle (degrees) at which a focal plane is drawn; None where a tile has none."""
+    """Return the position angle (degrees) at which a focal plane is drawn; None for a tile without one."""
     if isinstance(thing, Tile):
         return thing.provenance["parameters"].get("position_angle_deg")
     return 0.0
@@ -41,12 +41,12 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
     across, up = _corner(ax, avoid)
     inward = Affine2D().translate(MARGIN * (1 - 2 * across), MARGIN * (1 - 2 * up)).scale(1 / 72)
     points = inward + ax.figure.dpi_scale_trans + ScaledTranslation(across, up, ax.transAxes)
-    # data on their way to the screen: x changes its sign where it increases to the left
+    # from data to the screen: x changes its sign if it increases to the left
     flip = -1 if ax.xaxis_inverted() else 1
     angle = np.deg2rad(position_angle)
     directions = {"N": (-flip * np.sin(angle), np.cos(angle)), "E": (flip * np.cos(angle), np.sin(angle))}
     toward = np.sum(list(directions.values()), axis=0)
-    # the arrows fill one quarter of a disk about the place where they meet
+    # the arrows occupy one quarter of a disk around the point where they meet
     ground = {"facecolor": "white", "alpha": 0.85, "linewidth": 0}
     ax.add_artist(Circle(tuple(LABEL / 2 * toward), GROUND, transform=points, zorder=8, **ground))
     style = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 0, "shrinkB": 0, "color": OUTLINE, "linewidth": 1}
@@ -60,12 +60,12 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner, in fractions of the axes, near which the fewest points are; the upper left one of equals."""
+    """Return the corner, in fractions of the axes, with the fewest points nearby; of equal ones, the upper left one."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]
     size = ax.get_window_extent()
-    points = 72 / ax.figure.dpi * np.array([size.width, size.height])  # of the axes
+    points = 72 / ax.figure.dpi * np.array([size.width, size.height])  # size of the axes
     places = ax.transAxes.inverted().transform(ax.transData.transform(avoid)) * points
 
     def hidden(corner):

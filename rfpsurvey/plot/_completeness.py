@@ -1,4 +1,4 @@
-"""Completeness of a survey against the number of tiles."""
+"""Completeness of a survey as a function of the number of tiles."""
 
 from typing import TYPE_CHECKING
 
@@ -20,14 +20,14 @@ __all__ = ["draw_survey", "plot_completeness"]
 
 
 def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Draw the completeness of a survey against the number of tiles, and that of each priority after each pass.
+    """Plot the completeness of a survey against the number of tiles, and that of each priority after each pass.
 
     Parameters
     ----------
     survey : Survey
-        What to draw.
+        Survey to plot.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; by default those of a new figure.
     **kwargs
         Passed to ``plot`` of the line of all visits, for example ``linewidth``.
 
@@ -39,7 +39,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     Raises
     ------
     InputError
-        If it is no survey.
+        If ``survey`` is not a survey.
 
     Examples
     --------

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_coverage"]
 
 N_POINTS = 2**18
-"""For the fractions in the legend: their standard error is below 0.001."""
+"""Number of points for the fractions in the legend, whose standard errors are then below 0.001."""
 FEWEST, MOST = 600, 1400  # pixels along the longer side
 
 
@@ -31,22 +31,23 @@ def plot_coverage(
     orientation: str = "sky",
     **kwargs: object,
 ) -> "Axes":
-    """Draw how many positioners reach each point: the darker, the more.
+    """Plot the number of positioners that reach each point; darker colors are larger numbers.
 
-    No positioner reaches the white points within the dashed line, which is the footprint. The legend gives the
-    fractions of the footprint, as `~rfpsurvey.FocalPlane.coverage` finds them. The colors run from white to dark blue,
-    whatever the largest number is.
+    The dashed line is the footprint; no positioner reaches the white points inside it. The legend shows the fractions
+    of the footprint, as computed by `~rfpsurvey.FocalPlane.coverage`. The colors extend from white to dark blue,
+    independent of the largest number.
 
     Parameters
     ----------
     focal_plane : FocalPlane, Instrument or str
-        The positioners; a str is the name of a preset. Units that are disabled or stuck reach nothing.
+        The positioners; a str is the name of a preset. Positioners that are disabled or stuck reach nothing.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default, with the legend below the axes.
+        Axes to draw on; by default those of a new figure, with the legend below the axes.
     region : Quantity, shape (2, 2), optional
-        Corners ((x0, y0), (x1, y1)) of the part to show; all by default. The legend is about the whole footprint.
+        Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default. The legend always refers
+        to the whole footprint.
     n_pixels : int, optional
-        Pixels along the longer side; by default as many as patrol areas need, 600 to 1400.
+        Number of pixels along the longer side; by default from 600 to 1400, depending on the size of the patrol areas.
     orientation : {"sky", "focal plane"}, optional
         With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
         ``"focal plane"``, x increases to the right.
@@ -61,7 +62,7 @@ def plot_coverage(
     Raises
     ------
     InputError
-        If it is no focal plane, or ``region`` or ``n_pixels`` is impossible.
+        If ``focal_plane`` is not a focal plane, or ``region`` or ``n_pixels`` is out of range.
 
     Examples
     --------
@@ -89,7 +90,7 @@ def plot_coverage(
     most = min(top, max(counts.max(), 0 if parts is None else np.flatnonzero(parts).max()))
     colors = _colors(most)
     style = {"cmap": ListedColormap(colors), "norm": BoundaryNorm(np.arange(most + 2) - 0.5, most + 1)}
-    # colors of pixels that share a place on the screen are averaged
+    # average the colors of data pixels that share a pixel of the screen
     style |= {"interpolation": "auto", "interpolation_stage": "rgba", **kwargs}
     extent = (low[0], high[0], low[1], high[1])
     ax.imshow(np.minimum(counts, top), origin="lower", extent=extent, zorder=0, **style)
@@ -109,7 +110,7 @@ def plot_coverage(
 
 
 def _colors(most):
-    """Return the colors of the counts 0 to most, as far apart as possible."""
+    """Return the colors of the counts 0 to most, as different as possible."""
     last = min(len(LEVELS) - 1, 2 * most + 1)
     return [LEVELS[k] for k in np.rint(np.linspace(0, last, most + 1)).astype(int)] if most else [LEVELS[0]] * 2
 
@@ -135,6 +136,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Return a percentage with two digits, as far as the sample allows."""
+    """Return a percentage with two digits, if the sample allows these."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

@@ -1,4 +1,4 @@
-"""Two columns of many designs against each other, such as coverage and losses, and the front among them."""
+"""Plot of two columns of many designs, such as coverage and loss, with the Pareto front."""
 
 from typing import TYPE_CHECKING
 
@@ -39,25 +39,27 @@ def plot_designs(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Draw two columns of all designs against each other, and the designs that no other one beats.
+    """Plot two columns of all designs against each other, with the Pareto front.
 
-    Large points with a black edge are the front: no other design is better in both objectives. A few values of the
-    color have a marker each. A star with its name is the instrument of `~rfpsurvey.design.explore_around`.
+    Large points with black edges are on the Pareto front: no other design is better in both objectives. If the color
+    column has only a few values, each value has its own marker. A star with a name is the instrument of
+    `~rfpsurvey.design.explore_around`.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.design.explore_designs` or `~rfpsurvey.design.explore_around` returns.
+        Table returned by `~rfpsurvey.design.explore_designs` or `~rfpsurvey.design.explore_around`.
     x, y : str, optional
-        Columns; the objectives by default. The front is that of the objectives, whatever is drawn, and is joined by
-        a line where these are drawn.
+        Columns to plot; the objectives by default. The front is always that of the objectives; if these are plotted,
+        a line connects its points.
     color : str, optional
-        Column that gives the color; by default ``ratio`` if it varies, else the parameter with most values.
+        Column that determines the color; by default ``ratio`` if it varies, otherwise the parameter with the most
+        values.
     mark : dict of str to QTable, optional
-        Designs to point out by name, such as an instrument that is there: tables of one design, or of a few, by
+        Designs to mark by name, such as existing instruments: tables of one or a few designs, made by
         `~rfpsurvey.design.explore_designs` with the same targets.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; by default those of a new figure.
     **kwargs
         Passed to ``Axes.scatter``.
 
@@ -69,8 +71,8 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table does not come from `~rfpsurvey.design.explore_designs`, a column is missing, or designs to mark
-        answer another question.
+        If a table was not returned by `~rfpsurvey.design.explore_designs`, a column is missing, or designs to mark
+        have another definition of the loss.
 
     Examples
     --------
@@ -96,7 +98,7 @@ def plot_designs(
         check_choice(name, numbers, "column of designs")
     ax = new_axes() if ax is None else ax
     front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
-    others = _names(table) == ""  # a star shows the design of an instrument
+    others = _names(table) == ""  # the design of an instrument is a star
     few = len(np.unique(values[others])) <= len(MARKERS)
     style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": light_scale(), "linewidths": 0.3}
     style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
@@ -133,7 +135,7 @@ def plot_designs(
 
 
 def _mark(ax, name, across, up):
-    """Draw designs as stars with their name beside the first one, toward the center."""
+    """Draw designs as stars, with their name beside the first one on the side of the center."""
     ax.scatter(across, up, marker="*", s=260, color=COLLISION, edgecolors="white", linewidths=1.2, zorder=4)
     right = across[0] > np.mean(ax.get_xlim())
     style = {"fontweight": "bold", "zorder": 5, "xytext": (-11 if right else 11, 6), "ha": "right" if right else "left"}
@@ -142,14 +144,14 @@ def _mark(ax, name, across, up):
 
 
 def _names(table):
-    """Return the name of the instrument whose design each row is, empty for all others."""
+    """Return for each row the name of the instrument with this design, empty for all others."""
     if "instrument" not in table.colnames:
         return np.full(len(table), "")
     return np.asarray(np.ma.filled(table["instrument"], "")).astype(str)
 
 
 def _instruments(table):
-    """Return the rows of a table that are designs of instruments, by their names."""
+    """Return the rows of a table that are designs of instruments, by the names of the instruments."""
     if not isinstance(table, QTable):
         return {}
     names = _names(table)
@@ -164,7 +166,7 @@ def _question(table):
 
 
 def _parameter(table):
-    """Return the ratio of the arms if it varies, else the parameter that has most values."""
+    """Return the ratio of the arms if it varies, otherwise the parameter with the most values."""
     numbers = {name: len(np.unique(values_of(table, name))) for name in ("ratio", "pitch", "central_arm", "clearance")}
     return "ratio" if numbers["ratio"] > 1 else max(numbers, key=numbers.get)
 

@@ -1,4 +1,4 @@
-"""Positioners of large focal planes as dots, where arms would be too short to be seen."""
+"""Positioners of large focal planes as dots, if arms would be too short to be visible."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 __all__ = ["SHORTEST", "arms_are_visible", "draw_cells", "draw_dots"]
 
 SHORTEST = 5.0
-"""Points (1/72 inch): arms that would be shorter are not drawn."""
+"""Points (1/72 inch); arms that would be shorter are not drawn."""
 
 
 def arms_are_visible(ax, scene: Scene) -> bool:
@@ -25,15 +25,15 @@ def arms_are_visible(ax, scene: Scene) -> bool:
 
 
 def draw_cells(ax, scene: Scene) -> None:
-    """Draw the ground below dots: a pale disk for each positioner."""
+    """Draw a pale disk for each positioner as the background of dots."""
     add_circles(ax, scene.centers, 0.5 * spacing_of(scene.centers, scene.outer), facecolors=FAINT, zorder=0.8)
 
 
 def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     """Draw a dot for each positioner, colored by its state, and yield legend entries.
 
-    A dot is at the fiber, which is on its target, or at the center of a positioner without a target. Those in
-    collision are diamonds, larger and on top of the others.
+    A dot is at the fiber or, for a positioner without a target, at the center. Positioners in collision are larger
+    diamonds on top of the others.
     """
     spacing = spacing_of(scene.centers, scene.outer)
     draw_cells(ax, scene)

@@ -41,40 +41,43 @@ def plot_focal_plane(
     orientation: str = "sky",
     **kwargs: object,
 ) -> "Axes":
-    """Draw a focal plane: patrol areas and obstacles and, of a tile, arms and collisions.
+    """Plot a focal plane: patrol areas and obstacles and, for a tile, arms and collisions.
 
-    The shade around an arm is half the minimum separation wide, to scale: two arms collide where their shades overlap.
-    Arms in collision are thick, with a hatched shade; arms without a target are dashed. Marks on centers show units
-    that are disabled, stuck, or whose target is out of reach.
+    The shade around an arm is half the minimum separation wide, to scale: two arms collide if their shades overlap.
+    Arms in collision are thick, with a hatched shade; arms without a target are dashed. Marks at centers show
+    positioners that are disabled, stuck, or have a target out of reach.
 
-    Where arms would be shorter than 5 points, as on the whole focal plane of an instrument with thousands of
-    positioners, a dot stands for each positioner: on its target, or on its center if it has none. Diamonds are in
-    collision.
+    If arms would be shorter than 5 points, as on the whole focal plane of an instrument with thousands of
+    positioners, there is a dot for each positioner, at its target or, without a target, at its center. Diamonds are
+    positioners in collision.
 
-    With ``targets="outcome"``, there is a dot for every target of the field, and the legend has their numbers; the
-    positioners of a large instrument are then a gray ground. Of a class, such as a kind, assigned targets are larger
-    dots, and those that are left smaller ones of the same color.
+    With ``targets="outcome"``, there is a dot for each target of the field, and the legend contains the numbers of
+    targets; the positioners of a large instrument are then drawn as a gray background. With ``targets`` as a class,
+    such as the kind, assigned targets are larger dots, and other targets of the class are smaller dots of the same
+    color.
 
-    North and east are those of the tile; the arrows turn with its position angle. An instrument is drawn at position
-    angle 0.
+    The arrows show north and east, which depend on the position angle of the tile. An instrument is drawn at the
+    position angle 0.
 
     Parameters
     ----------
     thing : Tile, FocalPlane, Instrument or str
-        What to draw; a str is the name of a preset. Without a tile, the only arms are those that cannot move.
+        Tile or focal plane to plot; a str is the name of a preset. Without a tile, the only arms are those that
+        cannot move.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default. The legend stands below the axes: a figure of your own has room for it
-        with ``layout="constrained"``.
+        Axes to draw on; by default those of a new figure. The legend is below the axes; a figure with
+        ``layout="constrained"`` has room for it.
     region : Quantity, shape (2, 2), optional
-        Corners ((x0, y0), (x1, y1)) of the part to show; all by default.
+        Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default.
     color : {"spectrograph", "fiber_type"}, optional
-        Fill the cells of positioners by this column.
+        Column that determines the color of the cells of positioners.
     targets : {"outcome", "kind", "category", "priority"} or Quantity, shape (n, 2), optional
-        Draw all targets of a planned tile, colored by this column of `outcomes <rfpsurvey.Tile.outcomes>`; targets that
-        are not requested have no position on the focal plane. Positions are drawn as small crosses; those of other
-        targets are ``instrument.projection(center).to_focal_plane(coord)``.
+        Column of `outcomes <rfpsurvey.Tile.outcomes>` that determines the colors of all targets of a planned tile.
+        Targets that are not requested have no position on the focal plane. A Quantity contains positions to draw as
+        small crosses; those of other targets are ``instrument.projection(center).to_focal_plane(coord)``.
     arms : bool, optional
-        Draw arms, or a dot for each positioner; by default arms where they are long enough to be seen.
+        Whether to draw arms, or a dot for each positioner; by default arms are drawn if they are long enough to be
+        visible.
     orientation : {"sky", "focal plane"}, optional
         With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
         ``"focal plane"``, x increases to the right.
@@ -89,13 +92,13 @@ def plot_focal_plane(
     Raises
     ------
     InputError
-        If ``thing``, ``color`` or ``orientation`` is something else, ``region`` or ``targets`` has another shape, or
-        the tile has no outcomes or no such column.
+        If ``thing``, ``color`` or ``orientation`` is not one of these, ``region`` or ``targets`` has another shape,
+        or the tile has no outcomes or no such column.
 
     See Also
     --------
-    plot_targets : All targets of a tile or of a survey on the sky.
-    plot_quality : How many targets of each class are assigned.
+    plot_targets : Plot all targets of a tile or of a survey on the sky.
+    plot_quality : Plot the numbers of assigned targets of each class.
 
     Examples
     --------
@@ -142,7 +145,7 @@ def plot_focal_plane(
         legend_below(ax, handles, columns=4)
         return ax
     options = legend_options(targets, [handle.get_label() for handle in handles])
-    if own:  # room for more rows of the legend
+    if own:  # make room for more rows of the legend
         width, height = ax.figure.get_size_inches()
         rows = -(-len(handles) // options["columns"]) + (targets != "outcome")
         ax.figure.set_size_inches(width, height + ROW * max(rows - 2, 0))
@@ -160,7 +163,7 @@ def _draw_targets(ax, scene, targets):
 
 
 def _targets_of(thing, color):
-    """Return the positions of the targets of a tile that have one, in mm, and the rows of its outcomes."""
+    """Return the positions (mm) of the targets of a tile that have one, and their rows of the outcomes."""
     check_choice(color, COLORINGS, "targets")
     if not isinstance(thing, Tile):
         raise InputTypeError(f"thing must be a Tile to draw its targets by {color}, got {type(thing).__name__}")
@@ -171,7 +174,7 @@ def _targets_of(thing, color):
 
 
 def _draw_classes(ax, tile, color, xy, table, kwargs, on_arms):
-    """Draw the targets that the axes show by class, and fibers on blank sky, and yield legend entries."""
+    """Draw the targets inside the axes by class, and fibers on blank sky, and yield legend entries."""
     low, high = limits_of(ax)
     seen = ((xy >= low) & (xy <= high)).all(axis=1)
     xy, table = xy[seen], table[seen]

@@ -1,4 +1,4 @@
-"""Positioners filled by the group that they belong to, such as their spectrograph."""
+"""Cells of positioners colored by group, such as the spectrograph."""
 
 from collections.abc import Iterator
 
@@ -12,11 +12,11 @@ from rfpsurvey.plot._style import GROUP_COLORS
 __all__ = ["draw_groups"]
 
 PALE = 0.4
-"""Opacity of fills below arms or dots, which may have the same color."""
+"""Opacity of fills below arms or dots, which can have the same color."""
 
 
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
-    """Fill the cell of each positioner by its group, write the name of the group there or yield a legend entry.
+    """Color the cell of each positioner by its group, and write the name of the group there or yield a legend entry.
 
     Pale fills leave the arms or dots on top of them visible.
     """

@@ -16,32 +16,32 @@ __all__ = ["draw_instruments", "plot_instruments"]
 
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
 SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
-"""White to dark blue; a darker one would look like the first one on a dark page."""
+"""White to dark blue; a darker color would look like the first one on a dark page."""
 REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
 def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Draw how many positioners of each instrument observe a target, have one but collide, or have none.
+    """Plot the fractions of positioners of each instrument that observe a target, have one but collide, or have none.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.compare_instruments` returns.
+        Table returned by `~rfpsurvey.compare_instruments`.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; by default those of a new figure.
     **kwargs
         Passed to the bars, for example ``height``.
 
     Returns
     -------
     matplotlib.axes.Axes
-        The axes. A bar for each instrument and allocator shows fractions of its positioners; the number to the right
+        The axes. A bar for each instrument and allocator shows fractions of the positioners; the number to the right
         is the fraction of targets lost to collisions.
 
     Raises
     ------
     InputError
-        If the table has other columns.
+        If the table does not have these columns.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
 
 
 def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
-    """Return a figure of reach, fibers and collision probability, instrument by instrument."""
+    """Return a figure of the reach, fibers and collision probabilities of instruments."""
     from matplotlib.figure import Figure
 
     if figure is None:
@@ -116,7 +116,7 @@ def _draw_probability(table, ax):
     style = {"fmt": "o", "color": COLLISION, "ms": 4, "lw": 1, "capsize": 2, "clip_on": False}
     ax.errorbar(value, y, xerr=[value - low, high - value], **style)
     top = np.nanmax(np.append(high, value), initial=0.0) or 1.0
-    ax.set_xlim(-0.04 * top, 1.06 * top)  # markers at 0 are whole
+    ax.set_xlim(-0.04 * top, 1.06 * top)  # so that markers at 0 are not cut off
     ax.axvline(0, color="0.6", lw=0.8, zorder=0.5)
     ax.grid(axis="x", color="0.9", lw=0.6)
     ax.set_axisbelow(True)

@@ -1,4 +1,4 @@
-"""Probabilities along a scan with their intervals, and differences over the plane of two design parameters."""
+"""Plots of probabilities along a scan with their intervals, and of differences as a function of two parameters."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
@@ -29,22 +29,22 @@ def plot_probability(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Draw collision probabilities along a scan, a line with its interval for each column and group.
+    """Plot collision probabilities along a scan, with a line and an interval for each column and group.
 
     Parameters
     ----------
     table : QTable
-        A row for each design, for example made of estimates: ``x``, and the columns of ``values``.
+        Table with a row for each design, for example made from estimates, and the columns ``x`` and ``values``.
     x : str, optional
         Column along the axis, such as ``ratio`` or ``pitch``.
     values : str or list of str, optional
-        Columns to draw. The interval of ``value`` is from ``low`` to ``high``, or 1.96 ``standard_error`` about it;
-        that of another column, such as ``formula``, from ``formula_low`` to ``formula_high``, or 1.96
-        ``formula_error`` about it. Where there are no such columns, there is a line alone.
+        Columns to plot. The interval of ``value`` is from ``low`` to ``high``, or 1.96 ``standard_error`` to either
+        side. That of another column, such as ``formula``, is from ``formula_low`` to ``formula_high``, or 1.96
+        ``formula_error`` to either side. Without such columns, there is only a line.
     by : str, optional
-        Column that makes groups, each with lines of its own.
+        Column that defines groups; each group has its own lines.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; by default those of a new figure.
     **kwargs
         Passed to ``plot`` of each line, for example ``linewidth``.
 
@@ -56,7 +56,7 @@ def plot_probability(
     Raises
     ------
     InputError
-        If a column is missing or holds no numbers.
+        If a column is missing or does not contain numbers.
 
     Examples
     --------
@@ -116,32 +116,32 @@ def plot_residuals(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Draw the differences of two columns over the plane of two others, such as arm ratio and pitch.
+    """Plot the differences of two columns as a function of two others, such as arm ratio and pitch.
 
-    Triangles point up where the difference is positive, down where it is negative; disks are zeros.
+    Triangles point up if the difference is positive, and down if it is negative; disks are differences of 0.
 
     Parameters
     ----------
     table : QTable
-        A row for each design.
+        Table with a row for each design.
     value, reference : str, optional
-        Columns whose difference, ``value`` minus ``reference``, is drawn; rows where it is NaN are left out.
+        Columns whose difference, ``value`` minus ``reference``, is plotted; rows in which it is NaN are omitted.
     x, y : str, optional
         Columns along the axes.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; by default those of a new figure.
     **kwargs
         Passed to ``scatter``, for example ``s``, ``vmin`` and ``vmax``.
 
     Returns
     -------
     matplotlib.axes.Axes
-        The axes; the scale beside them is symmetric about 0.
+        The axes, with a color bar that is symmetric around 0.
 
     Raises
     ------
     InputError
-        If a column is missing or holds no numbers, or no difference is known.
+        If a column is missing or does not contain numbers, or no difference is known.
 
     Examples
     --------

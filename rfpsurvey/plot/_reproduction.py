@@ -1,4 +1,4 @@
-"""Figures of the paper's experiments."""
+"""Figures of the experiments of the paper."""
 
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ __all__ = ["draw_reproduction"]
 
 GROUPS = ("arms", "targets_per_positioner", "sky")
 BESIDE = 1.025
-"""Ratio of the places of neighboring groups on a logarithmic axis."""
+"""Ratio of the positions of neighboring groups on a logarithmic axis."""
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
@@ -26,7 +26,7 @@ def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, 
 
 
 def _small(tables):
-    """Draw probability against arm ratio and pitch, formula and simulation each scaled to 0 and 1 as in the paper."""
+    """Plot the probability against arm ratio and pitch; below, formula and simulation are scaled to 0 and 1."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))
@@ -53,7 +53,7 @@ def _scaled(values, like=None):
 
 
 def _large(tables):
-    """Draw formula against simulation, and their normalized difference over ratio and pitch."""
+    """Plot the formula against the simulation, and their normalized difference as a function of ratio and pitch."""
     table = tables["large"]
     figure, (axes,) = new_grid(1, 2, (10, 4.5))
     for k, way in enumerate(("range_200", "covered")):
@@ -70,7 +70,7 @@ def _large(tables):
 
 
 def _poisson(tables):
-    """Draw the relative difference of every reading of Poisson targets over ratio and pitch."""
+    """Plot the relative difference for every reading of Poisson targets as a function of ratio and pitch."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)
@@ -83,7 +83,7 @@ def _poisson(tables):
 
 
 def _surrogate(tables):
-    """Draw the error of the surrogate at designs it never saw."""
+    """Plot the error of the surrogate for designs that were not used to make it."""
     table = tables["surrogate"]
     figure, ((ax,),) = new_grid(1, 1, (6, 4))
     ax.errorbar(
@@ -101,7 +101,7 @@ def _surrogate(tables):
 
 
 def _intervals(tables):
-    """Draw the coverage of each interval, with its own error."""
+    """Plot the coverage of each interval with its error."""
     table = tables["intervals"]
     figure, ((ax,),) = new_grid(1, 1, (8, 4.5))
     labels = [f"{r['scene']}, {r['method']}\n{r['interval']}, {r['stop']}" for r in table]
@@ -114,7 +114,7 @@ def _intervals(tables):
 
 
 def _within_one(table):
-    """Return the lengths of bars of two standard errors below and above a fraction, as far as fractions can be."""
+    """Return the lengths of bars of two standard errors below and above a fraction, limited to fractions of 0 to 1."""
     value, bar = np.asarray(table["coverage"], float), 2 * np.asarray(table["coverage_error"], float)
     return [np.minimum(bar, value).tolist(), np.minimum(bar, 1 - value).tolist()]
 
@@ -129,7 +129,7 @@ def _one_sky(tables):
         part = table[rows & np.isfinite(table["coverage"])]
         style = {"color": SERIES[k % 8], "marker": MARKERS[(k + k // 8) % 8], "linestyle": ":", "capsize": 2}
         label = f"{group[0]}, {group[1]:g} target{'' if group[1] == 1 else 's'} per positioner, {group[2]}"
-        # beside each other, since many groups have the same value
+        # beside each other, because many groups have the same value
         beside = np.asarray(part["positioners"]) * BESIDE ** (k - (len(groups) - 1) / 2)
         ax.errorbar(beside, part["coverage"], yerr=_within_one(part), label=label, **style)
     ax.axhline(0.95, color="0.4", lw=0.8)
@@ -143,7 +143,7 @@ def _one_sky(tables):
 
 
 def _poisson_disc(tables):
-    """Draw by how much uniform targets collide more than Poisson-disc ones, against the ratio of the arms."""
+    """Plot how much more often uniform targets collide than Poisson-disc targets, against the ratio of the arms."""
     table, summary = tables["poisson"], tables["poisson_disc"]
     figure, ((ax,),) = new_grid(1, 1, (7, 4.8))
     for k, separation in enumerate(summary["min_separation"].to_value("mm")):
@@ -168,7 +168,7 @@ def _poisson_disc(tables):
 
 
 def _speed(tables):
-    """Draw the time of methods against their errors."""
+    """Plot the time of methods against their errors."""
     figure, axes = new_grid(2, 1, (7.5, 7))
     plot_speed_accuracy(tables["speed"], axes=tuple(axes.flat))
     return figure

@@ -28,7 +28,7 @@ class Scene:
     elbows: np.ndarray
     tips: np.ndarray
     bodies: np.ndarray
-    """Segments that can collide, rows (x0, y0, x1, y1)."""
+    """Colliding segments, rows (x0, y0, x1, y1)."""
     half: float
     status: np.ndarray
     colliding: np.ndarray
@@ -42,7 +42,7 @@ class Scene:
 
     @property
     def points(self) -> np.ndarray:
-        """Points that should not be hidden: centers and arms, those in collision four times."""
+        """Points that should remain visible: centers and arms; those in collision count four times."""
         arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
         points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
         return points[np.isfinite(points).all(axis=1)]
@@ -105,13 +105,13 @@ def _of_plane(thing):
 
 
 def visible_part(scene: Scene, ax) -> Scene:
-    """Return the part of a scene that axes show, so that nothing else is drawn or has an entry in the legend."""
+    """Return the part of a scene inside the axes, so that other parts are neither drawn nor in the legend."""
     low, high = limits_of(ax)
 
     def near(points, margin):
         return ((points > low - margin) & (points < high + margin)).all(axis=1)
 
-    rows = near(scene.centers, 2 * scene.outer.max())  # arms end where patrol areas do
+    rows = near(scene.centers, 2 * scene.outer.max())  # arms do not extend beyond patrol areas
     columns = ("centers", "inner", "outer", "elbows", "tips", "bodies", "status", "colliding")
     own = {name: getattr(scene, name)[rows] for name in columns}
     own["groups"] = {name: values[rows] for name, values in scene.groups.items()}

@@ -25,8 +25,8 @@ __all__ = ["draw_field", "draw_tiles", "plot_tiling", "radius_of"]
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
 FLAT = 0.45
-"""Opacity of tiles that all have the same color: their overlaps are seen. Others are opaque, so that colors are those
-of the color bar on every background."""
+"""Opacity of tiles that all have the same color, so that their overlaps are visible. Others are opaque, so that their
+colors are those of the color bar on every background."""
 
 
 def plot_tiling(
@@ -39,27 +39,27 @@ def plot_tiling(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Draw tiles on the sky, east to the left.
+    """Plot tiles on the sky, with east to the left.
 
-    The axes are right ascension and declination; offsets from the mean direction near a pole; or a map of the whole sky
-    where tiles are more than 60 deg away from their mean direction. Colors run from the smallest to the largest value.
-    Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be seen;
-    ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
+    The axes are right ascension and declination or, near a pole, offsets from the mean direction. If tiles are more
+    than 60 deg away from their mean direction, the plot is a map of the whole sky. Colors extend from the smallest to
+    the largest value. Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be
+    seen; ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
 
     Parameters
     ----------
     tiles : Tiling or Survey
-        What to draw.
+        Tiles to plot.
     color : str, optional
-        Column that gives the color; by default the completeness of a survey, and the pass of a tiling.
+        Column that determines the color; by default the completeness of a survey, or the pass of a tiling.
     radius : Quantity, optional
-        Radius of a field; by default that of the survey, or the one that the tiling was made for, else 1 deg.
+        Radius of a field; by default that of the survey or of the tiling, or 1 deg if it is unknown.
     targets : Catalog or SkyCoord, optional
         Targets to draw as dots.
     region : Region, optional
         Region whose border to draw.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default. Axes of the projection ``aitoff`` show the whole sky.
+        Axes to draw on; by default those of a new figure. Axes with the projection ``aitoff`` show the whole sky.
     **kwargs
         Passed to the collection of fields, for example ``cmap`` or ``alpha``.
 
@@ -71,8 +71,8 @@ def plot_tiling(
     Raises
     ------
     InputError
-        If there are no tiles, no such column of numbers, the radius is impossible, or ``targets`` or ``region`` is
-        something else.
+        If there are no tiles or no such column of numbers, the radius is out of range, or ``targets`` or ``region``
+        has a wrong type.
 
     Examples
     --------
@@ -115,14 +115,14 @@ def plot_tiling(
 
 
 def radius_of(tiles: Tiling | Survey) -> float:
-    """Return the radius of a field in deg, as far as it is known."""
+    """Return the radius of a field in deg, or 1 deg if it is unknown."""
     if isinstance(tiles, Survey):
         return tiles.provenance["parameters"]["radius_deg"]
     return float(tiles.summary.get("radius_deg", 1.0))
 
 
 def _new_axes(sky_map, rims, *, scale, legend):
-    """Return axes in a figure of their own, as high as tiles need."""
+    """Return the axes of a new figure, with a height that suits the tiles."""
     if rims is None:
         return new_axes(8, 5.0 if legend else 4.6, projection="aitoff")
     beside = 1.9 if scale else 1.0
@@ -134,7 +134,7 @@ def _new_axes(sky_map, rims, *, scale, legend):
 
 
 def _filled_part(number):
-    """Return the part of the radius of a field that is filled: less in later passes."""
+    """Return the fraction of the radius of a field that is filled, which is smaller in later passes."""
     passes, rank = np.unique(number, return_inverse=True)
     step = min(0.25, 0.6 / max(len(passes) - 1, 1))
     return 1 - step * rank.reshape(-1)
@@ -163,7 +163,7 @@ def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: 
         edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
         style["norm"] = BoundaryNorm(edges, 256)
     elif len(levels) == 1:
-        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the middle of the scale, neither dark nor pale
+        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the center of the scale, neither dark nor pale
     elif len(levels):
         style["clim"] = (levels[0], levels[-1])
     if whole:  # projected here: the axes would put thousands of points on every edge

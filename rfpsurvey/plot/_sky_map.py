@@ -1,4 +1,4 @@
-"""Maps of the sky: right ascension and declination, offsets about a pole, or the whole sky; east is to the left."""
+"""Maps of the sky: right ascension and declination, offsets around a pole, or the whole sky; east is to the left."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from rfpsurvey.region import Region, border_of, circle_around
 __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
 
 CORNERS, MOST_CORNERS = 36, 7200
-"""Points on the edge of each field: more where there are few fields, so that large circles look round."""
+"""Number of points on the edge of each field; there are more for few fields, so that large circles look round."""
 WIDE = 60.0  # deg about the mean direction: beyond it, the whole sky
 POLAR = 75.0
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
@@ -19,14 +19,14 @@ GRID = 400  # points along each axis, for the outlines of HEALPix pixels
 
 @dataclass(frozen=True, eq=False)
 class SkyMap:
-    """A map about a direction: ``region`` (deg), ``offsets`` (deg) or ``whole`` (radians on an Aitoff map)."""
+    """A map around a direction: ``region`` (deg), ``offsets`` (deg) or ``whole`` (radians on an Aitoff map)."""
 
     kind: str
     center: SkyCoord
 
     def to_xy(self, coord: SkyCoord) -> np.ndarray:
-        """Return places on the map, shape (..., 2)."""
-        if self.kind == "whole":  # 180 deg in the middle
+        """Return positions on the map, shape (..., 2)."""
+        if self.kind == "whole":  # 180 deg is in the center
             return np.stack([-(coord.ra - 180 * u.deg).wrap_at(180 * u.deg).rad, coord.dec.rad], axis=-1)
         if self.kind == "region":
             lon = (coord.ra - self.center.ra).wrap_at(180 * u.deg).deg + self.center.ra.deg
@@ -36,11 +36,11 @@ class SkyMap:
 
     @property
     def aspect(self) -> float:
-        """Length of a unit of y over that of x."""
+        """Ratio of the length of a unit of y to that of x."""
         return 1 / np.cos(self.center.dec.rad) if self.kind == "region" else 1.0
 
     def label(self, ax) -> None:
-        """Label axes, and set the ratio of their scales."""
+        """Label the axes, and set the ratio of their scales."""
         if self.kind == "whole":
             _label_whole_sky(ax)
         elif self.kind == "region":
@@ -60,13 +60,13 @@ def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:
 
 
 def is_wide(centers: SkyCoord, radius: float) -> bool:
-    """Return whether fields (radius in deg) need a map of the whole sky."""
+    """Return whether fields (radius in deg) require a map of the whole sky."""
     center, known = _mean_direction(centers)
     return not known or bool(centers.separation(center).max().deg + radius > WIDE)
 
 
 def _mean_direction(centers):
-    """Return the mean direction, and whether there is one."""
+    """Return the mean direction, and whether it exists."""
     mean = centers.cartesian.mean()
     if mean.norm() < 1e-6:
         return centers[0], False
@@ -86,16 +86,16 @@ def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
 def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tuple[list[np.ndarray], np.ndarray]:
     """Return outlines of fields on a map of the whole sky, cut at its edge, and the row of the field of each."""
     rims = rims_of(centers, radius)
-    # x on the map, to the left with right ascension, unwrapped about the center of each field
+    # x on the map, which decreases with right ascension, unwrapped around the center of each field
     center = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
     away = (centers.ra[:, None] - rims.ra).wrap_at(180 * u.deg).rad
-    # units come off before the loop: astropy converts all fields each time that it is asked
+    # remove units before the loop, because astropy converts all fields on each access
     height, side = rims.dec.rad, np.copysign(np.pi / 2, centers.dec.rad)
     polar = np.abs(centers.dec.deg) + radius >= 90
     polygons, row_of = [], []
     for k in range(len(centers)):
         x, y = center[k] + away[k], height[k]
-        if polar[k]:  # a field with a pole in it spans all right ascensions
+        if polar[k]:  # a field that contains a pole spans all right ascensions
             x = (x + np.pi) % (2 * np.pi) - np.pi
             order, pole = np.argsort(x), side[k]
             x = np.concatenate([[-np.pi, -np.pi], x[order], [np.pi, np.pi]])
@@ -135,14 +135,14 @@ def _to_coord(vectors):
 
 
 def _unjoined(points, sky_map):
-    """Put NaN where a line goes over the edge of the map."""
+    """Insert NaN where a line crosses the edge of the map."""
     edge = {"whole": np.pi, "region": 180.0}.get(sky_map.kind, np.inf)
     jumps = np.flatnonzero(np.abs(np.diff(points[:, 0])) > edge) + 1
     return np.insert(points, jumps, np.nan, axis=0)
 
 
 def _contours(region, sky_map):
-    """Return the borders of pixels, where a grid of directions finds them."""
+    """Return the borders of HEALPix regions as contours on a grid of directions."""
     from matplotlib.figure import Figure
 
     vector, radius = circle_around(region)
@@ -166,7 +166,7 @@ def _label_whole_sky(ax):
 
     degrees = np.arange(30, 360, 60)
     ax.set_xticks(np.deg2rad(180 - degrees), [f"{d}\N{DEGREE SIGN}" for d in degrees], fontsize="small")
-    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # labels stand on tiles
+    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # labels are on top of tiles
     for label in ax.get_xticklabels():
         label.set_path_effects(halo)
     ax.set_yticks(np.deg2rad(np.arange(-60, 61, 30)))

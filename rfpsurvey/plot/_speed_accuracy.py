@@ -1,4 +1,4 @@
-"""Plots of time against error."""
+"""Plots of computing time and errors."""
 
 from typing import TYPE_CHECKING
 
@@ -19,34 +19,34 @@ SHORT_AXIS = 100.0
 """Ratio of the ends of an axis below which 1, 2 and 5 of each decade are labeled."""
 BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
-"""Height of a label, width of a letter, and the gap that is kept around a label, in points."""
+"""Height of a label, width of a letter, and free space around a label, in points."""
 
 
 def plot_speed_accuracy(
     table: QTable, *, axes: "tuple[Axes, Axes] | None" = None, **kwargs: object
 ) -> "tuple[Axes, Axes]":
-    """Draw the time per tile against errors, a point for each method and number of points.
+    """Plot errors against the time per tile, with a point for each method and number of points.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.benchmark.benchmark_collisions` returns.
+        Table returned by `~rfpsurvey.benchmark.benchmark_collisions`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Where to draw misclassified pairs, and the largest error of a distance; a new figure by default.
+        Axes for misclassified pairs and for the largest error of a distance; by default those of a new figure.
     **kwargs
         Passed to ``plot`` of each method, for example ``markersize``.
 
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Both axes. Bars are the standard error of the fraction, from the square root of the number of misclassified
-        pairs. Where no pair is misclassified, an arrow points down from an upper limit, one over the number of
-        colliding pairs. Methods to the lower left are better.
+        Both axes. Bars are standard errors of the fraction, from the square root of the number of misclassified
+        pairs. If no pair is misclassified, an arrow points down from an upper limit, which is one divided by the
+        number of colliding pairs. Methods to the lower left are better.
 
     Raises
     ------
     InputError
-        If the table has other columns, or there are not two axes.
+        If the table does not have these columns, or there are not two axes.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def _draw_methods(ax, table, values, limits, uncertain, style):
     for k, method in enumerate(dict.fromkeys(table["method"])):
         rows = np.flatnonzero(table["method"] == method)
         own = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
-        own["markerfacecolor"] = own["color"] if k == 0 else "none"  # let others shine through
+        own["markerfacecolor"] = own["color"] if k == 0 else "none"  # so that others remain visible
         (line,) = ax.plot(time[rows], heights[rows], **{**own, **style})
         line.set_linestyle("none")  # limits are not connected
         some = rows[values[rows] > 0]
@@ -116,30 +116,29 @@ def _draw_methods(ax, table, values, limits, uncertain, style):
 def plot_probability_accuracy(
     table: QTable, *, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
 ) -> "tuple[Axes, ...]":
-    """Draw the error of collision probabilities against the time they take, a line for each method.
+    """Plot the errors of collision probabilities against the computing time, with a line for each method.
 
-    Answers to the two questions, of allocated and of independent targets, are in panels of their own, since they
-    cannot be compared.
+    Estimates for allocated and for independent targets are in separate panels, because they cannot be compared.
 
     Parameters
     ----------
     table : QTable
-        What `~rfpsurvey.benchmark.benchmark_probability` returns.
+        Table returned by `~rfpsurvey.benchmark.benchmark_probability`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Where to draw, one for each estimand of the table, in alphabetic order; a new figure by default.
+        Axes to draw on, one for each estimand of the table in alphabetic order; by default those of a new figure.
     **kwargs
         Passed to ``errorbar`` of each method, for example ``markersize``.
 
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        The axes. Bars are one standard error; open markers are formulas, whose error no effort reduces; below the gray
-        line errors are those of the truth. Methods to the lower left are better.
+        The axes. Bars are one standard error. Open markers are formulas, whose errors do not depend on the effort.
+        Errors below the gray line are smaller than that of the reference value. Methods to the lower left are better.
 
     Raises
     ------
     InputError
-        If the table has other columns, or the number of axes differs from that of the estimands.
+        If the table does not have these columns, or the number of axes differs from that of the estimands.
 
     Examples
     --------
@@ -194,12 +193,12 @@ def _draw_errors(ax, part, method, style, options):
 
 
 def _bars(values, uncertain):
-    """Return the lengths of bars down and up, which stay above zero, as older versions of matplotlib take them."""
+    """Return the lengths of bars down and up, which stay above zero, in the form for older versions of matplotlib."""
     return [np.minimum(uncertain, 0.9 * values).tolist(), uncertain.tolist()]
 
 
 def _set_ticks(ax):
-    """Label 1, 2 and 5 of each decade where there are few decades, and decades alone elsewhere."""
+    """Label 1, 2 and 5 of each decade if there are few decades; otherwise, label only decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
@@ -210,7 +209,7 @@ def _set_ticks(ax):
 
 
 def _state(ax, table, number, legend, *, figure=False):
-    """Put above a chart what was measured on which machine, and which corner is better."""
+    """Write above a plot what was measured on which machine, and which corner is better."""
     meta = table.meta
     machine = f"{meta['machine']}; " if "machine" in meta else ""
     first = f"{meta.get('instrument', '')}: {meta.get('n_positioners', '?')} positioners, {number}"

@@ -1,4 +1,4 @@
-"""Colors and markers: every difference that matters shows without color, too, by a marker, a hatch or a line."""
+"""Colors and markers; each important difference is also visible without color, by a marker, a hatch or a line."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ __all__ = [
     "light_scale",
 ]
 
-# the palette of Okabe and Ito, which color-blind people can tell apart
+# the palette of Okabe and Ito, whose colors color-blind people can distinguish
 PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#8A8A8A", "#D55E00", "#444444"
 SERIES = ("#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
 GROUP_COLORS = (
@@ -53,20 +53,20 @@ GROUP_COLORS = (
 )
 """Fills of groups: the palette, then lighter or darker versions of its colors."""
 FADED, FAINT = "#A8A8A8", "#8A8A8A26"
-"""Dots of positioners without a target, and the ground below dots: a translucent gray, faint on any page."""
+"""Color of positioners without a target and of the background of dots: a translucent gray, faint on any page."""
 OUTLINE = "#222222"
 MARKERS = "osD^vP*X"
 OPEN_CIRCLE = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
 """Legend entries of circles that are not filled."""
 HATCH = "//////"
-"""On everything that collides or is lost to collisions."""
+"""Hatch of everything that collides or is lost to collisions."""
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
-"""Counts 0, 1, 2, ...: steps of lightness, which print in gray as well."""
+"""Colors of the counts 0, 1, 2, ...: steps of lightness, which can also be printed in gray."""
 SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 
 def light_scale():
-    """Return the sequential color map without its darkest third, on which no edges can be seen and no dark page."""
+    """Return the sequential color map without its darkest third, on which edges and dark pages are not visible."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 

@@ -33,23 +33,23 @@ def plot_targets(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Draw all targets of a tile or of a survey on the sky, east to the left, by outcome or by class.
+    """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
-    The legend has the number of targets. Of classes, assigned targets are larger dots and those that are left smaller
-    ones of the same color. The axes of a tile are offsets from its center; those of a survey are as in `plot_tiling`,
-    and circles are its fields, except on a map of the whole sky.
+    The legend contains the numbers of targets. In plots by class, assigned targets are larger dots, and other targets
+    are smaller dots of the same color. The axes of a tile are offsets from its center. Those of a survey are as in
+    `plot_tiling`, and circles are its fields, except on a map of the whole sky.
 
     Parameters
     ----------
     result : Tile or Survey
-        What to draw. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
+        Tile or survey to plot. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     catalog : Catalog or PartitionedCatalog, optional
-        The catalog of the survey, which has the positions of its targets. A tile has its own.
+        The catalog of the survey, which contains the positions of its targets. It is not allowed for a tile.
     color : {"outcome", "kind", "category", "priority"}, optional
-        What colors stand for.
+        Property of targets that determines the colors.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default. The legend stands below the axes. Axes of the projection ``aitoff`` show
-        the whole sky.
+        Axes to draw on; by default those of a new figure. The legend is below the axes. Axes with the projection
+        ``aitoff`` show the whole sky.
     **kwargs
         Passed to the dots, for example ``s`` or ``alpha``.
 
@@ -61,13 +61,13 @@ def plot_targets(
     Raises
     ------
     InputError
-        If the tile has no outcomes, the catalog is missing or another one, or it has no such column.
+        If the tile has no outcomes, the catalog is missing or is not that of the survey, or it has no such column.
 
     See Also
     --------
-    plot_focal_plane : Targets on the focal plane, with ``targets="outcome"``.
-    plot_quality : How many targets of each class are assigned.
-    plot_tiling : The tiles of a survey on the sky.
+    plot_focal_plane : Plot targets on the focal plane, with ``targets="outcome"``.
+    plot_quality : Plot the numbers of assigned targets of each class.
+    plot_tiling : Plot the tiles of a survey on the sky.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def plot_targets(
 
 
 def outcomes_of(tile: Tile):
-    """Return the outcomes of a tile, or refuse one that has none."""
+    """Return the outcomes of a tile, or raise an error if it has none."""
     if tile.outcomes is None:
         raise InputError("the tile must have outcomes of targets, got none: plan it, or read it from a FITS file")
     return tile.outcomes
@@ -137,7 +137,7 @@ def _catalog_of(survey, catalog) -> Catalog:
 
 
 def _map_of_survey(survey, ax):
-    """Return the map of a survey and the edges of its fields on it, None on a map of the whole sky."""
+    """Return the map of a survey and the edges of its fields; the latter are None on a map of the whole sky."""
     centers, radius = SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey)
     whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
     sky_map = map_of(centers, radius, whole=whole)
@@ -153,7 +153,7 @@ def _extent(xy, rims) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _new_axes(sky_map, xy, rims, rows):
-    """Return axes in a figure of their own, with room for the rows of a legend."""
+    """Return the axes of a new figure, with room for the rows of a legend."""
     below = ROW * rows
     if sky_map.kind == "whole":
         return new_axes(8, 4.8 + below, projection="aitoff")
@@ -162,7 +162,7 @@ def _new_axes(sky_map, xy, rims, rows):
     height = min(LARGEST * tall * sky_map.aspect / wide, LARGEST)
     width = min(LARGEST, height * wide / (tall * sky_map.aspect))
     ax = new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
-    ax.set_anchor("N")  # what is left of the height belongs to the legend
+    ax.set_anchor("N")  # the rest of the height is for the legend
     return ax
 
 

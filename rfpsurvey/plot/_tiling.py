@@ -1,4 +1,4 @@
-"""The passes of a tiling, a panel each."""
+"""Plot of a tiling with a panel for each pass."""
 
 from typing import TYPE_CHECKING
 
@@ -21,18 +21,18 @@ __all__ = ["draw_tiling"]
 MOST_PANELS = 8
 WIDTH, PAD = 7.0, 0.08  # inches: a page, and the space around everything
 WIDE = 1.6
-"""Panels are below each other, not beside, where they are so much wider than high."""
+"""Panels with a larger ratio of width to height are below each other, not side by side."""
 
 
 def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> "Figure":
-    """Draw the tiles of each pass in a panel of its own, all on the same map.
+    """Plot the tiles of each pass in a separate panel, with the same map in all panels.
 
-    Tilings with one pass, or with more than eight, are drawn as `plot_tiling` draws them.
+    Tilings with one pass, or with more than eight, are plotted as by `plot_tiling`.
 
     Parameters
     ----------
     tiling : Tiling
-        What to draw.
+        Tiling to plot.
     targets : Catalog or SkyCoord, optional
         Targets to draw as dots.
     region : Region, optional
@@ -46,7 +46,7 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
     Raises
     ------
     InputError
-        If there are no tiles, or if ``targets`` or ``region`` is something else.
+        If there are no tiles, or ``targets`` or ``region`` has a wrong type.
 
     Examples
     --------

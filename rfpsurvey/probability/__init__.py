@@ -1,4 +1,4 @@
-"""Collision probabilities: a table of methods, which `collision_probability` calls."""
+"""Estimates of collision probabilities by several methods."""
 
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate

@@ -1,4 +1,4 @@
-"""Estimate collision probabilities by any method."""
+"""The function that estimates collision probabilities."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -79,8 +79,8 @@ def collision_probability(
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
         Allocated targets; methods for independent targets ignore them. `~rfpsurvey.probability.RandomTargets`, or
         their kind alone: ``"uniform"`` or ``"poisson"``. A function of a Generator that returns new targets at each
-        call, a Quantity of shape (n, 2). Or one sky: points on the focal plane, or a Catalog, whose science targets the
-        Instrument projects.
+        call, a Quantity of shape (n, 2). For one realization of the sky, points on the focal plane, or a Catalog,
+        whose science targets the Instrument projects.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
@@ -88,7 +88,7 @@ def collision_probability(
         Options also state whether idle equal-arm positioners are obstacles and count (``parked_obstacles``, true by
         default). They must not contain requirements or a sky separation, since all targets are science targets.
     most_entries : int, optional
-        Maximum number of entries of each queue that ``conditional`` uses, drawn anew for each realization. With long
+        Maximum number of entries of each queue that ``conditional`` uses, drawn again for each realization. With long
         queues, a larger number of faster realizations reaches a precision sooner. None for all entries.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
@@ -104,11 +104,11 @@ def collision_probability(
     dynamic : float, optional
         Rate at which positioners fail to reach their target for dynamic reasons, independently; LAMOST's is 0.025.
     rng : int, Generator or None, optional
-        Seed or source of random numbers. Results do not depend on the number of workers.
+        Seed or random number generator. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
         Runs parts of the simulation; kernels release the GIL, so that threads suffice. None for the calling thread.
     progress : bool or callable, optional
-        Show a line on the standard error, or call a function with (fraction done, 1).
+        Show the progress on the standard error, or call a function with (fraction done, 1).
 
     Returns
     -------

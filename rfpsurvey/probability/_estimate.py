@@ -16,11 +16,11 @@ class Estimate:
     Parameters
     ----------
     value : float
-        Expected fraction of positioners in collision, of the assigned ones and, with equal arms, those parked.
+        Expected fraction of positioners in collision, among those that are assigned and, with equal arms, those parked.
     value_assigned : float
-        Expected fraction of the assigned positioners alone.
+        Expected fraction of the assigned positioners in collision.
     low, high : float
-        Interval about ``value`` at the confidence in ``meta``; NaN for methods without an error, and for given targets
+        Interval around ``value`` at the confidence in ``meta``; NaN for methods without an error, and for given targets
         on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
     standard_error : float
         Standard error of ``value``; NaN where there is no interval.

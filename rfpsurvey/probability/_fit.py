@@ -1,4 +1,4 @@
-"""The paper's polynomial: second order in arm length, ratio and pitch, with ridge regularization."""
+"""The polynomial of Chen et al. (2024): second order in arm length, ratio and pitch, with ridge regularization."""
 
 from dataclasses import dataclass
 
@@ -22,15 +22,16 @@ class PolynomialFit:
     Parameters
     ----------
     coefficients : ndarray of float, shape (10,)
-        Of 1, x, y, z, x^2, y^2, z^2, xy, xz, yz, where x, y and z are standardized: minus ``mean``, over ``scale``.
+        Coefficients of 1, x, y, z, x^2, y^2, z^2, xy, xz, yz, where x, y and z are standardized: ``mean`` is
+        subtracted, and the difference is divided by ``scale``.
     mean, scale : ndarray of float, shape (3,)
-        Of the designs it was fitted to: central arm (mm), ratio, pitch (mm).
+        Mean and scale of central arm (mm), ratio and pitch (mm) of the designs of the fit.
     penalty : float
         Penalty of the ridge regularization, which does not apply to the constant.
     r2 : float
-        Coefficient of determination on the designs it was fitted to.
+        Coefficient of determination for the designs of the fit.
     r2_held_back : float
-        Coefficient of determination on the designs that were held back from the fit.
+        Coefficient of determination for the designs that were held back from the fit.
 
     Examples
     --------
@@ -58,9 +59,9 @@ class PolynomialFit:
         central_arm : Quantity, shape (n,)
             Length of the central arm.
         ratio : array_like of float, shape (n,)
-            Eccentric arm over central arm.
+            Ratio of the lengths of the eccentric and the central arm.
         pitch : Quantity, shape (n,)
-            Distance of neighboring centers.
+            Distance between neighboring centers.
 
         Returns
         -------
@@ -92,20 +93,20 @@ def fit_polynomial(
     central_arm : Quantity, shape (n,)
         Length of the central arm.
     ratio : array_like of float, shape (n,)
-        Eccentric arm over central arm.
+        Ratio of the lengths of the eccentric and the central arm.
     pitch : Quantity, shape (n,)
-        Distance of neighboring centers.
+        Distance between neighboring centers.
     probability : array_like of float, shape (n,)
         Collision probability of each design.
     held_back : float, optional
         Fraction of the designs held back for the test. The penalty is chosen by cross-validation on the others.
     rng : int, Generator or None, optional
-        Which ones.
+        Seed or random number generator for the choice of these designs.
 
     Returns
     -------
     PolynomialFit
-        The polynomial, with its coefficient of determination on both parts.
+        The polynomial, with its coefficients of determination for both groups of designs.
 
     Raises
     ------

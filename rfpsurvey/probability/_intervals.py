@@ -37,7 +37,7 @@ def _naive(rates, p, number, trials, quantile, confidence, rng):
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
     """Return percentiles of the mean of rates drawn with replacement."""
     n = len(rates)
-    rows = max(1, 1_000_000 // n)  # at a time, for the sake of memory
+    rows = max(1, 1_000_000 // n)  # computed together, to limit the memory
     sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
     means = np.concatenate([rates[rng.integers(0, n, (size, n))].mean(axis=1) for size in sizes])
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())

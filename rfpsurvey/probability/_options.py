@@ -24,7 +24,7 @@ MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature
 @check_keywords
 @dataclass(frozen=True)
 class RandomTargets:
-    """Random targets on the focal plane, drawn anew for each realization.
+    """Random targets on the focal plane, which are drawn again for each realization.
 
     Parameters
     ----------

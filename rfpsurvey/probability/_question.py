@@ -1,4 +1,4 @@
-"""The question that every method of collision probability is given."""
+"""The input of every method of collision probability."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -20,7 +20,7 @@ __all__ = ["ProbabilityQuestion"]
 class ProbabilityQuestion:
     """A focal plane, its targets, and the precision of the collision probability that a method computes.
 
-    Built-in methods and those of other packages are functions of this. A method returns an array of float, shape
+    Built-in methods and those of other packages are functions of this object. A method returns an array of float, shape
     (n_positioners,): the probability of each positioner to be in collision, NaN for those that never count. Or it
     returns a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``, ``estimand`` and ``seconds``:
     at least ``per_positioner`` or ``value``; the interval follows from ``standard_error``. The attribute ``estimand``
@@ -31,13 +31,13 @@ class ProbabilityQuestion:
     focal_plane : FocalPlane
         The positioners.
     targets : Source, optional
-        Where allocated targets come from; None for independent ones.
+        Source of allocated targets; None for independent targets.
     options : AllocationOptions, optional
         How targets are allocated, and whether idle equal-arm positioners are obstacles.
     precision : Precision, optional
         When iterations end. ``max_iterations`` is a number; ``standard_error`` is None for exactly that many.
     rng : numpy.random.Generator, optional
-        The only source of random numbers to use, so that an estimate can be reproduced.
+        Random number generator. Methods must use no other one, so that estimates are reproducible.
     most_entries : int, optional
         Maximum number of entries of each queue that ``conditional`` uses; None for all.
     density : str, callable, Allocation or list of Allocation, optional
@@ -45,7 +45,7 @@ class ProbabilityQuestion:
     variant : str, optional
         Variant of the closed form.
     executor : concurrent.futures.Executor, optional
-        Where parts of a simulation run; None for this thread.
+        Executor that runs parts of a simulation; None for this thread.
     progress : bool or callable, optional
         Whether to show a line on the standard error, or a function of (fraction done, 1).
 
@@ -91,6 +91,6 @@ class ProbabilityQuestion:
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
         """Function that draws targets with a generator and returns their allocation, with queues.
 
-        It allocates as the user asks. None for independent targets.
+        The allocation follows the options of the user. None for independent targets.
         """
         return None if self.simulation is None else self.simulation.realize

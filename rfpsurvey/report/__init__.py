@@ -1,4 +1,4 @@
-"""One self-contained HTML page from any result."""
+"""Reports: self-contained HTML pages on results."""
 
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives, tiling_facts

@@ -1,4 +1,4 @@
-"""The parts of a page."""
+"""The components of a page."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Facts:
-    """Labels and values; a label with blanks before it is a part of the one above."""
+    """Labels and values; an indented label is a part of the one above."""
 
     caption: str
     values: dict
@@ -31,10 +31,10 @@ class Facts:
 class Rows:
     """A table that can be sorted.
 
-    ``where`` names the file or attribute with all rows, if not all are shown; ``left_out`` is the number of rows that
-    were left out already. ``marks`` is the style of cells with a certain text: good, bad or open. A table that is
-    ``complete`` shows all rows unless there is a limit; it is folded where it is long, and its cells are rounded, so
-    that pages are small.
+    ``where`` names the file or attribute that contains all rows, if not all are shown; ``left_out`` is the number of
+    rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A ``complete``
+    table shows all rows unless there is a limit; a long one is collapsed, and its cells are rounded to keep pages
+    small.
     """
 
     caption: str

@@ -1,4 +1,4 @@
-"""Labels and values of a result; a label with two blanks before it is a part of the one above."""
+"""Labels and values of results; a label that begins with two blanks is a part of the one above."""
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def _required(summary: dict) -> dict:
 
 
 def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
-    """Return each class of targets, the fibers on it, and where more is not excluded, how many there can be.
+    """Return each class of targets, the number of fibers on it and, if more are possible, an upper limit.
 
     There are at most ``most`` lines; if there are more classes, the last line sums up all others.
     """
@@ -103,7 +103,7 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
         found.append((label, round(abs(value)), proof))
     rest = objectives[len(found) :]
     if rest:
-        # the last line of a summary may stand for many classes itself
+        # the last line of a summary can itself stand for many classes
         last, _, words = rest[-1][0].partition(" ")
         n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
         found.append(

@@ -1,4 +1,4 @@
-"""A page as HTML: one file that loads no other."""
+"""Conversion of a page to HTML: a single file that loads no others."""
 
 import base64
 import hashlib
@@ -29,7 +29,7 @@ MAX_ROWS = 1000  # of a table, by default
 
 
 def html_of(page: Page, max_rows: int | None) -> str:
-    """Return a page as text, with tables of at most that many rows; None is the default of each table."""
+    """Return a page as HTML, with tables of at most ``max_rows`` rows; None stands for the default of each table."""
     return _template().render(
         page=page,
         max_rows=max_rows,
@@ -80,7 +80,7 @@ def _asset(name: str) -> str:
 
 
 def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
-    """Return how many rows of a table are shown, and its columns."""
+    """Return the number of rows of a table that are shown, and its columns."""
     most = max_rows if max_rows is not None else len(block.table) if block.complete else MAX_ROWS
     table = block.table[:most]
     columns = []
@@ -93,7 +93,7 @@ def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
 
 
 def _sorting_key(value: object) -> str:
-    """Return a number in full, and nothing for other values."""
+    """Return a number with all digits, and empty text for other values."""
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
     return repr(float(value)) if number else ""
 
@@ -113,7 +113,7 @@ def _plain(value: object, number: Callable = number_text) -> str:
 
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
-    """Return dicts in dicts beside each other, with a name each; numbers in full."""
+    """Return nested dicts as separate dicts by name, with all digits of numbers."""
     groups = {name: {str(k): _plain(v, _exactly) for k, v in values.items() if not (isinstance(v, dict) and v)}}
     for key, value in values.items():
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Numbers as text: four significant digits, and the same number of decimals in a column."""
+"""Conversion of numbers to text: four significant digits, with the same number of decimals in a column."""
 
 import math
 
@@ -7,7 +7,7 @@ import numpy as np
 __all__ = ["column_texts", "number_text"]
 
 DIGITS = 4
-SMALL, LARGE = 1e-4, 1e7  # beyond them, numbers have an exponent
+SMALL, LARGE = 1e-4, 1e7  # numbers outside have an exponent
 WIDE = 100  # a column whose numbers differ by more cannot have the same decimals
 
 
@@ -23,7 +23,7 @@ def number_text(value: object) -> str:
 
 
 def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
-    """Return the numbers of a column as text, with the same decimals where that loses no digits."""
+    """Return the numbers of a column as text, with the same number of decimals if no digits are lost."""
     values = np.asarray(values)
     if values.dtype.kind != "f":
         return [number_text(v) for v in values.tolist()]

@@ -43,7 +43,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
 
 
 def page_of_tiling(tiling: Tiling, where: str) -> Page:
-    """Return a page on where tiles are."""
+    """Return a page on a tiling."""
     summary, table = tiling.summary, tiling.table
     highlights = {"tiles": len(tiling)}
     highlights |= {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}

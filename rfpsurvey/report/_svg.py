@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page: with unique ids, without style sheets, and with the gray levels of the page."""
+"""Figures as SVG for a page: with unique ids, without style sheets, and with gray levels that the page defines."""
 
 import base64
 import io
@@ -11,8 +11,8 @@ import numpy as np
 
 __all__ = ["dark_grays", "svg_of"]
 
-# In a figure of more points than this, artists of many points become images inside the SVG: the arms of 4000
-# positioners would be megabytes of paths.
+# In figures with more points than this, artists with many points become images inside the SVG. As paths, the arms of
+# 4000 positioners would take megabytes.
 MOST_POINTS = 60_000
 MANY_POINTS = 2000
 DPI = 200
@@ -24,12 +24,12 @@ LONG = re.compile(r"(-?\d+\.\d\d)\d+")
 REFERENCE = re.compile(r"url\(#([^)]*)\)")
 GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
 USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
-# what black and white become on a dark screen; colors stay as they are, since they may stand for values
+# replacements of black and white on a dark screen; colors do not change, because they can represent values
 DARK_INK, DARK_PAPER = np.array([226, 229, 233]), np.array([22, 25, 29])
 
 
 def svg_of(figure, name: str) -> dict:
-    """Return the content of a figure's SVG, whose ids begin with a name, its box and width, and whether it is wide."""
+    """Return the content of the SVG of a figure, its box and width, and whether it is wide; ids begin with a name."""
     from matplotlib import rc_context
 
     figure = getattr(figure, "figure", figure)
@@ -52,7 +52,7 @@ def svg_of(figure, name: str) -> dict:
 
 
 def dark_grays(page: str) -> str:
-    """Return the style sheet that gives the grays of a page's figures another value on a dark screen."""
+    """Return the style sheet that changes the grays of the figures of a page on a dark screen."""
     lines = []
     for gray in sorted(set(USED_GRAY.findall(page))):
         light = int(gray, 16) / 255
@@ -63,7 +63,7 @@ def dark_grays(page: str) -> str:
 
 @contextmanager
 def _heavy_as_images(figure) -> Iterator[None]:
-    """Draw artists of very many points as images within this context."""
+    """Draw artists with very many points as images within this context."""
     points = {artist: _points(artist) for artist in figure.findobj(lambda a: not a.get_rasterized())}
     crowded = sum(points.values()) > MOST_POINTS
     heavy = [artist for artist, number in points.items() if crowded and number > MANY_POINTS]
@@ -86,12 +86,12 @@ def _points(artist) -> int:
     if not isinstance(artist, Collection):
         return 0
     paths = artist.get_paths() or ()
-    copies = max(len(artist.get_offsets()) // max(len(paths), 1), 1)  # a path may be drawn at many places
+    copies = max(len(artist.get_offsets()) // max(len(paths), 1), 1)  # a path can be drawn at many positions
     return copies * sum(map(len, paths))
 
 
 def _local(name: str) -> str:
-    """Return the name without its namespace; a page of HTML needs none."""
+    """Return the name without its namespace, which HTML does not require."""
     return name.rpartition("}")[2]
 
 
@@ -103,7 +103,7 @@ def _remove(root, names) -> None:
 
 
 def _new_names(root, prefix: str) -> dict[str, str]:
-    """Return new names of the ids that something refers to, in the order of the document."""
+    """Return new names of the ids to which elements refer, in the order of the document."""
     used = set()
     for element in root.iter():
         for name, value in element.attrib.items():
@@ -123,7 +123,7 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
             attributes[key] = f"#{names[value[1:]]}"
         elif key == "href" and value.startswith(IMAGE):
             attributes[key] = IMAGE + _with_palette(value[len(IMAGE) :])
-        elif key == "d":  # a hundredth of a point is enough
+        elif key == "d":  # a precision of a hundredth of a point suffices
             attributes[key] = LONG.sub(r"\1", value)
         elif key == "style":
             value = REFERENCE.sub(lambda m: f"url(#{names[m[1]]})", value)
@@ -133,7 +133,7 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
 
 
 def _with_palette(image: str) -> str:
-    """Return a PNG with 256 colors, a third of the size: lines have few."""
+    """Return a PNG with 256 colors, which reduces its size to a third; drawings of lines have few colors."""
     from PIL import Image
 
     file = io.BytesIO()

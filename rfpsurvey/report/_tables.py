@@ -1,4 +1,4 @@
-"""The pages of estimates and of tables: any, allocators and instruments side by side, and the claims of the paper."""
+"""Pages on estimates and tables: any table, comparisons of allocators and of instruments, the claims of the paper."""
 
 from pathlib import Path
 
@@ -60,7 +60,7 @@ FIGURES = {
         "Methods to the lower left are better.",
     ),
 }
-"""Name of a figure to its caption, and to a description of all that it shows."""
+"""Name of a figure to its caption and a description."""
 
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
@@ -99,7 +99,7 @@ def _count(n, word) -> str:
 
 
 def page_of_allocators(table: Table, where: str) -> Page:
-    """Return a page on methods of allocation side by side."""
+    """Return a page on a comparison of allocators."""
     meta = table.meta
     words = (
         f"One field of {meta['instrument']}, planned in {len(table)} ways. If arms could pass each other, "
@@ -125,7 +125,7 @@ def page_of_allocators(table: Table, where: str) -> Page:
 
 
 def page_of_instruments(table: Table, where: str) -> Page:
-    """Return a page on instruments side by side."""
+    """Return a page on a comparison of instruments."""
     meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
     lead = f"{', '.join(names)}; fields of each: {meta['n_fields']}, {meta['way']}."
     seen = (
@@ -160,7 +160,7 @@ def page_of_claims(table: Table, where: str) -> Page:
 
 
 def _experiment(name, folder) -> list:
-    """Return figures and tables of an experiment, from the folder that it was written to."""
+    """Return figures and tables of an experiment, from the folder with its output."""
     if folder is None:
         return []
     tables = {key: read_table(Path(folder) / f"{key}.ecsv") for key in TABLES[name]}

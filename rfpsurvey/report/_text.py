@@ -1,13 +1,13 @@
-"""Text without characters that a page cannot contain."""
+"""Removal of characters that a page cannot contain."""
 
 import unicodedata
 
 __all__ = ["text_of"]
 
 BAD = ("Cc", "Cn", "Co", "Cs")
-"""Categories of characters that are no text: control characters, those without a meaning, halves of pairs."""
+"""Unicode categories of characters that are not text: control, unassigned and surrogate characters."""
 TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
-"""Change the direction of all that follows."""
+"""Characters that change the direction of the text that follows."""
 
 
 def text_of(value: object) -> str:

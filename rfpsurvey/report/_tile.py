@@ -42,12 +42,12 @@ ASSIGNMENTS = (
     "in_collision",
 )
 VARYING = ("kind", "fiber_type", "spectrograph")
-"""Columns of the assignments that are shown if they have more than one value."""
+"""Columns of the assignments that are shown only if they have more than one value."""
 NARROW = 25
-MARGIN = 4  # radii of patrol areas about the place that is shown larger
+MARGIN = 4  # radii of patrol areas around the point that is shown enlarged
 MOST_OBJECTIVES = 12
-TITLE = 0.35  # inches, of the title that a caption replaces
-LITTLE = 60  # positioners that need no part shown larger
+TITLE = 0.35  # inches, height of the title that a caption replaces
+LITTLE = 60  # positioners; a larger focal plane has a part shown enlarged
 
 
 def page_of_tile(tile: Tile, where: str) -> Page:
@@ -94,7 +94,7 @@ def _title(name, parameters) -> str:
 
 
 def _asked(tile) -> dict:
-    """Return the request, with units in words."""
+    """Return the request as labels and values, with units."""
     p, catalog = tile.provenance["parameters"], tile.provenance["catalog"]
     asked = {"instrument": tile.provenance["instrument"]["name"], "allocator": p["allocator"]}
     if "ra_deg" in p:
@@ -127,7 +127,7 @@ def _objectives(tile) -> list:
 
 
 def _completeness(tile) -> list:
-    """Return how many targets of each class are assigned, as a figure and as a table."""
+    """Return a figure and a table of the numbers of assigned targets of each class."""
     words = "Targets of the field; observed are those that are assigned, and not in collision."
     axes = plot_quality(tile)
     axes[0].set_title("", loc="left")
@@ -177,7 +177,7 @@ def _draw(tile, region=None):
 
 
 def _crowded(tile) -> u.Quantity:
-    """Return the corners of a square with the most collisions in it, or with the least clearance."""
+    """Return the corners of a square that contains the most collisions or, without any, the smallest clearance."""
     xy = np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
     colliding = np.asarray(tile.table["in_collision"])
     outer = np.max(tile.table.meta["geometry"]["outer_radius_mm"])
@@ -189,13 +189,13 @@ def _crowded(tile) -> u.Quantity:
     else:
         clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
         center = xy[clearance.argmin()]
-    # no farther out than there are positioners
+    # not beyond the outermost positioners
     center = np.clip(center, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
     return np.stack([center - half, center + half]) * u.mm
 
 
 def _collisions(tile, where) -> list:
-    """Return the positioners that collide, and those that barely do not."""
+    """Return tables of the positioners in collision, and of those with the smallest clearances."""
     table = tile.table[[c for c in COLUMNS if c in tile.table.colnames and not _empty(tile.table[c])]]
     colliding = np.asarray(tile.table["in_collision"])
     clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
@@ -211,7 +211,7 @@ def _collisions(tile, where) -> list:
 
 
 def _assignments(tile, where) -> list:
-    """Return all positioners with a target."""
+    """Return a table of all positioners with a target."""
     table = tile.table[np.isin(tile.table["status"], ("assigned", "out_of_reach"))]
     if len(table) == 0:
         return [Text("No positioner has a target.")]

@@ -1,4 +1,4 @@
-"""From a result to a file."""
+"""The function that writes reports."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -36,18 +36,18 @@ PAGES: dict[type, Callable[..., Page]] = {
     Estimate: page_of_estimate,
     Table: page_of_table,
 }
-"""Type of a result to function of the result, and the name of the file with all of it -> page."""
+"""Type of a result to the function (result, name of the file with the whole result) that returns its page."""
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
     "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
-"""What ``meta["made_by"]`` of a table says, to the function for it and what it needs; others get a plain page."""
+"""``meta["made_by"]`` of a table to its function and required columns; other tables have a plain page."""
 ENDINGS = (".html", ".htm")
 
 
 def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
-    """Return the path if a report can go there."""
+    """Return the path if a report can be written there, or raise an error."""
     return check_output(path, ENDINGS, overwrite=overwrite)
 
 
@@ -62,35 +62,35 @@ def write_report(
     data: str | os.PathLike | None = None,
     max_rows: int | None = None,
 ) -> None:
-    """Write one page of HTML on a result: figures, tables that can be sorted, and where it comes from.
+    """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
-    The page is a single file that needs no network: styles, script and figures (as SVG) are in it, and it fetches
-    nothing. The same result gives the same bytes.
+    The page is a single file that contains its styles, script and figures (as SVG), and loads nothing from a network.
+    The same result gives the same bytes.
 
     Parameters
     ----------
     result : Tile, Survey, Tiling, Estimate, Table or QTable
-        What the page is about. A table is shown with its ``meta``; those of `compare_allocators`,
-        `compare_instruments` and `~rfpsurvey.reproduction.reproduce` get pages of their own.
+        Result to show. A table is shown with its ``meta``; tables of `compare_allocators`, `compare_instruments` and
+        `~rfpsurvey.reproduction.reproduce` have special pages.
     path : str or path-like
-        Ends in ``.html`` or ``.htm``.
+        Path that ends in ``.html`` or ``.htm``.
     overwrite : bool, optional
-        Replace a file that exists.
+        Whether to replace an existing file.
     title : str, optional
-        Heading of the page; by default it says what the result is.
+        Heading of the page; by default it describes the result.
     figures : matplotlib Figure or Axes, sequence of them, or dict, optional
         Further figures, for example ``rs.plot.plot_speed_accuracy(table)``; the keys of a dict are their captions,
         whose first sentence is in bold.
     data : str or path-like, optional
-        File that holds the whole result. Where a table leaves out rows, the page names this file, without its folder.
+        File with the whole result. If a table omits rows, the page names this file, without its folder.
     max_rows : int, optional
-        Rows that a table shows at most; it says how many there are. By default, the list of all assignments of a tile
-        is complete, and other tables show 1000 rows.
+        Largest number of rows of a table; the page states the number of all rows. By default, the list of all
+        assignments of a tile is complete, and other tables show 1000 rows.
 
     Raises
     ------
     InputError
-        If there is no page for such a result, the path has another ending or exists, or a figure is none.
+        If there is no page for this type of result, the path has another ending or exists, or a figure is not valid.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def write_report(
     pictures = _pictures(figures)
     page = _page_of(result, "" if data is None else to_path(data).name)
     if title is not None:
-        page = replace(page, title=str(title))  # not a type that marks itself as safe HTML
+        page = replace(page, title=str(title))  # a plain str, since other types can mark themselves as safe HTML
     if pictures:
         page = replace(page, sections=[Section("Figures", pictures), *page.sections])
     content = html_of(page, max_rows).encode()
@@ -126,7 +126,7 @@ def _page_of(result, where: str) -> Page:
         if isinstance(result, kind):
             made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None
             own, columns = MADE_BY.get(made_by, (build, set()))
-            complete = not columns or columns <= set(result.colnames)  # a selection is a table like others
+            complete = not columns or columns <= set(result.colnames)  # a selection of columns has a plain page
             return (own if complete else build)(result, where)
     known = ", ".join(kind.__name__ for kind in PAGES)
     raise InputTypeError(f"a report is about one of: {known}; got {type(result).__name__}")

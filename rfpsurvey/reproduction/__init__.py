@@ -1,4 +1,4 @@
-"""The paper's own experiments, run again."""
+"""Reproduction of the experiments of Chen et al. (2024)."""
 
 from rfpsurvey.reproduction._reproduce import EXPERIMENTS, TABLES, reproduce
 

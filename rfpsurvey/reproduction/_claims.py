@@ -1,4 +1,4 @@
-"""The claims of the paper, and the results here."""
+"""The claims of the paper, and the results of this package."""
 
 from dataclasses import dataclass, fields
 
@@ -12,7 +12,7 @@ REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "cannot 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper, and our result."""
+    """A claim of the paper, and the result of this package."""
 
     experiment: str
     claim: str
@@ -23,12 +23,12 @@ class Claim:
 
 
 def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
-    """Return the verdict whether the paper's number lies within ``sigmas`` errors of ours."""
+    """Return the verdict, which depends on whether the two numbers differ by at most ``sigmas`` errors."""
     return REPRODUCED if abs(paper - ours) <= sigmas * error else NOT_REPRODUCED
 
 
 def claims_table(claims: list[Claim]) -> QTable:
-    """Return the claims, a row each."""
+    """Return a table with a row for each claim."""
     names = [f.name for f in fields(Claim)]
     return QTable([[getattr(c, name) for c in claims] for name in names], names=names)
 

@@ -1,4 +1,4 @@
-"""The paper's designs, and their estimates."""
+"""The designs of the paper, and estimates of their collision probabilities."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -31,7 +31,7 @@ N_TARGETS = 20_000
 SMALL = {"rings": 2, "radius": 76.8 * u.mm}
 LARGE = {"rings": 12, "radius": 200 * u.mm}
 MOST_ENTRIES = 32
-"""Queues of hundreds are thinned to this: more realizations of less work."""
+"""Long queues are thinned to this number of entries, since more but faster realizations are more efficient."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Settings:
 
 
 def plane_of(l1: float, ratio: float, pitch: float, rings: int) -> FocalPlane:
-    """Return the array of a design; lengths in mm."""
+    """Return the focal plane of a design; lengths are in mm."""
     unit = Positioner(l1 * u.mm, l1 * ratio * u.mm, D / 2 * u.mm)
     return FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
 
@@ -78,7 +78,7 @@ def numbers_of(design: Row) -> tuple[float, float, float]:
 def estimate(
     l1: float, ratio: float, pitch: float, layout: dict, settings: Settings, seed: list[int], **options: object
 ) -> Estimate:
-    """Return the estimate of a design, by default of allocated uniform targets."""
+    """Return the estimate for a design, by default with allocated uniform targets."""
     plane = plane_of(l1, ratio, pitch, layout["rings"])
     options = {"targets": RandomTargets(), "precision": settings.precision, **options}
     if options.get("method", "conditional") == "conditional":
@@ -100,5 +100,5 @@ def error_of_fraction(p: float, n: int) -> float:
 
 
 def each(task: Callable, jobs: list, settings: Settings) -> list:
-    """Return the results of all jobs, in their order, with a bar."""
+    """Return the results of all jobs in their order, and show the progress."""
     return map_with_progress(settings.executor, settings.progress, "jobs", task, jobs)

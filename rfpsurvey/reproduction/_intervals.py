@@ -1,4 +1,4 @@
-"""Coverage of the confidence intervals, with the stopping rule in use."""
+"""Coverage of the confidence intervals for each stopping rule."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ CONFIDENCE = 0.95
 
 
 def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the coverage of all intervals and stopping rules, and claims."""
+    """Return the coverage of all intervals and stopping rules, and the claims."""
     table = coverage(settings)
     claims = []
     for scene in SCENES:

@@ -1,4 +1,4 @@
-"""469 positioners of random designs: the formula against simulation, and the fit."""
+"""Random designs with 469 positioners: comparison of formula and simulation, and the fit."""
 
 import astropy.units as u
 import numpy as np
@@ -14,7 +14,7 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Half width of an interval over the value after a proper number of iterations: the paper does not state it."""
+"""Relative half width of an interval after a proper number of iterations; the paper does not state it."""
 NORMALIZATIONS = {
     "scaled to 0 and 1": scaled,
     "divided by the largest": lambda v: v / v.max(),
@@ -22,7 +22,7 @@ NORMALIZATIONS = {
 
 
 def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return estimates of all designs, plain simulations of named ones, and claims."""
+    """Return estimates of all designs, plain simulations of named designs, and the claims."""
     designs = random_designs(settings)
     jobs = [(way, k) for way in WAYS for k in range(len(designs))]
 
@@ -52,7 +52,7 @@ def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **option
 
 
 def _differences(table, settings):
-    """Compare the formula with simulation after normalization, as the paper does; errors from resampled designs."""
+    """Compare the normalized results of formula and simulation as in the paper; errors are from resampled designs."""
     rng = np.random.default_rng([settings.seed, 1])
     samples = rng.integers(0, len(table), (2000, len(table)))
     rows = []
@@ -126,7 +126,7 @@ def _of_differences(table, differences):
 
 
 def _plain(settings):
-    """Return plain simulations, 6000 iterations as in the paper, beside conditional ones."""
+    """Return plain simulations with 6000 iterations, as in the paper, and conditional ones."""
 
     def run(name):
         seed = [settings.seed, 6000, list(NAMED).index(name)]
@@ -169,7 +169,7 @@ def _of_plain(plain):
 
 
 def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the polynomial with random quarters of the designs held back, and how good the surrogate is."""
+    """Return the fits with random quarters of the designs held back, and the errors of the surrogate."""
     table = large(settings)[0]["large"] if table is None else table
     claims, rows = [], []
     for way in ("range_200", "covered"):
@@ -204,7 +204,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
 
 
 def _surrogate(settings):
-    """Compare the surrogate with quadratures at designs of the paper's box that were not used to make it."""
+    """Compare the surrogate with quadratures for designs in the paper's box that were not used to make it."""
     rng = np.random.default_rng([settings.seed, 300])
     n = settings.pick(300, 20)
     l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1.0), (14.5, 2, 35, 7.0), (n, 4)).T

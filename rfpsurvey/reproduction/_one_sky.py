@@ -1,4 +1,4 @@
-"""Coverage of the interval from one sky: how often it contains the expectation over all skies of its kind."""
+"""Coverage of the interval from one sky: how often it contains the mean over all skies of the same kind."""
 
 import astropy.units as u
 import numpy as np
@@ -24,11 +24,11 @@ CLUSTERED = {
     "clusters of 6, 5 mm": [(arms, rings) for arms in ("LAMOST", "SDSS-V") for rings in (3, 5)],
     "clusters of 60, 40 mm": [("LAMOST", 5), ("SDSS-V", 5)],
 }
-"""Planes that are tried with clustered targets, too."""
+"""Focal planes that are also simulated with clustered targets."""
 CLUSTERS = {"clusters of 6, 5 mm": (6.0, 5.0), "clusters of 60, 40 mm": (60.0, 40.0)}
 """Mean number of targets in a cluster, and its standard deviation in x and y (mm)."""
 MOST_LARGE = 800
-"""Skies for planes of 200 positioners or more; smaller ones get 2000."""
+"""Number of skies for planes of 200 positioners or more; smaller planes have 2000."""
 CONFIDENCE = 0.95
 
 

@@ -1,4 +1,4 @@
-"""Uniform targets against Poisson-distributed ones, in every reading of the paper."""
+"""Comparison of uniform and Poisson-distributed targets, for every reading of the paper."""
 
 from itertools import pairwise
 
@@ -24,22 +24,22 @@ __all__ = ["drops_by_ratio", "poisson"]
 PAPER = 2.6
 """Percentage by which uniform targets collide more often than Poisson-distributed ones."""
 MARGIN = 0.2
-"""Percentage points that a value of ours may differ, or two standard errors if these are more."""
+"""Tolerance of a result in percentage points; two standard errors if these are larger."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
 """Minimum separations (mm) of Poisson-disc targets. Random addition of 20,000 discs within 200 mm jams at 2.09 mm."""
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Name of the reading to minimum separation (mm)."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
-"""Name of each reading to its place in the seeds."""
+"""Name of each reading to its index in the seeds."""
 DISC_DESIGNS = 24
-"""Number of designs with disc targets, the first ones and LAMOST's: each is compared with uniform targets."""
+"""Number of designs with disc targets: the first designs and that of LAMOST are compared with uniform targets."""
 DISC_ERROR = 3e-3
-"""Standard error of a design with disc targets, as a fraction of its value: dense sets take long to draw."""
+"""Relative standard error of a design with disc targets; drawing dense sets takes a long time."""
 LAMOST_ERROR = 0.4
-"""Standard error of LAMOST's design over that of the others: it is compared on its own."""
+"""Ratio of the standard error of LAMOST's design, which is compared on its own, to that of the others."""
 FEW_ERROR = 5e-3
-"""Standard error of a design whose targets reach few positioners: 0.2 % of the mean over designs needs no more."""
+"""Standard error of a design whose targets are in reach of few positioners; that of the mean is then 0.2 %."""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
 """Edges of ranges of the ratio of the arms."""
 
@@ -154,7 +154,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 def _of_reading(name, table):
     """Compare averages over all designs and those of small ratios, and the last design, LAMOST's, with the paper.
 
-    The paper averages over its designs. Where a part of the designs alone agrees, its text does not decide.
+    The paper averages over its designs. If only some of the designs agree, its text does not determine the verdict.
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]

@@ -1,4 +1,4 @@
-"""Run the paper's experiments, write tables and figures, and judge the claims."""
+"""Run the experiments of the paper, write tables and figures, and compare the results with the claims."""
 
 import os
 import platform
@@ -54,38 +54,39 @@ def reproduce(
     overwrite: bool = False,
     progress: bool = False,
 ) -> QTable:
-    """Rerun the experiments of Chen et al. (2024), arXiv:2409.07288, and judge each claim.
+    """Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with its claims.
 
     Parameters
     ----------
     experiment : {"all", "small", "large", "poisson", "fit", "intervals", "speed"}, optional
-        ``small``: 19 positioners, scans of arm ratio and pitch. ``large``: 469 positioners, 80 random designs, formula
-        against simulation. ``poisson``: the same designs with Poisson-distributed targets in every reading. ``fit``:
-        the polynomial, and the surrogate at designs that were not used to make it. ``intervals``: how often intervals
-        contain the truth, including those of given targets. ``speed``: arms of 64 segments against swept areas.
+        ``small``: scans of arm ratio and pitch with 19 positioners. ``large``: comparison of formula and simulation
+        for 80 random designs with 469 positioners. ``poisson``: the same designs with Poisson-distributed targets,
+        for every reading of the paper. ``fit``: the polynomial, and the surrogate for designs that were not used to
+        make it. ``intervals``: how often confidence intervals contain the true value, including intervals of given
+        targets. ``speed``: speed of arms of 64 segments compared with swept areas.
     folder : str or path, optional
         Folder of the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); created if it is missing.
     quick : bool, optional
-        Few designs, repeats and iterations: to test the code, not the claims.
+        Whether to use few designs, repeats and iterations, which tests the code, not the claims.
     workers : int, optional
-        Threads; as many as there are cores by default. Results do not depend on it.
+        Number of threads, by default the number of cores. Results do not depend on it.
     rng : int, optional
         Seed.
     overwrite : bool, optional
-        Replace outputs of an earlier run.
+        Whether to replace outputs of an earlier run.
     progress : bool, optional
-        Show lines on the standard error.
+        Whether to show the progress on the standard error.
 
     Returns
     -------
     QTable
-        A row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or cannot be decided
-        from the text), reading. ``meta`` holds the settings, and the ``folder`` with the tables.
+        Table with a row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or
+        cannot be decided from the text), reading. ``meta`` contains the settings, and the ``folder`` of the tables.
 
     Raises
     ------
     InputError
-        If the name is unknown, or outputs are there already.
+        If the name is unknown, or outputs exist and ``overwrite`` is False.
 
     References
     ----------

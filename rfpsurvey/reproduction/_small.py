@@ -1,4 +1,4 @@
-"""19 positioners: probability against arm ratio and pitch."""
+"""Collision probability of 19 positioners as a function of arm ratio and pitch."""
 
 import astropy.units as u
 import numpy as np
@@ -11,13 +11,13 @@ __all__ = ["small"]
 
 L1, PITCH = 8.25, 25.6
 RAPIDLY = 2.0
-"""Factor by which a probability must change over a scan: the paper does not state one."""
+"""Factor by which a probability must change over a scan; the paper does not state one."""
 COMPARABLE = 0.1
-"""Largest difference of normalized curves that are comparable: the paper does not state one."""
+"""Largest difference of normalized curves that count as comparable; the paper does not state one."""
 
 
 def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the scans of ratio and pitch, and what the paper says about them."""
+    """Return the scans of ratio and pitch, and the claims about them."""
     ratios, pitches = np.linspace(1, 3, settings.pick(9, 3)), np.linspace(25.6, 35, settings.pick(9, 3))
     scans = {
         "ratio": [(L1, r, PITCH) for r in ratios],

@@ -1,4 +1,4 @@
-"""Arms of 64 segments against swept areas, and against exact distances."""
+"""Speed of arms of 64 segments, compared with swept areas and with exact distances."""
 
 import numpy as np
 from astropy.table import QTable
@@ -10,11 +10,11 @@ from rfpsurvey.reproduction._designs import Settings
 __all__ = ["speed"]
 
 FAR_LESS = 1.0
-"""Per cent of the time of swept areas above which the claim is refuted, whatever the machines were."""
+"""Percentage of the time of swept areas above which the claim is refuted, independent of the machines."""
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return times of all methods of finding collisions for LAMOST, and what the paper says about two of them."""
+    """Return the times of all methods of finding collisions for LAMOST, and the claims about two of them."""
     table = benchmark_collisions(
         "lamost",
         methods=["exact", "sampled", "sweep", "scipy"],

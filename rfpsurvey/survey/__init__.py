@@ -1,4 +1,4 @@
-"""Whole surveys: tile after tile, until targets are observed as often as they are wanted."""
+"""Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey.survey._plan import plan_survey
 from rfpsurvey.survey._survey import Survey

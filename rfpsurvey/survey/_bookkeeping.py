@@ -1,4 +1,4 @@
-"""The state of all targets of a survey: visits wanted and left, and outcomes, in a few bytes per target."""
+"""The state of all targets of a survey: requested and remaining visits, and outcomes, in a few bytes per target."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ class Tally:
     names : list of str
         Names of the classes.
     wanted : ndarray of int
-        How often each target is wanted, by slot.
+        Requested number of visits of each target, by slot.
     n_passes : int
         Number of passes.
     """
@@ -39,7 +39,7 @@ class Tally:
 
 
 class Bookkeeping:
-    """Counts visits by slot; the order in which tiles that share no target are entered does not matter.
+    """Counts visits by slot; the result does not depend on the order of tiles that share no target.
 
     Parameters
     ----------
@@ -48,15 +48,15 @@ class Bookkeeping:
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
-        Which targets that are no science targets are in use; None: none of them.
+        Which of the targets that are not science targets are in use; None for none of them.
     in_turn : bool
-        Whether passes come one after the other.
+        Whether the passes are planned one after the other.
     """
 
     def __init__(self, visits, priority, kind, category, *, n_passes: int, others, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
-        # sky and standards are there for every tile that asks for them
+        # all tiles with such requirements may use sky positions and standards
         self.left = self.wanted.copy()
         self._spend = None
         if science is not None and others is not None:
@@ -67,7 +67,8 @@ class Bookkeeping:
         classes = category_classes(category, self.wanted)
         if len(classes[1]) > 1:
             self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
-        # the last pass, by number, with a visit of each target; where passes come in turn, it is that of the last tile
+        # the number of the last pass with a visit of each target; if passes are planned in turn, it is that of the
+        # last tile
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
@@ -92,7 +93,7 @@ class Bookkeeping:
         return len(slot)
 
     def done(self) -> np.ndarray:
-        """Return how often each target was observed."""
+        """Return the number of times that each target was observed."""
         done = self.wanted - self.left
         if self._spend is not None:
             done[~self._spend] = 0
@@ -108,7 +109,7 @@ class Bookkeeping:
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return those of some targets without a visit that counts, and the outcome of each: why there is none."""
+        """Return those of some targets without a visit that counts, and their outcomes, which state the reasons."""
         slot = slot[(self.flags[slot] & DONE) == 0]
         code = _outcomes_by_flags(self.flags[slot])
         code[self.left[slot] == 0] = Outcome.NOT_REQUESTED

@@ -1,7 +1,7 @@
-"""A survey on disk: a part for each tile, an index of checksums, and a note of what was asked.
+"""A survey on disk: a part for each tile, an index of checksums, and the request.
 
-Parts are renamed into place when they are whole. A line of the index follows, so that a part without one is not
-trusted, and a line that was cut off is no line.
+A part gets its name when it is complete, and a line of the index is written after it. Parts without a line are
+therefore not used, and incomplete lines are ignored.
 """
 
 import hashlib
@@ -28,18 +28,18 @@ LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
 
 
 class Folder:
-    """The folder of a run, locked as long as the run lasts.
+    """The folder of a run, which is locked during the run.
 
     Parameters
     ----------
     path : str or path-like
-        Where it is, or shall be.
+        Path of the folder, which need not exist.
     request : dict
-        What the run is asked to do: a run is continued by the same request only.
+        The request of the run; a run can only be continued with the same request.
     n_tiles : int
         Number of tiles.
     resume : bool
-        Continue what is there?
+        Whether to continue an unfinished run.
     """
 
     def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool):
@@ -92,7 +92,7 @@ class Folder:
             if n_strange or len(self._known) < len(known):
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
                 warn(text)
-        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # by a run that was killed
+        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # remains of a run that was killed
             if left_over.is_dir():
                 shutil.rmtree(left_over, ignore_errors=True)
             else:
@@ -105,7 +105,7 @@ class Folder:
         write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
 
     def _compare(self, before: dict):
-        """Refuse to continue another survey than the one that was begun."""
+        """Raise an error if the request differs from that of the unfinished survey."""
         now = dict(self._request)
         warn_of_software(self.path, before.pop("software", None), now.pop("software", None), "tiles")
         if "method" in before:
@@ -113,7 +113,7 @@ class Folder:
         check_request(self.path, before, now, "survey", "folder")
 
     def part(self, tile: int) -> bytes | None:
-        """Return the part of a tile (by row), None if there is none that can be trusted."""
+        """Return the part of a tile (by row); None if there is no valid one."""
         name = part_name(tile)
         if name not in self._known:
             return None
@@ -124,7 +124,7 @@ class Folder:
             return None
 
     def distrust(self, tile: int, reason: str) -> None:
-        """Say that a part cannot be used."""
+        """Issue a warning that a part cannot be used."""
         text = f"tile {tile} (by row) is planned again: {reason}"
         warn(text)
 
@@ -136,7 +136,7 @@ class Folder:
         self.put(name, content)
 
     def put(self, name: str, content: bytes) -> None:
-        """Write a file, and then its line of the index."""
+        """Write a file, followed by its line of the index."""
         write_bytes(self.path / name, content)
         self._known[name] = len(content), hashlib.sha256(content).hexdigest()
         with self._told(), (self.path / INDEX).open("a") as file:
@@ -144,19 +144,19 @@ class Folder:
 
     @contextmanager
     def _told(self):
-        """Turn errors of the system into a sentence."""
+        """Convert errors of the operating system to an InputError."""
         try:
             yield
         except OSError as error:
             raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
 
     def finish(self) -> None:
-        """Sort the index: the same survey has the same index, however it was made."""
+        """Sort the index, so that it does not depend on the order in which tiles were planned."""
         self._write_index(sorted(self._known.items()))
 
 
 def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> bytes:
-    """Return the content of a file of a survey, if it is what was written."""
+    """Return the content of a file of a survey; raise an error if its checksum differs."""
     try:
         content = (path / name).read_bytes()
     except FileNotFoundError:
@@ -169,12 +169,12 @@ def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> b
 
 
 def read_index(path: Path) -> dict[str, tuple[int, str]]:
-    """Return size and checksum of each file; lines that were cut off are left out."""
+    """Return size and checksum of each file; incomplete lines are omitted."""
     return _read_index(path)[0]
 
 
 def _read_index(path: Path):
-    """Return what the index says, and the number of lines before the last that say nothing."""
+    """Return the entries of the index, and the number of invalid lines before the last one."""
     try:
         text = (path / INDEX).read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -191,13 +191,13 @@ def _line(name: str, entry: tuple[int, str]) -> str:
 
 
 def _belongs(name: str, n_tiles: int) -> bool:
-    """Tell whether a survey of so many tiles has such a file."""
+    """Return whether a survey with ``n_tiles`` tiles has a file with this name."""
     stem = Path(name).stem
     return name in TABLES or (stem.isdigit() and int(stem) < n_tiles and name == part_name(int(stem)))
 
 
 def part_name(tile: int) -> str:
-    """Return the file of a tile (by row)."""
+    """Return the name of the file of a tile (by row)."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
 
 

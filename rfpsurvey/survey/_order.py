@@ -1,4 +1,4 @@
-"""The order in which tiles are planned: tiles that share targets one after the other, all others at the same time."""
+"""The order in which tiles are planned: one after the other if they share targets, otherwise at the same time."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ __all__ = ["ORDERS", "make_rounds"]
 
 
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
-    """Return a number for each tile such that no two tiles near each other (in a group) have the same one."""
+    """Return a number for each tile such that tiles of a group that are close to each other have different numbers."""
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
         index.vectors,
@@ -26,18 +26,18 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
 
 
 def _by_color(index, reach_rad, passes):
-    """Pass after pass; within a pass tiles of one color do not overlap, and colors take turns."""
+    """Return rounds of passes one after the other, and in each pass of colors; tiles of a color do not overlap."""
     color = _number(index, reach_rad, passes, smallest=True)
     return np.unique(np.column_stack([passes, color]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _as_given(index, reach_rad, passes):
-    """In the order of the list: a tile waits for those before it that overlap it."""
+    """Return rounds in the order of the list: a tile is planned after all earlier tiles that overlap it."""
     return _number(index, reach_rad, passes, smallest=False)
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Name to function from the index of the tiles, the largest distance of tiles that overlap, and passes to rounds."""
+"""Name to function from the index of tiles, the largest distance of overlapping tiles, and passes to rounds."""
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:
@@ -46,6 +46,6 @@ def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order
         return []
     index = SkyIndex(vectors)
     round_of = ORDERS[order](index, reach_rad, passes)
-    # neighbors on the sky follow each other, so that what was just read serves again
+    # neighbors on the sky follow each other, so that partitions just read are used again
     along = index.order[np.argsort(round_of[index.order], kind="stable")]
     return np.split(along, np.cumsum(np.bincount(round_of))[:-1])

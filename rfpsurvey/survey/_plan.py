@@ -1,4 +1,4 @@
-"""Plan a survey: tile after tile, until targets are observed as often as they are wanted."""
+"""The function that plans surveys."""
 
 import logging
 from collections.abc import Callable
@@ -53,78 +53,80 @@ def plan_survey(
     progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Survey:
-    """Plan tile after tile; a target leaves the list once it was observed as often as it is wanted.
+    """Plan the tiles of a survey such that each target is observed the requested number of times.
 
-    Each tile is planned as `plan_tile` plans it, by the same code. Tiles that share targets are planned one after the
-    other, all others at the same time if there is an executor: the plan does not depend on it. Required targets
-    (`AllocationOptions`) come first in every tile as long as visits of them are left; those that are standards or sky
-    positions are never used up, and are in use without requirements, too. Circles that no arm may cover are obstacles
-    of the tiles whose arms can touch them.
+    Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other;
+    an executor plans all others at the same time. The plan does not depend on the executor. Required targets
+    (`AllocationOptions`) take precedence in every tile as long as visits of them remain. Those that are standards or
+    sky positions can be used any number of times, even without requirements. Circles that no arm may cover are
+    obstacles for the tiles whose arms can touch them.
 
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
-        The targets; those of the kind ``standard`` and ``sky`` serve requirements, without which they are not
-        used, and are never used up.
+        The targets. Those of the kinds ``standard`` and ``sky`` are used only for requirements, and any number of
+        times.
     instrument : Instrument or str
-        The instrument, the name of a preset, or the path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file.
     tiling : Tiling, Table or SkyCoord
-        Where to point, see `place_tiles` and `Tiling.from_table`.
+        Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or str or callable, optional
-        The allocator and its options for every tile, or the allocator alone, see `AllocationOptions`. Processes find an
-        allocator by its name: a function is for threads only. A search that its time limit cuts short need not give
-        the same plan again.
+        The allocator with its options for every tile, or only the allocator; see `AllocationOptions`. Processes
+        require the name of an allocator; a function can only be used in threads. A plan whose search ends at the time
+        limit may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
-        How often each target is wanted, 0 to 255 times, at most once a tile; by default as the catalog says, else once.
-        Rows of a `PartitionedCatalog` are those of its ``read``.
+        Requested number of visits of each target, 0 to 255; by default that of the catalog, or one. A tile observes a
+        target at most once. The rows of a `PartitionedCatalog` are those of its method ``read``.
     passes : list of int, optional
-        Passes of the tiling to plan, in this order; all, ascending, by default.
+        Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional
-        Move the targets by their proper motions to this epoch.
+        Epoch to which the targets are moved by their proper motions.
     lost_in_collision : bool, optional
-        Does a target whose arm collides count as not observed? It is then wanted again.
+        Whether targets whose arms collide count as not observed, so that they are observed again.
     order : {"color", "given"}, optional
-        ``color``: pass after pass; within a pass tiles are colored so that those of one color do not overlap, and
-        colors take turns. ``given``: an earlier tile of the list always comes before a later one that overlaps
-        it, whatever the passes.
+        ``color``: pass after pass. In each pass, tiles are colored such that those of a color do not overlap, and the
+        colors are planned in turn. ``given``: of two tiles that overlap, the one earlier in the list is planned
+        first, independent of the passes.
     folder : str or path-like, optional
-        Write tile after tile here, as FITS, which holds ASCII text only. Without it all visits are held in memory.
+        Folder to which each tile is written as FITS, which allows only ASCII text. Without a folder, all visits are
+        kept in memory.
     resume : bool, optional
-        Continue the survey in the folder, if one was begun there. Its tiles are verified, damaged ones planned again.
+        Whether to continue an unfinished survey in the folder. Its tiles are verified, and damaged ones are planned
+        again.
     executor : concurrent.futures.Executor, optional
-        Runs tiles in parallel: threads, processes, or a cluster through ``dask.distributed``.
+        Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``.
     progress : bool or callable, optional
-        Show a line on the standard error with rate and remaining time, which count only the tiles that are planned
-        in this run, or call a function with (tiles done, all tiles).
+        Show the progress on the standard error, or call a function with the number of finished tiles and of all
+        tiles. The rate and the remaining time only include tiles that are planned in this run.
     rng : int, Generator or None, optional
-        Seed or source of random numbers; each tile has a stream of its own. A seed that is drawn is written down in
-        ``provenance`` and ``survey.json``: a survey is continued with that.
+        Seed or random number generator; each tile has its own stream of random numbers. A seed that is drawn is
+        recorded in ``provenance`` and ``survey.json``, and is used to continue the survey.
 
     Returns
     -------
     Survey
-        The same for the same input, however many workers there are, and whether or not it was interrupted.
+        The survey. It depends neither on the number of workers nor on interruptions.
 
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, a name or a required id is unknown, a number is impossible, or the folder
-        is in use, holds another survey, or cannot be written to. Tiles that are written stay.
+        If the catalog or the tiling is empty, a name or a required identifier is unknown, a number is out of range,
+        or the folder is in use, contains another survey, or is not writable. Tiles that have been written remain.
     concurrent.futures.BrokenExecutor
-        If a worker process died, and the executor does not replace it. Tiles that are written stay.
+        If a worker process ends abruptly and the executor does not replace it. Tiles that have been written remain.
 
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, required targets were never observed (``summary["unmet"]``), targets share ids,
-        nothing in the catalog meets a requirement, an option changes nothing, tiles were placed for fields of
-        another size, or a table of tiles looks like one of targets; on resuming, if the software is another, or files
-        are damaged.
+        If no target was observed, required targets were never observed (``summary["unmet"]``), identifiers occur
+        twice, no target meets a requirement, an option has no effect, the tiles were placed for fields of another
+        size, or a table of tiles looks like a catalog of targets; on resuming, if the versions of the software differ
+        or files are damaged.
 
     See Also
     --------
-    plan_tile : One tile.
-    place_tiles : Where tiles go.
+    plan_tile : Plan a single tile.
+    place_tiles : Place the tiles of a survey.
 
     Examples
     --------
@@ -184,7 +186,7 @@ def plan_survey(
 
 
 def _warn_of_lacks(request) -> None:
-    """Tell what would go wrong in every tile."""
+    """Issue warnings for problems that would occur in every tile."""
     if request.source.has_twins:
         warn("some targets share their id with another")
     asked = {one.what: one for one in request.options.requirements if one.minimum}

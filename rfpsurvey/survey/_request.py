@@ -1,4 +1,4 @@
-"""What a survey is asked to do, checked, and how to tell it from another."""
+"""The validated request of a survey, and its identity."""
 
 import json
 from dataclasses import dataclass
@@ -33,14 +33,14 @@ class Request:
     tiling: Tiling
     """The tiles of the passes that are planned."""
     number: np.ndarray
-    """Place of the pass of each tile among them."""
+    """Index of the pass of each tile among the planned passes."""
     passes: list[int]
     instrument: Instrument
     options: AllocationOptions
     visits: np.ndarray
-    """How often each target is wanted, by slot."""
+    """Requested number of visits of each target, by slot."""
     is_required: np.ndarray | None
-    """Which targets come before all others, by slot; None where none are required."""
+    """Whether each target is required, by slot; None if none are required."""
     order: str
     epoch: str | None
     seed: int
@@ -53,26 +53,26 @@ class Request:
 
     @cached_property
     def rounds(self) -> list[np.ndarray]:
-        """Tiles (rows) that may be planned at the same time."""
+        """Rounds of tiles (rows) that may be planned at the same time."""
         return make_rounds(self.tiling.vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
 
     @cached_property
     def model(self) -> Model:
-        """What every job shares."""
+        """The data that all jobs share."""
         blank = None if self.options.sky_separation is None else blank_ids(self.source.ids_by_part())
         return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units, self.epoch)
 
     def open_state(self) -> Bookkeeping:
-        """Return a state without a visit."""
+        """Return the state before the first visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        # standards and sky positions in use: all where there are requirements, else those that are required
+        # standards and sky positions in use: all if there are requirements, otherwise the required ones
         others = True if self.options.requirements else self.is_required
         in_turn = self.order == "color"
         return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
-        """Return the work on a tile (by row) with what is left of the targets."""
-        # blank sky is where no target is, done or not
+        """Return the work on a tile (by row), with the remaining visits of the targets."""
+        # blank sky avoids all targets, complete or not
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
         if self.is_required is not None:
@@ -84,19 +84,19 @@ class Request:
 
     @cached_property
     def _places(self) -> list[list]:
-        """Names, right ascensions, declinations and position angles of all tiles (deg)."""
+        """Return names, right ascensions, declinations and position angles of all tiles (deg)."""
         table = self.tiling.table
         angles = (table[name].to_value(u.deg).astype(float).tolist() for name in ("ra", "dec", "position_angle"))
         return [np.asarray(table["tile"]).tolist(), *angles]
 
     @cached_property
     def software(self) -> dict:
-        """Versions of all that makes the plan."""
+        """Versions of the software that makes the plan."""
         return {**versions(), **packages(self.options)}
 
     @cached_property
     def parameters(self) -> dict:
-        """What a result records."""
+        """Parameters that a result records."""
         return {
             **self.options.record,
             "passes": self.passes,
@@ -118,10 +118,10 @@ class Request:
             "parameters": self.parameters,
             "units": self.source.units,
         }
-        return json.loads(json.dumps(found, default=str))  # what every file can hold
+        return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
 
     def check_text(self) -> None:
-        """Refuse names that FITS files cannot hold."""
+        """Raise an error for names that FITS files cannot contain."""
         columns = {"tile ids": self.tiling.table["tile"], "positioner ids": self.instrument.focal_plane.id}
         if self.source.has_text_ids:
             columns["target ids"] = self.source.ids()
@@ -129,7 +129,7 @@ class Request:
         check_fits_text(columns, "plan without a folder")
 
     def identity(self) -> dict:
-        """Return what tells one survey from another."""
+        """Return a dict that identifies the survey."""
         columns = ("ra", "dec", "position_angle", "pass")
         tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
         names = np.asarray(self.tiling.table["tile"]).astype(str)
@@ -146,7 +146,7 @@ class Request:
 def make_request(
     source, tiling: Tiling, instrument: Instrument, options: AllocationOptions, *, visits, passes, **others
 ) -> Request:
-    """Return the request, if it can be met."""
+    """Return the request of a survey, or raise an error if it is not valid."""
     if len(source) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     number = np.asarray(tiling.table["pass"])

@@ -20,12 +20,12 @@ from rfpsurvey.survey._work import COUNTS, N_FIELD, Done, in_reach, work
 
 __all__ = ["run"]
 
-# Tiles that are handed out before the first of them is back.
+# Number of tiles that are submitted before the first result is awaited.
 IN_FLIGHT = 256
 
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
-    """Plan the tiles, and write them if there is a path."""
+    """Plan the tiles, and write them if a path is given."""
     where = nullcontext()
     if path is not None:
         request.check_text()
@@ -62,7 +62,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
 
 
 def _plan_round(request, tiles, state, folder, executor) -> Iterator:
-    """Yield tile, field, what came out, and whether that is new, in the order of ``tiles``."""
+    """Yield tile, field, result, and whether the result is new, in the order of ``tiles``."""
     waiting = deque()
     try:
         for tile in tiles.tolist():
@@ -83,16 +83,16 @@ def _plan_round(request, tiles, state, folder, executor) -> Iterator:
 
 
 def _begin(job, executor):
-    """Do the work, or hand it out."""
+    """Do the work, or submit it to an executor."""
     with _told(job):
         if executor is None:
             return work(job)
-        # the slots of targets concern nobody else
+        # workers do not require the slots of targets
         return submit(executor, work, job._replace(field=job.field._replace(slot=None)))
 
 
 def _take(waiting: deque):
-    """Return the first that waits, finished."""
+    """Wait for the first of the submitted tiles, and return its result."""
     tile, job, done, fresh = waiting.popleft()
     if not isinstance(done, Done):
         with _told(job):
@@ -102,7 +102,7 @@ def _take(waiting: deque):
 
 @contextmanager
 def _told(job):
-    """Say at which tile an error occurred, and what to do if a worker died."""
+    """Add the tile to errors, and a remedy if a worker ended abruptly."""
     try:
         yield
     except BrokenExecutor as error:
@@ -114,7 +114,7 @@ def _told(job):
 
 
 def _read(folder, tile, job) -> Done | None:
-    """Return what came out when the part of a tile was made, None where it must be made again."""
+    """Return the result in the part of a tile; None if the tile must be planned again."""
     part = folder.part(tile)
     if part is None:
         return None

@@ -1,4 +1,4 @@
-"""The targets of a survey, in memory or in partitions; the state of a target is kept by its *slot*."""
+"""The targets of a survey, in memory or in partitions; the state of a target is addressed by its *slot*."""
 
 import hashlib
 from collections import OrderedDict
@@ -32,7 +32,7 @@ class InMemory:
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
         self._index = SkyIndex(catalog.arrays.vectors)
-        catalog.arrays.__dict__.pop("vectors", None)  # the index has them, sorted: a large catalog is not kept twice
+        catalog.arrays.__dict__.pop("vectors", None)  # the index has them: avoids two copies
         self.meta = catalog.meta
 
     def __len__(self):
@@ -41,7 +41,7 @@ class InMemory:
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
     ) -> Field:
-        """Return the targets inside a circle with something ``left`` (by slot, or by row), and maybe the ``rest``."""
+        """Return the targets inside a circle with visits ``left`` (by slot, or by row), and optionally the ``rest``."""
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
         if rest:
@@ -61,7 +61,7 @@ class InMemory:
         return self._index.sum_near(centers, radius_rad, values)
 
     def by_slot(self, name: str) -> np.ndarray | None:
-        """Return a column of the catalog, a value for each slot."""
+        """Return a column of the catalog with a value for each slot."""
         column = getattr(self._catalog, name)
         return None if column is None else self.to_slots(column)
 
@@ -98,23 +98,23 @@ class InMemory:
         return out
 
     def digest(self) -> str:
-        """Return what tells one catalog from another."""
+        """Return a digest that identifies the catalog."""
         columns = (getattr(self._catalog, name) for name in ("id", *COLUMNS))
         return digest(self._index.vectors, self._index.order, *columns, *self._catalog.arrays.extra.values())
 
     @property
     def units(self) -> dict:
-        """Units of the further columns that visits carry, by name."""
+        """Units of the further columns of visits, by name."""
         return self._catalog.arrays.extra_units
 
     def text_columns(self) -> dict:
-        """Return the columns of text that visits carry, by what they hold."""
+        """Return the text columns of visits, by a description of their content."""
         columns = {"category": self._catalog.category, **self._catalog.arrays.extra}
         return {f"values of {k!r}": v for k, v in columns.items() if v is not None and v.dtype.kind == "U"}
 
 
 class Partitioned:
-    """A catalog in partitions, of which those that were read last are kept; slots are rows."""
+    """A catalog in partitions, of which the most recently read are kept in memory; slots are rows."""
 
     def __init__(self, catalog: PartitionedCatalog, epoch=None):
         self._catalog, self._parts, self._epoch = catalog, catalog.parts, epoch
@@ -127,14 +127,14 @@ class Partitioned:
 
     @cached_property
     def _margin_rad(self) -> float:
-        """How far targets may have moved."""
+        """Upper limit of the motion of targets."""
         if self._epoch is None or not self._parts.part(0).has_proper_motion:
             return 0.0
         parts = range(len(self._parts.files))
         return (1 + 1e-9) * max(self._parts.part(k).arrays.farthest_rad(self._epoch) for k in parts)
 
     def _part(self, k: int) -> InMemory:
-        """Return a partition, read or kept."""
+        """Return a partition from memory or from disk."""
         if k in self._kept:
             self._kept.move_to_end(k)
         else:
@@ -145,7 +145,7 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets inside a circle with something ``left`` (by slot), and maybe the ``rest``."""
+        """Return the targets inside a circle with visits ``left`` (by slot), and optionally the ``rest``."""
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
@@ -173,17 +173,17 @@ class Partitioned:
         return total
 
     def by_slot(self, name: str) -> np.ndarray | None:
-        """Return a column of the catalog, a value for each slot."""
+        """Return a column of the catalog with a value for each slot."""
         return self._parts.column(name)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Return values by row in the order of slots, which is the same."""
+        """Return values by row, which is also the order of slots."""
         return values
 
     by_row = to_slots
 
     has_twins = False
-    """Not looked for: it would take all ids at once."""
+    """Not determined, because this would require all identifiers in memory."""
 
     @property
     def has_text_ids(self) -> bool:
@@ -192,11 +192,11 @@ class Partitioned:
 
     @property
     def units(self) -> dict:
-        """Units of the further columns that visits carry, by name."""
+        """Units of the further columns of visits, by name."""
         return self._part(0).units
 
     def text_columns(self) -> dict:
-        """Return no columns: it would take all partitions; text that FITS files cannot hold is refused when written."""
+        """Return no columns, which would require all partitions; invalid text raises an error when it is written."""
         return {}
 
     def ids(self) -> np.ndarray:
@@ -213,17 +213,17 @@ class Partitioned:
         return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
     def digest(self) -> str:
-        """Return what tells one catalog from another; all files are read, but only the columns that a survey needs."""
+        """Return a digest that identifies the catalog, from the columns that a survey requires in all files."""
         return self._parts.digest()
 
 
 def _stack(parts: tuple) -> np.ndarray | None:
-    """Return columns of several partitions as one; None where the catalog does not carry it."""
+    """Return the concatenated columns of several partitions; None if the catalog does not have this column."""
     return None if parts[0] is None else np.concatenate(parts)
 
 
 def digest(*columns: np.ndarray | None) -> str:
-    """Return a short digest of columns, some of which may not be there."""
+    """Return a short digest of columns, some of which can be None."""
     found = hashlib.sha256()
     for column in columns:
         found.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))

@@ -1,4 +1,4 @@
-"""What a survey is."""
+"""The class of surveys."""
 
 import os
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from rfpsurvey.tile import with_unit
 
 __all__ = ["Survey"]
 
-# What the tables of a folder, and the part of a tile, must have.
+# Columns that the tables of a folder and the part of a tile must have.
 COLUMNS = (
     ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
     ("pass", "priority", "n_targets", "n_wanted", "n_observed", "n_complete", "completeness"),
@@ -29,29 +29,31 @@ VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """A survey that was planned, tile after tile.
+    """The result of planning a survey: tiles, completeness, the outcome of each target, and all visits.
 
     Parameters
     ----------
     tiles : QTable
-        A row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``, ``pass``,
-        ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets still wanted), ``n_reachable``,
-        ``n_assigned``, ``n_science``, ``n_standard``, ``n_sky`` (of these), ``n_colliding``, ``n_counted`` (positioners
-        with a target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet``
-        (requirements, of which the required targets of a tile count as one), ``n_observed`` (visits that count),
-        ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field over those
-        wanted; NaN without targets). Its ``meta`` holds ``summary`` and ``provenance``.
+        Table with a row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``,
+        ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets that still require
+        visits), ``n_reachable`` (those in reach), ``n_assigned`` (positioners with a target), ``n_science``,
+        ``n_standard``, ``n_sky`` (those with each kind of target), ``n_colliding``, ``n_counted`` (positioners with a
+        target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements
+        that are not met; all required targets of a tile count as one), ``n_observed`` (visits that count),
+        ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field, divided
+        by the requested visits; NaN without targets). Its ``meta`` contains ``summary`` and ``provenance``.
     completeness : QTable
-        A row for each pass and class, after that pass: ``priority`` and, where there are several, ``category``
-        (``all``: all of them), ``n_targets``, ``n_wanted`` and ``n_observed`` (visits), ``n_complete`` (targets
-        observed as often as wanted), ``completeness`` (of visits).
+        Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if
+        there are several, ``category`` (``all`` stands for all of them), ``n_targets``, ``n_wanted`` and
+        ``n_observed`` (requested visits, and visits made), ``n_complete`` (targets with all requested visits),
+        ``completeness`` (of visits).
     outcomes : QTable
-        A row for each target: ``target_id``, ``wanted`` and ``observed`` (times), ``outcome``, an index of
-        ``Survey.OUTCOMES``.
+        Table with a row for each target: ``target_id``, ``wanted`` and ``observed`` (numbers of requested visits, and
+        of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).
     folder : Path, optional
-        Where the visits are.
+        Folder that contains the visits.
     parts : tuple of ndarray, optional
-        The visits of each tile, where there is no folder.
+        The visits of each tile, if there is no folder.
 
     Examples
     --------
@@ -75,26 +77,27 @@ class Survey:
 
     @property
     def summary(self) -> dict:
-        """Counts of tiles, targets, visits, fibers, collisions and outcomes, and the model behind them as text.
+        """Numbers of tiles, targets, visits, fibers, collisions and outcomes, and a description of the model.
 
-        ``n_required`` and ``n_required_observed`` count required targets and those with a visit that counts; ``unmet``
-        is a list of sentences on the others, one for each outcome.
+        ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of those with a visit that
+        counts; ``unmet`` is a list of sentences on the others, one for each outcome.
         """
         return self.tiles.meta["summary"]
 
     @property
     def provenance(self) -> dict:
-        """Versions, instrument, catalog and parameters behind the survey."""
+        """Versions of the software, instrument, catalog and parameters of the survey."""
         return self.tiles.meta["provenance"]
 
     @property
     def targets(self) -> QTable:
-        """All visits, a row for each target, tile and positioner; of a large survey, take `visits` tile by tile.
+        """Table of all visits, with a row for each; for large surveys, use `visits` tile by tile.
 
-        Columns ``tile``, ``target_id``, ``target_row`` (in the catalog, -1 for blank sky), ``positioner``, ``ra``,
-        ``dec``, ``in_collision``, ``observed`` (it counts), ``fiber_type`` where there are several, ``kind`` where the
-        catalog has kinds or blank sky was looked for, and ``priority``, ``category`` and the further columns of the
-        catalog (``extra``), where it has them; there blank sky has NaN, empty text, False or -1.
+        Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``,
+        ``ra``, ``dec``, ``in_collision``, ``observed`` (whether the visit counts), ``fiber_type`` if there are
+        several, ``kind`` if the catalog has kinds or blank sky was searched for, and ``priority``, ``category`` and
+        the further columns (``extra``) of the catalog, if it has them. In these, blank sky has the values NaN, empty
+        text, False or -1.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -104,17 +107,17 @@ class Survey:
         Parameters
         ----------
         tile : int or str
-            Its id.
+            Identifier of the tile.
 
         Returns
         -------
         QTable
-            As `targets` has them.
+            The visits, with the columns of `targets`.
 
         Raises
         ------
         InputError
-            If there is no such tile, or if its part is missing or damaged.
+            If there is no such tile, or its part is missing or damaged.
         """
         rows = np.flatnonzero(np.asarray(self.tiles["tile"]).astype(str) == str(tile))
         if len(rows) == 0:
@@ -153,22 +156,22 @@ class Survey:
 
     @classmethod
     def read(cls, folder: str | os.PathLike) -> "Survey":
-        """Read a survey that `plan_survey` wrote.
+        """Read a survey from a folder that `plan_survey` wrote.
 
         Parameters
         ----------
         folder : str or path-like
-            The folder.
+            Path of the folder.
 
         Returns
         -------
         Survey
-            The same survey; its visits stay on disk until they are asked for.
+            The survey; visits are read from disk when they are accessed.
 
         Raises
         ------
         InputError
-            If the folder does not hold a survey, or one that is not finished or damaged.
+            If the folder does not contain a survey, or the survey is not finished or damaged.
         """
         folder = _io.to_path(folder)
         if not (folder / "survey.json").is_file():
@@ -191,7 +194,7 @@ class Survey:
 
     @cached_property
     def _known(self) -> dict:
-        """Sizes and checksums of the files."""
+        """Sizes and checksums of the files of the survey."""
         return read_index(self.folder)
 
 

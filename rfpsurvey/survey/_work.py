@@ -1,4 +1,4 @@
-"""The work on one tile: a function of what it is given, so that it may run anywhere, and again."""
+"""The work on one tile, a function of its arguments only, which can run on any machine and can be repeated."""
 
 import pickle
 from functools import cached_property, lru_cache
@@ -15,7 +15,7 @@ from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 
-# Header cards of a part: what they count, and how they say so.
+# Header cards of a part: names of the counts, and comments.
 N_FIELD = "NFIELD"
 COUNTS = {
     N_FIELD: ("n_in_field", "targets in the field, still wanted"),
@@ -44,7 +44,7 @@ VISITS = {
 
 
 class Model:
-    """What all tiles share, and a process unpacks once.
+    """The data that all tiles share, which each process unpacks once.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _unpack(packed: bytes) -> Model:
 
 
 class Job(NamedTuple):
-    """What is to be done for a tile."""
+    """The input of the work on a tile."""
 
     model: Model
     tile: int | str
@@ -111,17 +111,17 @@ class Job(NamedTuple):
 
 
 class Done(NamedTuple):
-    """What came out."""
+    """The result of the work on a tile."""
 
     part: bytes | None
-    """The visits as a FITS file, where that is asked for."""
+    """The visits as a FITS file, if requested."""
     visits: np.ndarray | None
-    """The visits, where not."""
+    """The visits as an array, otherwise."""
     target: np.ndarray
-    """Place in the field of the target of each visit, -1 for sky positions that were found."""
+    """Index in the field of the target of each visit, -1 for sky positions in gaps."""
     observed: np.ndarray
     in_reach: np.ndarray
-    """Which targets of the field any positioner reaches."""
+    """Whether at least one positioner reaches each target of the field."""
     counts: dict
 
 
@@ -141,7 +141,7 @@ def work(job: Job) -> Done:
         "in_collision": colliding,
         "observed": ~colliding if model.lost_in_collision else np.ones(len(colliding), dtype=bool),
     }
-    if model.blank is not None:  # the same type in every tile
+    if model.blank is not None:  # so that the type is the same in every tile
         columns["target_id"] = plan.id.astype(model.blank.dtype)
     if instrument.focal_plane.fiber_types != ("",):
         columns["fiber_type"] = plan.allocation.fiber_type[plan.positioner]
@@ -168,7 +168,7 @@ def work(job: Job) -> Done:
 
 
 def in_reach(job: Job) -> np.ndarray:
-    """Return which targets of the field any positioner reaches."""
+    """Return whether at least one positioner reaches each target of the field."""
     instrument, targets = job.model.instrument, job.field.targets
     xy, fiber_type = project_field(instrument, _projection(job), targets.vectors, targets.columns.fiber_type)
     return instrument.focal_plane.arrays.reach(xy, fiber_type).covered

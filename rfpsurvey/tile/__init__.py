@@ -1,4 +1,4 @@
-"""One tile end to end: planned from a catalog, or scored as another planner assigned it."""
+"""Single tiles: planned from a catalog, or scored with the assignments of another planner."""
 
 from rfpsurvey.tile._build import versions
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit

@@ -1,4 +1,4 @@
-"""Put a tile together from the poses of its arms and their collisions."""
+"""Make a tile from the poses of its arms and their collisions."""
 
 import json
 import sys
@@ -38,16 +38,16 @@ def build_tile(
     targets: TargetsOfField | None = None,
     software: dict | None = None,
 ) -> Tile:
-    """Put the columns together.
+    """Return a tile with all of its columns.
 
-    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` are their rows, -1 for
-    none. Columns that are ``carried`` have a value for each positioner; ``targets`` are all of the field.
-    ``software`` are packages that took part, other than the usual ones.
+    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` are their rows, -1
+    for none. The columns in ``carried`` have a value for each positioner; ``targets`` are all targets of the field.
+    ``software`` lists packages in use in addition to the usual ones.
     """
     plane = instrument.focal_plane
     n = len(plane)
     has_target = posed.assigned
-    if len(ids) == 0:  # a plan without any target
+    if len(ids) == 0:  # a plan without targets
         ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
     row = np.where(has_target, target_of, 0)
     status = np.full(n, "idle", dtype="U12")
@@ -111,12 +111,12 @@ def build_tile(
             "obstacles_mm": plane.arrays.obstacles.tolist(),
         },
     }
-    table.meta = json.loads(json.dumps(meta, default=str))  # what every file can hold
+    table.meta = json.loads(json.dumps(meta, default=str))  # converts to types that all file formats support
     return Tile(describe(table, TILE_COLUMNS, KEPT_COLUMN), targets)
 
 
 def _partners(plane, report):
-    """Ids of what each positioner collides with, in one string; only colliding ones are looked at."""
+    """Return the identifiers of everything that each positioner collides with as one string."""
     partners = {}
     for i, j in report.pairs.tolist():
         partners.setdefault(i, []).append(str(plane.id[j]))
@@ -130,7 +130,7 @@ def _partners(plane, report):
 
 
 def _one_or_all(values):
-    """One number where all are the same, else a list."""
+    """Return one number if all are equal, otherwise a list."""
     return float(values[0]) if (values == values[0]).all() else values.tolist()
 
 
@@ -143,7 +143,7 @@ def _spectrograph(plane, fiber_type):
 
 @cache
 def versions() -> dict:
-    """Return the versions of what makes the numbers."""
+    """Return the versions of the packages on which results depend."""
     found = {"python": sys.version.split()[0]}
     for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
         try:

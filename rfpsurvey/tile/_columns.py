@@ -1,4 +1,4 @@
-"""Columns of the tables of a tile: what they hold, and values for positioners without a target."""
+"""Columns of the tables of a tile: descriptions, and values for positioners without a target."""
 
 import astropy.units as u
 import numpy as np
@@ -49,7 +49,7 @@ OUTCOMES_COLUMNS = {
     **TARGET_COLUMNS,
     "x": "target in the focal plane",
     "y": "target in the focal plane",
-    "outcome": "what became of the target",
+    "outcome": "outcome of the target",
     "positioner": "identifier of its positioner",
 }
 COMPLETENESS = {
@@ -65,7 +65,7 @@ COMPLETENESS = {
 
 
 def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
-    """Set the descriptions of columns, those not in ``about`` to ``others``, and return the table."""
+    """Set the descriptions of columns (``others`` for those not in ``about``), and return the table."""
     for name in table.colnames:
         if name in about or others:
             table[name].info.description = about.get(name, others)
@@ -73,10 +73,10 @@ def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
 
 
 def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray | MaskedColumn:
-    """Return values where there is a target, and elsewhere NaN, empty text, False, or for integers a mask."""
+    """Return values for positioners with a target; others are NaN, empty text, False, or for integers masked."""
     kind = values.dtype.kind
     if kind == "i":
-        # the fill value is no value of a target, so that files keep all
+        # the fill value differs from all values of targets, so that files preserve these
         spare = np.iinfo(np.int64).min if np.any(values[has_target] == -1) else -1
         return MaskedColumn(np.where(has_target, values, np.int64(spare)), mask=~has_target, fill_value=spare)
     if kind == "U":
@@ -85,7 +85,7 @@ def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray |
 
 
 def id_column(ids, has_target) -> MaskedColumn:
-    """Return ids with a mask."""
+    """Return identifiers, masked for positioners without a target."""
     ids = np.ma.filled(ids, "") if ids.dtype.kind == "U" else np.asarray(ids)
     if ids.dtype.kind == "i":
         return only_with_target(ids, has_target)
@@ -93,5 +93,5 @@ def id_column(ids, has_target) -> MaskedColumn:
 
 
 def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:
-    """Return values with a unit, where there is one."""
+    """Return values with a unit, if there is one."""
     return values * u.Unit(unit) if unit else values

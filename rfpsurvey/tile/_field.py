@@ -1,4 +1,4 @@
-"""The field that a tile looks at: its center, the direction of north, and how tables and provenance say so."""
+"""The field of a tile: its center and the direction of north, in tables and in the provenance."""
 
 import astropy.units as u
 import numpy as np
@@ -11,28 +11,28 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
 
-# where planners write the field: names of columns (one value throughout) or of entries in the table's meta
+# names of columns (with a single value) or of entries in the meta of a table in which planners write the field
 FIELD = {
     "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
     "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
     "position angle": ("position_angle", "field_pa", "pa", "posang"),
 }
-# the same in a tile of ours
+# the same for tiles of this package
 OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
 def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
-    """Return a field center in a frame whose north is that of the equinox, or as it is where there is none."""
+    """Return a field center in the frame of the equinox, which defines north; unchanged without an equinox."""
     return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox")))
 
 
 def field_center(table) -> SkyCoord:
-    """Return the field center that columns or the meta state."""
+    """Return the field center from columns or the meta."""
     return SkyCoord(field_value(table, "ra") * u.deg, field_value(table, "dec") * u.deg)
 
 
 def _degrees(value, name: str) -> np.ndarray:
-    """Return angles in degrees; numbers without a unit are degrees already."""
+    """Return angles in degrees; numbers without a unit are in degrees."""
     try:
         angles = u.Quantity(to_plain(value).astype(float), getattr(value, "unit", None) or u.deg).to_value(u.deg)
     except (TypeError, ValueError) as error:
@@ -43,7 +43,7 @@ def _degrees(value, name: str) -> np.ndarray:
 
 
 def field_value(table, what: str) -> float:
-    """Return the field's one value from a column or the meta."""
+    """Return the value of a field from a column or the meta."""
     lower = {c.lower(): c for c in table.colnames}
     meta = {str(k).lower(): v for k, v in table.meta.items()}
     for name in FIELD[what]:
@@ -66,7 +66,7 @@ def field_value(table, what: str) -> float:
 
 
 def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
-    """Say where a field is, for the provenance."""
+    """Return the center and orientation of a field for the provenance."""
     icrs = center.icrs
     return {
         "ra_deg": float(icrs.ra.deg),
@@ -77,7 +77,7 @@ def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
 
 
 def epoch_text(epoch: Time | None) -> str | None:
-    """Say when positions hold, for the provenance."""
+    """Return the epoch of the positions as text for the provenance."""
     if epoch is None:
         return None
     years = np.atleast_1d(epoch.jyear)

@@ -1,4 +1,4 @@
-"""State the model behind a tile or a survey: what was computed, and why no more was needed."""
+"""Description of the model of a tile or a survey: what was computed, and why this suffices."""
 
 import numpy as np
 
@@ -19,14 +19,14 @@ ARMS = {
 
 
 def model_sentence(instrument: Instrument, posed: Arms | None = None) -> str:
-    """Return which model a tile or the tiles of a survey were computed with, and why it suffices.
+    """Return a description of the model of a tile or of the tiles of a survey, and why it suffices.
 
     Parameters
     ----------
     instrument : Instrument
         The instrument.
     posed : Arms, optional
-        The arms of the tile; without them the sentence is about every tile of a survey.
+        The arms of the tile; without them, the text describes all tiles of a survey.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Plan one tile: catalog, projection, reach, allocation, arms, collisions, score."""
+"""The function that plans a tile."""
 
 import logging
 from collections.abc import Callable
@@ -40,7 +40,7 @@ from rfpsurvey.tile._tile import Tile
 
 __all__ = ["plan_tile"]
 
-# Objectives that a summary lists one by one; the last line sums up the others.
+# Number of objectives that a summary lists; the last line is the sum of all others.
 MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
@@ -57,42 +57,44 @@ def plan_tile(
     allocator: AllocationOptions | str | Callable = "lamost",
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
-    """Assign the targets of one field to fibers and find the arms that collide there.
+    """Assign the targets of a field to fibers, and find the arms that collide.
 
-    Without requirements only targets of the kind ``science``, and required ones, are assigned; other sky positions and
-    standard stars are counted and set aside.
-    Where each fiber type has its own radial map, a target without a fiber type is one for the first type.
+    Without requirements, only targets of the kind ``science`` and required targets are assigned; other sky positions
+    and standard stars are only counted. If each fiber type has its own radial map, targets without a fiber type use
+    that of the first type.
 
     Parameters
     ----------
     catalog : Catalog, SkyCoord, Table or DataFrame
-        The targets; a DataFrame as in `Catalog.from_table`.
+        The targets; a DataFrame is read as in `Catalog.from_table`.
     instrument : Instrument or str
-        The instrument, the name of a preset, or the path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
-        Field center; north is that of its frame, so that position angles of a center in ``FK5(equinox="J2026")`` are
-        measured from the north of that date. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees) is
-        ICRS. None: the mean direction of the catalog.
+        Field center, whose frame also defines north: for a center in ``FK5(equinox="J2026")``, position angles are
+        measured from north at that equinox. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees) is
+        in ICRS. None: the mean direction of the catalog.
     position_angle : Quantity, optional
-        Angle from north toward east by which +y of the focal plane is turned.
+        Position angle of +y of the focal plane, measured from north toward east.
     epoch : Time, str or float, optional
-        Move the targets by their proper motions to this epoch (a number is a Julian year). None: as they are.
+        Epoch to which the targets are moved by their proper motions (a number is a Julian year). None: they are not
+        moved.
     allocator : AllocationOptions or str or callable, optional
-        The allocator and its options, such as sky fibers and standards that the tile must hold, required targets, and
-        circles that no arm may cover; or the allocator alone. See `AllocationOptions`.
+        The allocator with its options, such as required numbers of sky fibers and standards, required targets, and
+        circles that no arm may cover; or only the allocator. See `AllocationOptions`.
     rng : int, Generator or None, optional
-        Seed or source of random numbers, for allocators that draw. The default gives the same tile every time.
+        Seed or random number generator for allocators that use random numbers. With the default, all calls give the
+        same tile.
 
     Returns
     -------
     Tile
-        A row for each positioner, with a summary.
+        The tile: a table with a row for each positioner, and a summary.
 
     Raises
     ------
     InputError
-        If the catalog is empty, does not overlap the field, or has no target that a positioner reaches; if a name or a
-        required id is unknown, a unit is missing, or targets move and there is no epoch that they move from.
+        If the catalog is empty, does not overlap the field, or has no target in reach of a positioner; if a name or a
+        required identifier is unknown, or a unit is missing; or if targets have proper motions but no epoch.
 
     Examples
     --------
@@ -204,20 +206,20 @@ def plan_tile(
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:
-    """Return how many of the required targets, by row of the field, are assigned and not in collision."""
+    """Return the number of required targets (marked by row of the field) that are assigned and not in collision."""
     observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
     return 0 if is_required is None else int(is_required[observed].sum())
 
 
 def _outside(required: tuple, ids: np.ndarray) -> list[str]:
-    """Return a sentence on the required targets that are not among those of the field, if there are any."""
+    """Return a sentence on the required targets outside the field, if there are any."""
     there = are_among(required, ids) if required else np.ones(0, dtype=bool)
     outside = tuple(name for name, is_there in zip(required, there.tolist(), strict=True) if not is_there)
     return [f"required targets outside the field: {brief(outside)}"] if outside else []
 
 
 def _objectives(levels: list) -> list:
-    """Return name, value and bound of each objective; one line for all that are too many to list."""
+    """Return name, value and bound of each objective; if there are many, the last line is the sum of the rest."""
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows
@@ -226,7 +228,7 @@ def _objectives(levels: list) -> list:
 
 
 def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
-    """Warn of requirements on categories that no target of the catalog has, but for those of the instrument."""
+    """Issue a warning for requirements on categories that no target has, except those of the instrument."""
     if isinstance(options.requirements, str) or not options.requirements:
         return
     category = np.array([""]) if catalog.category is None else catalog.category
@@ -238,7 +240,7 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
-    """Return a remedy if right ascensions look like hours: all below 24, and targets in the field if they are."""
+    """Return a remedy if right ascensions seem to be in hours: all are below 24, and targets would be in the field."""
     if coord.ra.deg.max() >= 24:
         return ""
     n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
@@ -247,12 +249,12 @@ def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
 
 
 def _known(value):
-    """Return a number, or None for NaN, which not every file can hold."""
+    """Return a number, or None for NaN, which some file formats do not support."""
     return None if np.isnan(value) else value
 
 
 def _generator(rng):
-    """Return a Generator and what to record so that it can be made again."""
+    """Return a Generator, and a record from which it can be reproduced."""
     generator = to_generator(rng)
     if isinstance(rng, np.random.Generator):
         state = rng.bit_generator.state

@@ -1,4 +1,4 @@
-"""Score an assignment that another planner made."""
+"""The function that scores assignments of other planners."""
 
 from time import perf_counter
 
@@ -41,46 +41,47 @@ def score_tile(
     units: dict | None = None,
     parked_obstacles: bool = True,
 ) -> Tile:
-    """Find the collisions in an assignment that another planner made.
+    """Find the collisions in the assignments of another planner.
 
-    Arms whose target is out of reach stretch toward it as far as they can, and are counted.
+    Arms whose target is out of reach are stretched toward it as far as possible, and are counted.
 
     Parameters
     ----------
     table : Table, QTable or DataFrame
-        A row for each assigned fiber: the positioner's id (``positioner``, ``hole_id``, ``robot_id``, ...) and
-        either its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows
-        without a positioner, and those whose column ``assigned`` is 0, are not looked at.
+        A row for each assigned fiber: the positioner's id (``positioner``, ``hole_id``, ``robot_id``, ...) and either
+        its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows without a
+        positioner, and rows with 0 in the column ``assigned``, are ignored.
     instrument : Instrument or str
-        The instrument, the name of a preset, or the path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
-        Field center, as in `plan_tile`; without it the columns or meta entries ``racen`` and ``deccen`` are used.
+        Field center, as in `plan_tile`; by default that of the columns or meta entries ``racen`` and ``deccen``.
     position_angle : Quantity, optional
-        Position angle of +y, from the north of the center's frame; without it ``position_angle`` or
+        Position angle of +y, measured from north in the frame of the center; by default ``position_angle`` or
         ``field_pa`` of the table.
     equinox : str, optional
-        Without ``center``: date whose north position angles are measured from, such as ``"J2026.0"``, where it is not
-        that of ICRS. A ``center`` has a frame, whose north it is.
+        Equinox of north for position angles, such as ``"J2026.0"``; by default north is that of ICRS. It is not
+        allowed with ``center``, whose frame defines north.
     epoch : Time, str or float, optional
-        Move sky positions by their proper motions to this epoch.
+        Epoch to which sky positions are moved by their proper motions.
     positions : {"focal_plane", "sky"}, optional
-        Which positions to use; by default those on the focal plane, where there are any.
+        Positions to use; by default those on the focal plane, if there are any.
     columns, units : dict, optional
-        Names and units of columns, as in `Catalog.from_table`; roles here are also ``positioner``, ``x``, ``y``. The
-        columns of a DataFrame are in mm and deg unless ``units`` says otherwise.
+        Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
+        columns of a DataFrame are in mm and deg unless ``units`` specifies others.
     parked_obstacles : bool, optional
-        Whether idle equal-arm positioners are obstacles.
+        Whether idle positioners with equal arms are obstacles.
 
     Returns
     -------
     Tile
-        As `plan_tile` returns it; the summary has ``n_out_of_reach``, ``n_wrong_fiber`` (positioners without the
-        fiber type asked for) and ``n_unusable`` (rows for disabled or stuck positioners, not scored) too.
+        The tile, as returned by `plan_tile`. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber`` (number
+        of positioners without the requested fiber type) and ``n_unusable`` (number of rows for disabled or stuck
+        positioners, which are not scored).
 
     Raises
     ------
     InputError
-        If a positioner is unknown or occurs twice, or if positions or the field center are missing.
+        If a positioner is unknown or occurs twice, or positions or the field center are missing.
 
     Examples
     --------
@@ -114,7 +115,7 @@ def score_tile(
     if positions is None:
         positions = "focal_plane" if None not in xy_names else "sky"
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
-    # a target without a fiber type is seen by the first fiber of its positioner
+    # a target without a fiber type is observed with the first fiber type of its positioner
     asked = find.labels("fiber_type") if plane.fiber_types != ("",) else None
     accepted_types(plane, asked, len(part))
     fibers = plane.arrays.first_type[who]
@@ -157,7 +158,7 @@ def score_tile(
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
-    if _is_ours(part):  # arms that were stretched before
+    if _is_ours(part):  # include arms that were stretched before
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
     if 2 * n_out > len(part):
@@ -179,20 +180,20 @@ def score_tile(
 
 
 def _positioners(find: Finder, plane):
-    """Rows that assign a positioner, the positioners, and the column that names them."""
+    """Return the rows that assign a positioner, the positioners, and the name of their column."""
     name = find.name_of("positioner")
     if name is None:
         raise find.missing("positioner")
     values = to_plain(find.table[name])
     if values.ndim != 1:
         raise InputError(f"column {name!r} must have one value a row, got the shape {values.shape}")
-    if values.dtype.kind == "f":  # integers in a column with blanks
+    if values.dtype.kind == "f":  # integers in a column with missing values
         values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
     names = np.char.strip(values.astype(str))
-    if plane.id.dtype.kind == "i":  # CSV keeps leading zeros
+    if plane.id.dtype.kind == "i":  # columns of CSV files can have leading zeros
         names = np.array([str(int(v)) if v.isdecimal() else v for v in names.tolist()], dtype=str)
     index = {str(i): k for k, i in enumerate(plane.id)}
-    # blank, and -1 where no positioner is called so, mean that the row assigns none
+    # blank, and -1 if this is not an identifier, mean that the row assigns no positioner
     rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))
     names = names[rows].tolist()
     unknown = [v for v in names if v not in index]
@@ -213,12 +214,12 @@ def _positioners(find: Finder, plane):
 
 
 def _is_ours(table) -> bool:
-    """Tell whether a table is that of a tile of this package."""
+    """Return whether a table is that of a tile of this package."""
     return {"in_collision", "status"} <= set(table.colnames)
 
 
 def _assigned(table) -> np.ndarray:
-    """Mark the rows that assign a fiber: all, unless a column says otherwise."""
+    """Mark the rows that assign a fiber: those of the column ``assigned`` if it exists, otherwise all."""
     if _is_ours(table):
         return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
     if "assigned" not in table.colnames:
@@ -227,14 +228,14 @@ def _assigned(table) -> np.ndarray:
 
 
 def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
-    """Ids of the targets, from another column than the positioners' own."""
+    """Return the identifiers of the targets, from another column than that of the positioners."""
     names = [c for c in find.table.colnames if c != positioner_column]
     ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
     return np.arange(len(find.table)) if ids is None else ids
 
 
 def _sky_deg(find: Finder) -> np.ndarray:
-    """Sky positions where the table has them, else NaN, shape (2, n)."""
+    """Return the sky positions of the table, or NaN if it has none, shape (2, n)."""
     if find.name_of("ra") is None or find.name_of("dec") is None:
         return np.full((2, len(find.table)), np.nan)
     return np.array([find.quantity("ra").value, find.quantity("dec").value])

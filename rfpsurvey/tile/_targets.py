@@ -21,13 +21,13 @@ LOST, OBSERVED, UNREACHED, UNUSED = (
 
 
 class TargetsOfField(NamedTuple):
-    """All targets of a field in plain arrays, a row each; their table is made when it is asked for."""
+    """All targets of a field as plain arrays, from which a table is made on request."""
 
     id: np.ndarray
     vectors: np.ndarray
     """ICRS unit vectors."""
     xy_mm: np.ndarray
-    """In the focal plane; NaN for targets that are not requested."""
+    """Positions on the focal plane; NaN for targets that are not requested."""
     columns: dict
     """Kind, category, priority and further columns of the catalog, by name."""
     outcome: np.ndarray
@@ -36,7 +36,7 @@ class TargetsOfField(NamedTuple):
     """Row of the positioner, -1 for none."""
 
     def table(self, positioner_id: np.ndarray) -> QTable:
-        """Return a row for each target, with units."""
+        """Return a table with a row for each target, with units."""
         lon, lat = to_lonlat(self.vectors)
         table = QTable({"target_id": self.id})
         table["ra"], table["dec"] = np.rad2deg(lon % (2 * np.pi)) * u.deg, np.rad2deg(lat) * u.deg
@@ -49,7 +49,7 @@ class TargetsOfField(NamedTuple):
 
 
 def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> TargetsOfField:
-    """Return all targets of a field, rows of the catalog, of which some were ``given`` to the allocator."""
+    """Return all targets of a field, the ``rows`` of the catalog; the allocator received those that are ``given``."""
     allocation, n = plan.allocation, len(given)
     place = np.arange(n) if n == len(rows) else np.searchsorted(rows, given)
     outcome, positioner = np.full(len(rows), Outcome.NOT_REQUESTED, dtype=np.uint8), np.full(len(rows), -1)
@@ -69,7 +69,7 @@ def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan
 
 
 def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
-    """Return how many targets of each kind are in the field (``rows``), assigned, and free of collisions."""
+    """Return the numbers of targets of each kind in the field (``rows``), assigned, and without a collision."""
     free = ~plan.report.in_collision[plan.positioner]
     found = {}
     for kind in KINDS:
@@ -82,7 +82,7 @@ def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
 
 
 def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
-    """Return the columns that a plan carries, a value for each positioner; ``row_of`` are rows of the plan, or -1."""
+    """Return the columns of targets with a value for each positioner; ``row_of`` are rows of the plan, or -1."""
     if len(plan.target) == 0:
         return {}
     given = (row_of >= 0) & (plan.target >= 0)[row_of]
@@ -91,7 +91,7 @@ def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict
 
 
 def completeness_table(outcomes: QTable) -> QTable:
-    """Return a row for each kind of target, each category, and each class of priority of science targets."""
+    """Return a table with a row for each kind, each category, and each priority class of science targets."""
     outcome = np.asarray(outcomes["outcome"])
     masks = {
         "n_in_field": np.ones(len(outcome), dtype=bool),

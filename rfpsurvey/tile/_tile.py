@@ -1,4 +1,4 @@
-"""The result for one tile: a row for each positioner, a summary, and where it comes from."""
+"""The class of tiles, the results of planning and scoring."""
 
 import json
 import os
@@ -36,21 +36,22 @@ MUST_HAVE = (
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """One tile: which fiber is where, and which arms collide.
+    """A planned or scored tile: the position of each fiber, and the arms that collide.
 
     Parameters
     ----------
     table : QTable
-        A row for each positioner. Columns: ``id``, ``spectrograph`` (where there are several), ``x``, ``y`` (center),
-        ``status`` (``assigned``; ``out_of_reach``: the arm cannot get to its target; ``parked``: without a target, and
-        an obstacle for others; ``idle``: without a target, and no obstacle; ``disabled``; ``stuck``), ``target_id``
-        (masked without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (where there are several), ``theta``,
-        ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with`` (ids, and
-        ``obstacle-3`` for a circle, separated by spaces), ``clearance`` (distance to the nearest other arm minus the
-        minimum separation), ``arm_x``, ``arm_y`` (end of the segment from the elbow that can collide), and in planned
-        tiles ``kind`` (``science``, ``standard``, ``sky``, or empty; a stuck unit can look at sky, too), and
-        ``category``, ``priority`` and the further columns of the catalog, where it has them. Numbers that do not apply
-        are NaN, integers masked. Its ``meta`` holds ``summary``, ``provenance`` and ``geometry``.
+        Table with a row for each positioner. Columns: ``id``, ``spectrograph`` (if there are several), ``x``, ``y``
+        (center), ``status`` (``assigned``; ``out_of_reach``: the arm cannot reach its target; ``parked``: without a
+        target, and an obstacle for others; ``idle``: without a target, and not an obstacle; ``disabled``; ``stuck``),
+        ``target_id`` (masked without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (if there are several),
+        ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with``
+        (identifiers, such as ``obstacle-3`` for a circle, separated by spaces), ``clearance`` (distance to the
+        nearest other arm minus the minimum separation), ``arm_x``, ``arm_y`` (end of the colliding segment, which
+        begins at the elbow). Planned tiles also have ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck
+        positioners can also observe sky), and ``category``, ``priority`` and the further columns of the catalog, if
+        it has them. Numbers that do not apply are NaN; integers are masked. The ``meta`` contains ``summary``,
+        ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
@@ -92,16 +93,16 @@ class Tile:
 
     @property
     def summary(self) -> dict:
-        """Counts, rates, the model that was used and why it suffices, and seconds of each stage.
+        """Numbers and rates, a description of the model, and the computing time of each stage in seconds.
 
-        Of planned tiles, ``n_required`` and ``n_required_observed`` count required targets and those that are assigned
-        and not in collision.
+        For planned tiles, ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of
+        those that are assigned and not in collision.
         """
         return self.table.meta["summary"]
 
     @property
     def provenance(self) -> dict:
-        """Versions, instrument, catalog and parameters behind the tile."""
+        """Versions of the software, instrument, catalog and parameters of the tile."""
         return self.table.meta["provenance"]
 
     @property
@@ -111,7 +112,7 @@ class Tile:
 
     @property
     def center(self) -> SkyCoord | None:
-        """Field center (ICRS); None for assignments that were scored in the focal plane."""
+        """Field center (ICRS); None for assignments that were scored on the focal plane."""
         parameters = self.provenance["parameters"]
         if "ra_deg" not in parameters:
             return None
@@ -119,55 +120,56 @@ class Tile:
 
     @property
     def position_angle(self) -> u.Quantity | None:
-        """Angle from north toward east by which +y of the focal plane is turned; None where it is not known."""
+        """Position angle of +y of the focal plane, from north toward east; None if it is unknown."""
         angle = self.provenance["parameters"].get("position_angle_deg")
         return None if angle is None else angle * u.deg
 
     @property
     def epoch(self) -> Time | None:
-        """Epoch of the positions of the targets; None where it is not known."""
+        """Epoch of the positions of the targets; None if it is unknown."""
         epoch = self.provenance["parameters"].get("epoch")
         return None if epoch is None else to_time(epoch, "epoch")
 
     @cached_property
     def outcomes(self) -> QTable | None:
-        """What became of every target of the field, a row each; None for tiles that were scored, or read from ECSV.
+        """Table of the outcome of each target of the field; None for tiles that were scored, or read from ECSV.
 
-        Columns: ``target_id``, ``ra``, ``dec``, ``x``, ``y`` (in the focal plane; NaN for targets that are not
-        requested), ``outcome`` (a text of `OUTCOMES`), ``positioner`` (masked or empty without one), and ``kind``,
-        ``category``, ``priority`` and the further columns of the catalog, where it has them.
+        Columns: ``target_id``, ``ra``, ``dec``, ``x``, ``y`` (on the focal plane; NaN for targets that are not
+        requested), ``outcome`` (one of `OUTCOMES`), ``positioner`` (masked or empty without one), and ``kind``,
+        ``category``, ``priority`` and the further columns of the catalog, if it has them.
         """
         made = self.field_targets
         return made.table(np.asarray(self.table["id"])) if hasattr(made, "table") else made
 
     @cached_property
     def completeness(self) -> QTable | None:
-        """Counts of the targets of the field by kind, category, and priority of science targets.
+        """Table of the completeness of the targets of the field by kind, category, and priority of science targets.
 
-        Columns: ``kind``, ``category``, ``priority`` (``all``: all of them), ``n_in_field``, ``n_reachable`` (0 for
-        targets that are not requested), ``n_assigned``, ``n_observed`` (assigned, and not in collision) and
-        ``completeness``, which is ``n_observed`` over ``n_in_field``. None where there are no `outcomes`.
+        Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all of them), ``n_in_field``,
+        ``n_reachable`` (0 for targets that are not requested), ``n_assigned``, ``n_observed`` (assigned, and not in
+        collision) and ``completeness``, which is ``n_observed`` divided by ``n_in_field``. It is None without
+        `outcomes`.
         """
         return None if self.outcomes is None else completeness_table(self.outcomes)
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Tile":
-        """Read a tile that `write` wrote.
+        """Read a tile from a file that `write` wrote.
 
         Parameters
         ----------
         path : str or path-like
-            The file.
+            Path of the file.
 
         Returns
         -------
         Tile
-            Equal to the one that was written; from ECSV without `outcomes`.
+            The tile, equal to the one that was written; a tile from ECSV has no `outcomes`.
 
         Raises
         ------
         InputError
-            If the file is not there or does not hold a tile.
+            If the file does not exist or does not contain a tile.
         """
         table = _io.read_table(path)
         try:
@@ -184,23 +186,23 @@ class Tile:
         return cls(tile.table, describe(_plain(_io.read_table(path, number=1)), OUTCOMES_COLUMNS, KEPT_COLUMN))
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
-        """Write the tile as FITS or ECSV; the file appears whole or not at all.
+        """Write the tile as FITS or ECSV; if writing fails, no incomplete file remains.
 
         The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
-        where there are any. An ECSV file holds ``table`` only, and a tile that is read from it has no outcomes and no
-        completeness: write FITS, or ``tile.outcomes`` to a file of its own.
+        if there are any. An ECSV file contains only ``table``, and a tile that is read from it has neither outcomes
+        nor completeness. To keep these, write FITS, or write ``tile.outcomes`` to a separate file.
 
         Parameters
         ----------
         path : str or path-like
-            Ends in ``.fits`` or ``.ecsv``, with or without ``.gz``.
+            Path that ends in ``.fits`` or ``.ecsv``, optionally followed by ``.gz``.
         overwrite : bool, optional
-            Replace a file that exists.
+            Whether to replace an existing file.
 
         Raises
         ------
         InputError
-            If the folder is missing, the file exists, or FITS cannot hold a text.
+            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
         """
         parameters = self.provenance["parameters"]
         cards = {
@@ -229,7 +231,7 @@ class Tile:
         if not isinstance(other, Tile):
             return NotImplemented
         a, b = self.table, other.table
-        # as text, in which NaN equals NaN
+        # compare as text, in which NaN equals NaN
         same_meta = json.dumps(a.meta, sort_keys=True) == json.dumps(b.meta, sort_keys=True)
         return same_meta and _same_table(a, b) and _same_table(self.outcomes, other.outcomes)
 
@@ -246,13 +248,13 @@ class Tile:
         )
 
     def _kinds(self) -> str:
-        """Return the numbers of positioners by kind, where there are several kinds."""
+        """Return the numbers of positioners by kind as text, if there are several kinds."""
         counts = {kind: row["n_assigned"] for kind, row in self.summary.get("kinds", {}).items() if row["n_assigned"]}
         return f" ({', '.join(f'{n} {kind}' for kind, n in counts.items())})" if set(counts) - {"science"} else ""
 
 
 def _plain(table: QTable) -> QTable:
-    """Replace masks that a file has: by NaN, empty text, or where they are for integers without a target by a mask."""
+    """Replace masked values from a file by NaN or empty text; integers without a target remain masked."""
     for name in table.colnames:
         column = table[name]
         if isinstance(column, Masked):
@@ -267,7 +269,7 @@ def _plain(table: QTable) -> QTable:
 
 
 def _same_table(a, b) -> bool:
-    """Compare tables; one that is not there, as in ECSV, is like any other."""
+    """Return whether two tables are equal; a missing one, as from ECSV, equals any other."""
     return a is None or b is None or (a.colnames == b.colnames and all(_same(a[name], b[name]) for name in a.colnames))
 
 

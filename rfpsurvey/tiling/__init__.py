@@ -1,4 +1,4 @@
-"""Where the tiles of a survey go."""
+"""Placement of the tiles of a survey."""
 
 from rfpsurvey.tiling._centers import Centers
 from rfpsurvey.tiling._methods import METHODS

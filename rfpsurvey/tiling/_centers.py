@@ -1,4 +1,4 @@
-"""Where the centers of tiles may be: a list, limits of declination."""
+"""Constraints on the centers of tiles: a list of centers, and limits of declination."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,30 +15,32 @@ from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
 
 __all__ = ["Centers", "Declinations", "as_centers"]
 
-# Limits hold up to rounding, radians.
+# Tolerance of the limits for rounding, radians.
 ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Centers:
-    """Where the centers of tiles may be, and the position angle of the tiles.
+    """Constraints on the centers of tiles, and the position angle of the tiles.
 
     Parameters
     ----------
     coord : SkyCoord, Tiling or Table, optional
-        The only centers that may be, such as bright stars or the tiles of an earlier survey. Coverings then need not be
-        complete. The method ``given`` takes all of them in their order; of a tiling or a table it also takes the
-        identifiers, position angles, passes and further columns.
+        The only centers that are allowed, such as bright stars or the tiles of an earlier survey. Coverings may then
+        be incomplete. The method ``given`` uses all of these centers in their order; from a tiling or a table it also
+        uses the identifiers, position angles, passes and further columns.
     declination : tuple of Quantity or Quantity, shape (2,), optional
-        Lowest and highest declination of a center. For a site at the latitude b and a largest zenith distance z
-        on the meridian, these are b - z and b + z.
+        Lowest and highest declination of a center. For a site at the latitude b and a maximum zenith distance z on
+        the meridian, these are b - z and b + z.
     position_angle : Quantity, optional
-        Position angle of +y of all tiles, from north toward east; by default that of the list for ``given``, else 0.
+        Position angle of +y of all tiles, from north toward east. By default it is 0, or for ``given`` that of the
+        list.
 
     Raises
     ------
     InputError
-        If a direction, an angle or a unit is wrong, if the lower limit is above the upper one, or if no center is left.
+        If a direction, an angle or a unit is wrong, if the lower limit exceeds the upper one, or if no center is
+        inside the limits.
 
     Examples
     --------
@@ -80,7 +82,7 @@ class Centers:
             given = SkyCoord(*to_ra_dec(vectors[np.isfinite(vectors).all(axis=1)]), unit="deg")
             ra, dec = given.ra, given.dec
             table = Table({"ra": ra.to(u.deg), "dec": dec.to(u.deg)})
-            # one direction twice is one direction
+            # repeated directions count once
             table = table[np.sort(np.unique(place_of(ra.deg, dec.deg), axis=0, return_index=True)[1])]
             given = Tiling.from_table(table)
         tiling = as_tiling(given)
@@ -89,12 +91,12 @@ class Centers:
 
     @property
     def angle_deg(self) -> float:
-        """Position angle of tiles that have none of their own."""
+        """Position angle of tiles without their own, in degrees."""
         return 0.0 if self.position_angle is None else float(self.position_angle.to_value(u.deg))
 
     @property
     def vectors(self) -> np.ndarray | None:
-        """The list as unit vectors, each once; None without a list."""
+        """The list as distinct unit vectors; None without a list."""
         if self.tiling is None:
             return None
         places = place_of(self.tiling.table["ra"].value, self.tiling.table["dec"].value)
@@ -103,7 +105,7 @@ class Centers:
 
 @dataclass(frozen=True)
 class Declinations:
-    """Limits of declination, radians."""
+    """Limits of declination in radians."""
 
     low: float = -np.pi / 2
     high: float = np.pi / 2
@@ -115,7 +117,7 @@ class Declinations:
 
     @property
     def words(self) -> str:
-        """The limits, for a sentence."""
+        """The limits as part of a sentence."""
         return (
             ""
             if self.anywhere
@@ -123,7 +125,7 @@ class Declinations:
         )
 
     def distance(self, vectors: np.ndarray) -> np.ndarray:
-        """Return how far directions are outside, radians; 0 inside."""
+        """Return the distances (radians) of directions from the limits; 0 inside."""
         lat = to_lonlat(vectors)[1]
         return np.maximum(np.maximum(self.low - lat, lat - self.high), 0.0)
 
@@ -140,12 +142,12 @@ class Declinations:
         return np.where(out[..., None], inside, vectors)
 
     def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:
-        """Return the directions less than a radius outside, moved inside; others are dropped."""
+        """Return the directions inside, and those less than a radius outside, moved inside; others are dropped."""
         return vectors if self.anywhere else self.move_inside(vectors[self.distance(vectors) < radius])
 
 
 def as_centers(given: object) -> Centers:
-    """Return centers from themselves, or from a list of directions alone."""
+    """Return Centers from Centers, a list of directions, or None."""
     return given if isinstance(given, Centers) else Centers(given)
 
 

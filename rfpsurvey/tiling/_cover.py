@@ -1,4 +1,4 @@
-"""Cover the targets of a catalog, or a region, pass after pass."""
+"""Cover the targets of a catalog, or a region, in passes."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,13 +15,13 @@ from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["RegionCover", "cover_targets", "in_any", "snap"]
 
-# Samples of a region: so fine as parts of the tile's radius, as long as there are not more than so many.
+# Spacing of the samples of a region as fractions of the radius of a tile, and their largest number.
 FINE = 1 / 40
 MOST_SAMPLES = 200_000
 
 
 def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
-    """Cover the targets so many times as asked for; or, for a goal, until it is reached or a pass serves nobody."""
+    """Cover the targets with the given number of passes, or until a goal is reached or a pass serves no target."""
     state = TilingState(problem)
     center, reach = problem.circle()
     number, whole = 0, problem.open_ended
@@ -31,7 +31,7 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
         if problem.allowed is not None:
             centers = snap(centers, problem.allowed, points, problem.radius)
         elif not problem.limits.anywhere:
-            # centers that have to be moved onto a limit are used where those inside leave targets
+            # centers outside the limits are moved onto them to serve targets that remain
             outside = problem.limits.distance(centers) > 0
             moved = problem.limits.fit(centers[outside], problem.radius)
             inner = np.arange(np.count_nonzero(~outside))
@@ -43,16 +43,16 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
 
 
 class RegionCover:
-    """Coverings of a region, and how well tiles cover it.
+    """Coverings of a region, and their quality.
 
     Parameters
     ----------
     region : Region
-        What to cover.
+        Region to cover.
     radius : float
         Radius of a tile.
     exclude : tuple of Region
-        What need not be covered.
+        Regions that need not be covered.
     """
 
     def __init__(self, region: Region, radius: float, exclude: tuple[Region, ...]):
@@ -78,7 +78,7 @@ class RegionCover:
         return found
 
     def quality(self, tiles: np.ndarray, limits: Declinations) -> dict:
-        """Return how well tiles cover the region."""
+        """Return numbers that describe how well tiles cover the region."""
         depth = SkyIndex(tiles).sum_near(self.look, self.radius, np.ones(len(tiles)))
         quality = {
             "covering_fraction": float(np.mean(depth > 0)),
@@ -99,7 +99,7 @@ def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
 
 
 def _conservative(region, exclude, reach, radius):
-    """Return HEALPix centers that are near every point of the region, and how near."""
+    """Return HEALPix centers such that each point of the region has one nearby, and the largest distance to it."""
     nside = _healpix.nside_for(FINE * radius)
     area = region.area.to_value("sr")
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
@@ -110,7 +110,7 @@ def _conservative(region, exclude, reach, radius):
 
 
 def _all_inside(regions, samples, margin):
-    """Tell which samples lie inside with all that is as far as ``margin``, as far as eight points can tell."""
+    """Mark samples that lie inside together with eight points at the distance ``margin`` around them."""
     helper = np.eye(3)[np.argmin(np.abs(samples), axis=1)]
     x = np.cross(helper, samples)
     x /= np.linalg.norm(x, axis=1)[:, None]
@@ -122,7 +122,7 @@ def _all_inside(regions, samples, margin):
 
 
 def _needed(index, centers, radius, margin):
-    """Drop centers of circles that touch nothing, or nothing that others do not cover for sure."""
+    """Drop the centers of circles that touch no point, or only points that other circles certainly cover."""
     touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
     if radius <= 2 * margin:
         return centers[[len(rows) > 0 for rows in touched]]
@@ -141,7 +141,7 @@ def _needed(index, centers, radius, margin):
 
 
 def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Move centers to the nearest ones that may be, and add others as long as they cover more of the points."""
+    """Move centers to the nearest allowed ones, and add others as long as they cover more of the points."""
     from scipy.spatial import cKDTree
 
     chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)
@@ -149,7 +149,7 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
 
 
 def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the chosen of the allowed centers, and others as long as they cover more of the points."""
+    """Return the chosen ones of the allowed centers, with further ones as long as they cover more of the points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

@@ -1,6 +1,6 @@
-"""Coverings of a circle on the sphere by equal circles, proven to have no gap.
+"""Coverings of a circle on the sphere by equal circles, which are proven to have no gaps.
 
-The widest empty circle between centers has its middle at the circumcenter of a Delaunay triangle, and the Delaunay
+The center of the widest empty circle between points is the circumcenter of a Delaunay triangle, and the Delaunay
 triangles of points on the sphere are the facets of their convex hull.
 """
 
@@ -11,29 +11,29 @@ from rfpsurvey.errors import InputError
 __all__ = ["basis_of", "dither", "hexagonal", "lattice", "spiral", "widest_gap"]
 
 GOLDEN = np.pi * (3 - np.sqrt(5))
-# Area of the hexagon in a circle of radius 1: no covering by equal circles needs fewer of them.
+# Area of the hexagon in a circle of radius 1: no covering by equal circles has a larger area per circle.
 HEXAGON = 1.5 * np.sqrt(3)
-# The plastic number's sequence: shifts of the passes, as unlike each other as can be (Roberts 2018).
+# The sequence of the plastic number: shifts of passes that are as different as possible (Roberts 2018).
 PLASTIC = 1.32471795724474602596
 MOST = 500_000
-# Centers are laid so many radii beyond the circle, so that its border is like its middle.
+# Centers extend by this number of radii beyond the circle, so that its border is covered like its inside.
 MARGIN = 4.0
 
 
 def basis_of(center: np.ndarray) -> np.ndarray:
-    """Return rows: east, north and the center itself; east is +y at the poles."""
+    """Return a basis with rows: east, north and the center; east is +y at the poles."""
     flat = np.hypot(center[0], center[1])
     east = np.array([-center[1], center[0], 0.0]) / flat if flat > 1e-12 else np.array([0.0, 1.0, 0.0])
     return np.array([east, np.cross(center, east), center])
 
 
 def dither(number: int) -> np.ndarray:
-    """Return the shift of a pass (0 is the first, and not shifted), as parts of the lattice's unit cell."""
+    """Return the shift of a pass (0 is the first, without a shift) as fractions of the unit cell of the lattice."""
     return (number * np.array([1 / PLASTIC, 1 / PLASTIC**2])) % 1.0
 
 
 def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -> np.ndarray:
-    """Return a hexagonal lattice in Lambert's equal-area map about a center, out to ``reach``, the nearest first."""
+    """Return a hexagonal lattice in Lambert's equal-area map around a center, out to ``reach``, the nearest first."""
     limit = 2 * np.sin(min(reach, np.pi - 1e-9) / 2)
     n = int(np.ceil(limit / pitch * 2 / np.sqrt(3))) + 2
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
@@ -48,12 +48,12 @@ def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -
 
 
 def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
-    """Return the radius of the widest circle that touches the given one and holds no vector."""
+    """Return the radius of the widest circle that touches the given circle and contains no vector."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(vectors)
     middle = hull.equations[:, :3]
-    # by chords: cosines know small angles badly
+    # by chords, because cosines are inaccurate for small angles
     half = np.linalg.norm(middle[:, None, :] - vectors[hull.simplices], axis=2).max(axis=1) / 2
     gap = 2 * np.arcsin(np.minimum(half, 1.0))
     away = 2 * np.arcsin(np.minimum(np.linalg.norm(middle - center, axis=1) / 2, 1.0))
@@ -61,35 +61,35 @@ def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
 
 
 def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) -> np.ndarray:
-    """Return centers of circles that cover a circle with no gap, the hexagonal lattice of the largest pitch.
+    """Return the centers of circles that cover a circle without gaps, on the hexagonal lattice of the largest pitch.
 
     Parameters
     ----------
     center : ndarray, shape (3,)
         Center of the circle to cover.
     reach : float
-        Its radius, at most a right angle.
+        Radius of the circle to cover, at most a right angle.
     radius : float
         Radius of the circles.
     number : int, optional
-        Pass: another number is another shift of the lattice.
+        Number of the pass, which determines the shift of the lattice.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Centers, also of circles that do not touch the circle.
+        Centers, including those of circles that do not touch the given circle.
     """
     if reach > np.pi / 2 * (1 + 1e-9):
         raise InputError(
             f"the hexagonal lattice covers at most a hemisphere, the field reaches {np.rad2deg(reach):.1f} deg from "
-            "its middle; use method='spiral'"
+            "its center; use method='spiral'"
         )
     check_number(reach, radius)
 
     def make(pitch):
         return lattice(center, reach + MARGIN * radius, pitch, dither(number))
 
-    # on a plane the pitch would be this; the map's distortion asks for less
+    # the pitch on a plane; the distortion of the map requires a smaller one
     low, high = 0.0, np.sqrt(3) * radius
     pitch = high
     for _ in range(40):
@@ -110,29 +110,29 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
 
 
 def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> np.ndarray:
-    """Return centers of circles that cover a circle with no gap, on a Fibonacci spiral over the whole sphere.
+    """Return the centers of circles that cover a circle without gaps, on a Fibonacci spiral over the whole sphere.
 
     Parameters
     ----------
     center : ndarray, shape (3,)
         Center of the circle to cover.
     reach : float
-        Its radius, up to pi.
+        Radius of the circle to cover, up to pi.
     radius : float
         Radius of the circles.
     number : int, optional
-        Pass: another number is another axis of the spiral.
+        Number of the pass, which determines the axis of the spiral.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Centers, also of circles that do not touch the circle.
+        Centers, including those of circles that do not touch the given circle.
     """
     check_number(reach, radius)
     wide = min(reach + MARGIN * radius, np.pi)
     basis = basis_of(center)
     shift = dither(number)
-    # the axis of each further pass is elsewhere in the cell that one circle takes, and is turned
+    # the axis of each further pass is shifted within the cell of one circle, and the spiral is rotated
     x, y = radius * np.sqrt(3) * (shift[0] + shift[1] / 2), radius * 1.5 * shift[1]
     tilted = basis_of((lambda v: v / np.linalg.norm(v))(np.array([x, y, 1.0]) @ basis))
     turn = 2 * np.pi * shift[0]
@@ -161,7 +161,7 @@ def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> 
 
 
 def check_number(reach: float, radius: float) -> None:
-    """Refuse what would need more tiles than fit into memory."""
+    """Raise an error if the covering requires more tiles than fit into memory."""
     expected = 4 * np.pi * np.sin(min(reach + radius, np.pi) / 2) ** 2 / (HEXAGON * radius**2)
     if expected > MOST:
         raise InputError(

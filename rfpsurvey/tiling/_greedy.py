@@ -1,4 +1,4 @@
-"""LAMOST's ways to place tiles one after the other: where targets are dense, until none is left."""
+"""The methods of LAMOST, which place tiles one after the other where targets are dense, until none is left."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
 __all__ = ["density_gradient", "max_density", "mean_shift", "ring"]
 
-# As parts of the field's radius.
+# Lengths as fractions of the radius of the field.
 GRID = 0.1
 SIGMA = 0.5
 SEED = 0.5
@@ -21,10 +21,10 @@ _TURN = np.array([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi 
 
 
 def max_density(problem: TilingProblem) -> TilingState:
-    """Place each tile where the most visits are wanted.
+    """Place each tile at the center with the largest number of requested visits.
 
-    Candidates are a HEALPix grid finer than a tenth of the radius, their sums brought up to date about the last tile;
-    the best one is then shifted as long as its sum grows.
+    The candidates are a HEALPix grid finer than a tenth of the radius; their sums are updated around each new tile.
+    The best candidate is then shifted as long as its sum increases.
     """
     state = TilingState(problem)
     places = _grid(problem) if problem.allowed is None else problem.allowed
@@ -38,17 +38,17 @@ def max_density(problem: TilingProblem) -> TilingState:
 
 
 def density_gradient(problem: TilingProblem) -> TilingState:
-    """Place each tile by climbing the density of targets, smoothed by a Gaussian, from where they are densest."""
+    """Place each tile at a maximum of the smoothed density of targets, climbing from the densest target."""
     return _follow(problem, _climb_density)
 
 
 def mean_shift(problem: TilingProblem) -> TilingState:
-    """Place each tile by moving it to the mean of its targets again and again, from where they are densest."""
+    """Place each tile by repeatedly moving it to the mean of its targets, starting at the densest target."""
     return _follow(problem, _shift_to_mean)
 
 
 def _follow(problem: TilingProblem, move: Callable) -> TilingState:
-    """Run a method that starts from the place with the most targets near it."""
+    """Run a method that starts at the target with the most targets around it."""
     state = TilingState(problem)
     seeds = _Candidates(state, _grid(problem), SEED * problem.radius)
     allowed = None if problem.allowed is None else _Candidates(state, problem.allowed, problem.radius)
@@ -60,21 +60,21 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
         center = problem.limits.move_inside(move(state, seed))
         if allowed is not None:
             return allowed.about(center)
-        # a hill of density may rise between targets that are all out of its reach
+        # a maximum of the density may lie between targets that are all out of its reach
         return center if len(problem.index.near(center, problem.radius, state.weight)) else seed
 
     return _run(state, seeds if allowed is None else (seeds, allowed), seek)
 
 
 def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
-    """Place tiles until nothing is left to do or nobody can be served any more."""
+    """Place tiles until no more are needed or no target can be served."""
     lists = candidates if isinstance(candidates, tuple) else (candidates,)
     while not state.done:
         center = seek()
         if center is None:
             break
         tries = [center]
-        if state.problem.allowed is None:  # a target may be where no positioner gets, but not for a tile beside it
+        if state.problem.allowed is None:  # a target that no positioner reaches may be within reach for a shifted tile
             beside = np.vstack([ring(center, step * state.problem.radius) for step in BESIDE])
             tries += list(state.problem.limits.move_inside(beside))
         if not any(len(state.observe(one)) for one in tries):
@@ -85,7 +85,7 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
 
 
 class _Candidates:
-    """Places for a tile, and the visits wanted within some reach of each."""
+    """Candidate centers of a tile, and the number of requested visits around each."""
 
     def __init__(self, state: TilingState, vectors: np.ndarray, reach: float):
         self.state, self.reach = state, reach
@@ -93,23 +93,23 @@ class _Candidates:
         self.sum = state.problem.index.sum_near(self.index.vectors, reach, state.weight)
 
     def best(self) -> np.ndarray | None:
-        """Return the place with the largest sum, None where all are 0."""
+        """Return the candidate with the largest sum; None if all sums are 0."""
         most = self.sum.max(initial=0.0)
         if most <= 0.5:
             return None
-        # of equals the first by its row, whatever their order on the sky
+        # of equal ones the first by row, independent of the order on the sky
         top = np.flatnonzero(self.sum >= most - 1e-9)
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
-        """Return the best place within half a radius of a direction, or the best of all where there is none."""
+        """Return the best candidate within half a radius of a direction or, if there is none, the best of all."""
         near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5:
             return self.best()
         return self.index.vectors[near[np.argmax(self.sum[near])]]
 
     def update(self, center: np.ndarray, changed: float) -> None:
-        """Bring the sums up to date where targets within ``changed`` of a center were observed."""
+        """Update the sums after targets within ``changed`` of a center were observed."""
         near = self.index.near(center, min(changed + self.reach, np.pi))
         weight = self.state.weight
         self.sum[near] = self.state.problem.index.sum_near(self.index.vectors[near], self.reach, weight)
@@ -132,7 +132,7 @@ def _near_targets(problem, centers, margin):
 
 
 def ring(center: np.ndarray, step: float) -> np.ndarray:
-    """Return eight directions around a center."""
+    """Return eight directions on a circle around a center."""
     helper = np.eye(3)[np.argmin(np.abs(center))]
     x = _cross(helper, center)
     x /= np.linalg.norm(x)
@@ -146,7 +146,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Shift a center as long as the sum within it grows, by ever smaller steps."""
+    """Shift a center by decreasing steps as long as the sum inside the tile increases."""
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:
@@ -191,7 +191,7 @@ def _climb_density(state: TilingState, center: np.ndarray) -> np.ndarray:
 
 
 def _shift_to_mean(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Move a center to the mean of its targets until it rests, and return the best place that it saw."""
+    """Move a center to the mean of its targets until it no longer moves, and return the best center on the path."""
     problem, weight = state.problem, state.weight
     best, most = center, -1.0
     for _ in range(MOST_STEPS):
@@ -207,7 +207,7 @@ def _shift_to_mean(state: TilingState, center: np.ndarray) -> np.ndarray:
         moved = np.linalg.norm(mean - center)
         center = mean
         if moved <= STILL * problem.radius:
-            # where it rests counts, too
+            # the last center is also a candidate
             last = weight[problem.index.near(center, problem.radius, weight)].sum()
             best = center if last >= most else best
             break

@@ -1,4 +1,4 @@
-"""The ways to place tiles."""
+"""The table of methods of placing tiles."""
 
 from functools import partial
 
@@ -12,7 +12,7 @@ __all__ = ["COVERINGS", "GIVEN", "METHODS"]
 
 GIVEN = "given"
 
-# Coverings of a region, which need no targets.
+# Coverings of a region, which require no targets.
 COVERINGS = {"hexagonal": hexagonal, "spiral": spiral}
 
 # Each takes a TilingProblem and returns a TilingState.

@@ -1,7 +1,7 @@
 """Tiles by network flow (Blanton et al. 2003, AJ 125, 2276, Section 4).
 
-Targets in small cells flow to tiles; a cell outside a tile flows there at a cost that grows with its distance from the
-edge, and each tile then moves to where what it was given costs least.
+Targets in small cells are assigned to tiles by a flow of least cost. For a cell outside a tile, the cost increases
+with its distance from the edge. Each tile then moves to the center that minimizes the cost of its cells.
 """
 
 import numpy as np
@@ -15,17 +15,17 @@ from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["sdss"]
 
-# As parts of the radius: how far outside a target may be, and the size of the cells.
+# As fractions of the radius: the largest distance of a target outside a tile, and the size of the cells.
 OUTSIDE = 0.2
 CELL = 0.15
-# Costs of a visit: within the field next to nothing, beyond the edge from 1 to 3, and where it is not made.
+# Costs of a visit: almost 0 inside the field, from 1 to 3 beyond the edge, and the cost of a visit not made.
 INSIDE_COST, EDGE_COST, STEEP, UNASSIGNED = 0.01, 1.0, 2.0, 10.0
 MOST_ROUNDS = 20
 GAIN = 2e-3
 
 
 def sdss(problem: TilingProblem) -> TilingState:
-    """Place a number of tiles by network flow; with a completeness, the fewest that reach it."""
+    """Place a number of tiles by network flow; for a completeness, the smallest number that reaches it."""
     if problem.n_tiles is not None and problem.completeness is None:
         return _attempt(problem, problem.n_tiles)
     if problem.completeness is None:
@@ -34,7 +34,7 @@ def sdss(problem: TilingProblem) -> TilingState:
 
 
 def _fewest(problem: TilingProblem) -> TilingState:
-    """Bisect the number of tiles."""
+    """Find the smallest number of tiles by bisection."""
     goal = problem.completeness
     most = problem.n_tiles or 10**6
     n = min(max(int(np.ceil(goal * problem.wanted.sum() / problem.fibers)), 1), most)
@@ -52,7 +52,7 @@ def _fewest(problem: TilingProblem) -> TilingState:
         else:
             foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))
             low, n = n, min(max(int(1.25 * n), n + 1, foreseen), most)
-    # a run may end before its tiles are used up
+    # a run may end before all of its tiles are used
     high = len(found.rows)
     while high - low > max(1, high // 100):
         middle = (low + high) // 2
@@ -65,7 +65,7 @@ def _fewest(problem: TilingProblem) -> TilingState:
 
 
 def _attempt(problem: TilingProblem, n: int) -> TilingState:
-    """Place n tiles and observe them."""
+    """Place n tiles, and observe their targets."""
     cells = _Cells(problem)
     centers = _relax(problem, cells, _uniform(problem, n))
     state = TilingState(problem)
@@ -81,7 +81,7 @@ def _covering_number(problem: TilingProblem) -> int:
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
-    """Return n centers, evenly over the targets: a hexagonal lattice of the pitch that gives so many with targets."""
+    """Return n centers spread evenly over the targets: a hexagonal lattice whose pitch gives n tiles with targets."""
     center, reach = problem.circle()
 
     def make(pitch):
@@ -100,7 +100,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
             high = pitch
         if low and high - low < 1e-3 * low:
             break
-        # the number goes as 1 / pitch^2
+        # the number is proportional to 1 / pitch^2
         guess = pitch * np.sqrt(max(len(centers), 0.5) / n)
         pitch = guess if low < guess < high and guess != pitch else (low + high) / 2
     if not low:
@@ -108,7 +108,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
     count = problem.index.sum_near(enough, problem.radius, problem.wanted.astype(np.float64))
     keep = np.sort(np.argsort(-count, kind="stable")[:n])
     enough = enough[keep]
-    # too few places with targets: the best ones again
+    # with too few centers with targets, repeat the best ones
     return enough[np.arange(n) % len(enough)]
 
 
@@ -117,7 +117,7 @@ def _with_targets(problem, centers):
 
 
 class _Cells:
-    """Targets that are close together, as one."""
+    """Groups of targets that are close together."""
 
     def __init__(self, problem: TilingProblem):
         rows = np.flatnonzero(problem.wanted > 0)
@@ -135,14 +135,14 @@ class _Cells:
 
 
 def _cost(distance: np.ndarray, radius: float) -> np.ndarray:
-    """Cost of a visit at a distance from the center of its tile."""
+    """Return the cost of a visit at a distance from the center of its tile."""
     away = distance / radius
     beyond = EDGE_COST + STEEP * (away - 1) / OUTSIDE
     return np.where(away <= 1, INSIDE_COST * away**2, np.where(away <= 1 + OUTSIDE, beyond, UNASSIGNED))
 
 
 def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
-    """Alternate flow and moves until the cost stops falling."""
+    """Alternate flows and moves of the centers until the cost no longer decreases."""
     radius, last = problem.radius, np.inf
     for _ in range(MOST_ROUNDS):
         cell, tile, amount, total = _flow(problem, cells, centers)
@@ -157,7 +157,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
             own = order[bounds[k] : bounds[k + 1]]
             if len(own):
                 centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
-            elif left.max() > 0.5:  # of no use where it is: to where most is left out
+            elif left.max() > 0.5:  # a tile without targets moves to the largest number of unassigned targets
                 gain = cells.index.sum_near(cells.vectors, radius, left[cells.index.order])
                 centers[k] = cells.vectors[np.argmax(gain)]
                 left[cells.index.order[cells.index.near(centers[k], radius)]] = 0.0
@@ -166,7 +166,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
 
 
 def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
-    """Send cells to tiles at least cost; returns cell, tile and amount of each flow, and the total cost."""
+    """Assign cells to tiles at least cost; return cell, tile and amount of each flow, and the total cost."""
     from scipy.optimize import linprog
     from scipy.sparse import csr_array
 
@@ -178,7 +178,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
     cost = _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), problem.radius)
     if len(cell) == 0:
         return cell, tile, np.empty(0), UNASSIGNED * cells.supply.sum()
-    # what is not assigned costs as much wherever it is: count the gain of what is
+    # unassigned targets cost the same everywhere: minimize relative to that cost
     ones, n = np.ones(len(cell)), np.arange(len(cell))
     limits = csr_array(
         (np.concatenate([ones, ones]), (np.concatenate([cell, len(cells.supply) + tile]), np.concatenate([n, n]))),
@@ -198,7 +198,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
 
 
 def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, radius: float) -> np.ndarray:
-    """Return a center at which what was assigned costs less, or the one it has: a search by ever smaller steps."""
+    """Search by decreasing steps for a center with a smaller cost of the assigned cells, and return the best one."""
 
     def price(places):
         chord = np.linalg.norm(vectors[None] - places[:, None], axis=2)
@@ -217,7 +217,7 @@ def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, ra
 
 
 def _allowed(problem: TilingProblem, centers: np.ndarray) -> np.ndarray:
-    """Snap centers to those that may be."""
+    """Move centers to the nearest allowed ones."""
     if problem.allowed is None:
         return centers
     from scipy.spatial import cKDTree

@@ -55,73 +55,79 @@ def place_tiles(
     progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Tiling:
-    """Decide where the tiles of a survey go.
+    """Place the tiles of a survey.
 
-    A tile is a circle of the instrument's field radius. What it observes is decided as in a survey, by an allocator
-    and the collisions of its arms. Where ``fibers`` or ``radius`` is given, or no instrument, it observes any of its
-    targets, up to the number of fibers, and the completeness is an upper limit: ``summary["completeness_means"]``
-    tells. Each target is observed at most once by a tile; of a catalog that has kinds, the science targets count.
+    A tile is a circle with the field radius of the instrument. As in a survey, an allocator and the collisions of
+    arms determine which targets a tile observes. If ``fibers`` or ``radius`` is given, or there is no instrument, a
+    tile can observe any of its targets, up to the number of fibers. The completeness is then an upper limit, as
+    ``summary["completeness_means"]`` states. A tile observes each target at most once. Only science targets are
+    counted.
 
     Parameters
     ----------
     field : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
-        The targets (partitions are read as a whole), or a region to cover (``hexagonal``, ``spiral`` and ``given``).
+        The targets (all partitions are read), or a region to cover (for ``hexagonal``, ``spiral`` and ``given``).
     instrument : Instrument or str, optional
-        Gives the radius of the field and the positioners; not needed where ``radius`` and ``fibers`` are given.
+        Instrument, which defines the field radius and the positioners. It is not required if ``radius`` and
+        ``fibers`` are given.
     method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss", "given"}, optional
-        ``hexagonal``: a lattice without gaps about the middle of the field, for up to a hemisphere. ``spiral``: a
-        Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: one tile after the other where the most
-        visits are wanted. ``density_gradient``: the same, from the densest target up the smoothed density.
-        ``mean_shift``: the same, the center moving to the mean of its targets. ``sdss``: a number of tiles by
-        network flow, by default that of a hexagonal lattice. ``given``: the list in ``centers``, in its order.
+        ``hexagonal``: a hexagonal lattice without gaps around the center of the field, for up to a hemisphere.
+        ``spiral``: a Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: each tile in turn is
+        placed where the number of requested visits is largest. ``density_gradient``: each tile in turn climbs the
+        smoothed density of targets, starting at the densest target. ``mean_shift``: each tile in turn moves
+        repeatedly to the mean of its targets. ``sdss``: a number of tiles are placed by network flow; by default it
+        is the number of a hexagonal lattice. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
-        How often coverings cover everything, each pass with its tiles elsewhere, whether or not a target is left. With
-        ``completeness`` or ``n_tiles``, passes follow until that is reached, without tiles that serve nobody.
+        Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left.
+        With ``completeness`` or ``n_tiles``, passes are added until these are reached, without tiles that serve no
+        target.
     n_tiles : int, optional
         Largest number of tiles; for ``sdss`` without ``completeness``, the number of tiles.
     completeness : float, optional
-        Part of the wanted visits, above 0 and at most 1, at which no more tiles are placed.
+        Fraction of the requested visits, above 0 and at most 1, at which no more tiles are placed.
     fibers : Fibers or int, optional
-        Targets that a tile observes at most, and how close to each other they may be. Without an allocator, these
-        fibers reach any target of the field.
+        Largest number of targets that a tile observes, and their minimum separation. Without an allocator, the fibers
+        reach any target of the field.
     allocator : AllocationOptions or str or callable, optional
-        The positioners of the instrument decide what a tile observes, as in `plan_survey`, see `AllocationOptions`;
-        ``lamost`` by default. A target whose arm collides is not observed, see `~rfpsurvey.tiling.Fibers`. Required
-        targets come first in each tile; circles that no arm may cover are obstacles of each tile.
+        Allocator of the positioners, which determines the targets that a tile observes, as in `plan_survey`; see
+        `AllocationOptions`. The default is ``lamost``. A target whose arm collides is not observed, see
+        `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile; circles that no arm may cover are
+        obstacles in each tile.
     radius : Quantity, optional
-        Angular radius of a tile, instead of the instrument's.
+        Angular radius of a tile, instead of that of the instrument.
     centers : Centers, SkyCoord, Tiling or Table, optional
-        The only centers that may be, such as bright stars; limits of declination and the position angle of tiles, see
-        `~rfpsurvey.tiling.Centers`.
+        Constraints on the centers of tiles, such as a list of bright stars or limits of declination, and the position
+        angle of tiles; see `~rfpsurvey.tiling.Centers`.
     exclude : Region or list of Region, optional
-        Targets or area inside do not count. Tiles beside may overlap it.
+        Regions whose targets or area are not counted. Tiles may overlap them.
     visits : array_like of int, optional
-        How often each target is wanted, shape (n,) or one number; by default as the catalog says, or once.
+        Requested number of visits of each target, shape (n,) or one number; by default that of the catalog, or one.
     progress : bool or callable, optional
-        Show a line on the standard error, or call a function after each tile: with (tiles, ``n_tiles``) where that is
-        given, else with the completeness that is reached and its goal. Methods that try several numbers of tiles begin
-        anew with each.
+        Show the progress on the standard error, or call a function after each tile: with the number of tiles and
+        ``n_tiles`` if that is given, otherwise with the completeness reached and its goal. Methods that try several
+        numbers of tiles start again for each.
     rng : int, Generator or None, optional
-        For allocators that draw.
+        Seed or random number generator for allocators that use random numbers.
 
     Returns
     -------
     Tiling
-        For targets in the order of placing, with the columns ``n_targets`` (unserved in the field), ``n_new`` (served)
-        and ``completeness`` (after the tile). A survey with the same allocator delivers this completeness if it plans
-        the tiles in this order (``order="given"``), and nearly the same in another.
+        The tiles. For targets, they are in the order in which they were placed, with the columns ``n_targets``
+        (number of targets in the field that still require a visit), ``n_new`` (number of targets served) and
+        ``completeness`` (after the tile). A survey with the same allocator reaches this completeness if it plans the
+        tiles in this order (``order="given"``), and nearly the same one in another order.
 
     Raises
     ------
     InputError
-        If there are no targets, a name is unknown, a unit is missing, a number is impossible, the method needs
-        targets and got a region, or the lattice would have to cover more than a hemisphere.
+        If there are no targets, a name is unknown, a unit is missing, a number is out of range, the method requires
+        targets but a region is given, or the lattice would have to cover more than a hemisphere.
 
     Warns
     -----
     RfpsurveyWarning
-        If the completeness is not reached, targets are beyond the limits of declination, or the region is not covered
-        by the centers that may be.
+        If the completeness is not reached, targets are beyond the limits of declination, or the allowed centers do
+        not cover the region.
 
     References
     ----------
@@ -260,7 +266,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
 
 
 def _regions(exclude) -> tuple[Region, ...]:
-    """Return regions from one, several or none."""
+    """Return a tuple of regions from one region, several, or None."""
     regions = () if exclude is None else (exclude,) if isinstance(exclude, Region) else exclude
     if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
         raise InputTypeError(f"exclude must be a Region or a list of them, got {short(exclude)}")
@@ -268,14 +274,14 @@ def _regions(exclude) -> tuple[Region, ...]:
 
 
 def _angles(where: Centers, method: str) -> np.ndarray:
-    """Return the position angle of all tiles, or of each, in degrees."""
+    """Return the position angle of all tiles or of each tile, in degrees."""
     if method == GIVEN and where.position_angle is None:
         return where.tiling.table["position_angle"].to_value(u.deg)
     return np.array([where.angle_deg])
 
 
 def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
-    """Warn of goals that are not reached, and of targets that no tile reaches."""
+    """Issue a warning for goals that are not reached, and for targets that no tile reaches."""
     problem, n = state.problem, len(state.rows)
     sentences = []
     goal = problem.completeness
@@ -291,7 +297,7 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
 
 
 def _wanted(catalog, visits, exclude):
-    """Return the visits wanted of each target of the catalog."""
+    """Return the requested visits of each target of the catalog."""
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     visits = catalog.visits if visits is None else visits
@@ -305,7 +311,7 @@ def _wanted(catalog, visits, exclude):
 
 
 def _account(state: TilingState, neighbors, n_away: int) -> dict:
-    """Return what was reached; ``n_away`` targets are beyond the limits of declination."""
+    """Return the summary of a tiling; ``n_away`` targets are beyond the limits of declination."""
     problem = state.problem
     wanted, made = problem.wanted, problem.wanted - state.left
     n = len(state.rows)
@@ -323,7 +329,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     if neighbors is not None:
         some = np.flatnonzero(wanted > 0)
         indptr, other = neighbors
-        # only neighbors that still want a visit are too close
+        # only neighbors that still require a visit are too close
         near = (
             np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
         )
@@ -343,7 +349,7 @@ def _table(vectors, number) -> QTable:
 
 
 def _finish(table, angles, summary, columns) -> Tiling:
-    """Return the tiling."""
+    """Return the tiling with its summary."""
     table, n = table.copy(), len(table)
     table["position_angle"] = np.resize(angles, n).astype(float) * u.deg
     for name, values in columns.items():

@@ -1,4 +1,4 @@
-"""What a tiling has to do, and the account of what its tiles have done so far."""
+"""The problem of placing tiles, and the state of the tiles placed so far."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,28 +14,28 @@ __all__ = ["TilingProblem", "TilingState"]
 
 @dataclass(frozen=True)
 class TilingProblem:
-    """The question, in radians; what belongs to targets is by position in the index."""
+    """The problem of placing tiles, in radians; arrays of targets are sorted by position in the index."""
 
     radius: float
     index: SkyIndex
     wanted: np.ndarray
-    """Visits of each target."""
+    """Requested visits of each target."""
     fibers: int
     serve: Callable
-    """Positions that a tile serves: serve(center, positions, state)."""
+    """Function serve(center, positions, state) that returns the positions that a tile serves."""
     allowed: np.ndarray | None = None
-    """The only centers that may be."""
+    """The only centers that are allowed."""
     passes: int = 1
     n_tiles: int | None = None
     completeness: float | None = None
     limits: Declinations = field(default_factory=Declinations)
     """Declinations of the centers."""
     n_beyond: int = 0
-    """Visits that no tile within the limits can make; those of ``wanted`` are without them."""
+    """Number of visits that no tile within the limits can make; ``wanted`` does not include them."""
     tiles: Tiling | None = None
     """The list of centers with their passes."""
     tell: Callable | None = None
-    """Function of the number of tiles and the completeness, called after each tile."""
+    """Function that is called after each tile with the number of tiles and the completeness."""
 
     @property
     def open_ended(self) -> bool:
@@ -47,7 +47,7 @@ class TilingProblem:
         vectors = self.index.vectors[self.wanted > 0]
         center = vectors.sum(axis=0)
         length = np.linalg.norm(center)
-        # targets all over the sky have no middle
+        # targets all over the sky have no center
         center = center / length if length > 1e-6 * len(vectors) else np.array([0.0, 0.0, 1.0])
         chord = np.linalg.norm(vectors - center, axis=1).max()
         return center, float(2 * np.arcsin(min(chord / 2, 1.0)))
@@ -55,15 +55,15 @@ class TilingProblem:
 
 @dataclass
 class TilingState:
-    """What is left to do, and the tiles so far."""
+    """The remaining visits, and the tiles placed so far."""
 
     problem: TilingProblem
     left: np.ndarray = field(init=False)
-    """Visits of each target that are still wanted."""
+    """Remaining visits of each target."""
     hopeless: np.ndarray = field(init=False)
-    """Targets that no tile is sought for any more, since a tile on them served nobody."""
+    """Targets for which no more tiles are placed, because a tile on them served no target."""
     chances: np.ndarray | None = None
-    """How many tiles to come cover each target, where that is known."""
+    """Number of later tiles that cover each target, if known."""
     rows: list = field(default_factory=list)
     """For each tile: center, pass, unserved targets in the field, targets served, completeness after it."""
 
@@ -76,25 +76,25 @@ class TilingState:
 
     @property
     def weight(self) -> np.ndarray:
-        """Visits for which a place is sought."""
+        """Number of visits per target for which tiles are placed."""
         return np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
 
     @property
     def completeness(self) -> float:
-        """Visits made of those wanted."""
+        """Fraction of the requested visits that have been made."""
         return 1.0 - (self._n_left + self.problem.n_beyond) / self._n_wanted
 
     @property
     def done(self) -> bool:
-        """Whether no more tile is needed or allowed."""
+        """Whether no more tiles are needed or allowed."""
         problem = self.problem
         enough = problem.completeness is not None and self.completeness >= problem.completeness - 1e-12
         return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)
 
     def observe(self, center: np.ndarray, number: int | None = None, *, every: bool = False) -> np.ndarray:
-        """Place a tile and return the positions that it serves; where it serves nobody, it is not, unless ``every``.
+        """Place a tile and return the positions that it serves; without ``every``, not if it serves no target.
 
-        Without a number of the pass, it is 1 more than the number of tiles at the same place.
+        By default, the number of the pass is 1 plus the number of tiles with the same center.
         """
         problem = self.problem
         near = problem.index.near(center, problem.radius, self.left)
@@ -112,7 +112,7 @@ class TilingState:
         return served
 
     def give_up(self, center: np.ndarray) -> np.ndarray:
-        """Seek no more tiles for the targets about a center that served nobody; returns their positions."""
+        """Place no more tiles for the targets around a center that served no target; return their positions."""
         problem = self.problem
         near = problem.index.near(center, problem.radius, self.weight)
         if len(near) == 0:

@@ -1,4 +1,4 @@
-"""What one tile observes: as many targets as it has fibers, or what a real focal plane reaches."""
+"""The targets that a tile observes, with ideal fibers or with the positioners of a focal plane."""
 
 from dataclasses import dataclass
 from numbers import Number
@@ -20,21 +20,22 @@ __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 @check_keywords
 @dataclass(frozen=True)
 class Fibers:
-    """What a tile observes at most, and what counts as observed.
+    """The largest number of targets that a tile observes, and the condition for an observed target.
 
     Parameters
     ----------
     number : int, optional
-        Targets that a tile observes at most; by default the positioners that are not disabled or stuck.
+        Largest number of targets that a tile observes; by default the number of positioners that are neither disabled
+        nor stuck.
     min_separation : Quantity, optional
-        No two targets of a tile are closer than this angle; for ideal fibers only.
+        Minimum separation of the targets of a tile, an angle; for ideal fibers only.
     lost_in_collision : bool, optional
-        Whether a target whose arm collides counts as not observed, as in `~rfpsurvey.plan_survey`; for allocators only.
+        Whether targets whose arms collide count as not observed, as in `~rfpsurvey.plan_survey`; for allocators only.
 
     Raises
     ------
     InputError
-        If the number is not whole and positive, or the separation no angle.
+        If ``number`` is not a positive whole number, or ``min_separation`` is not an angle.
 
     Examples
     --------
@@ -58,22 +59,22 @@ class Fibers:
 
     @property
     def ideal(self) -> bool:
-        """Whether a number or a separation is given, which stand for fibers that reach any target of the field."""
+        """Whether a number or a separation is given; the fibers then reach any target of the field."""
         return self.number is not None or self.min_separation is not None
 
 
 class FreeFibers:
-    """Fibers that go anywhere in the field, no two closer than some separation.
+    """Ideal fibers that reach any target of the field, with a minimum separation of their targets.
 
-    First come the targets of higher priority, then those that fewer of the tiles to come cover, then those with
-    fewer others too close, then those earlier in the catalog.
+    Targets are served in the order of priority, then of the number of later tiles that cover them (fewest first),
+    then of the number of other targets too close to them (fewest first), then in the order of the catalog.
 
     Parameters
     ----------
     fibers : int
-        At most so many targets.
+        Largest number of targets.
     priority : ndarray or None
-        By position.
+        Priorities by position.
     neighbors : tuple of ndarray or None
         As `neighbors_within` returns them.
     """
@@ -83,7 +84,7 @@ class FreeFibers:
         self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
-        """Return the positions that are served, of those in the field that still want a visit."""
+        """Return the positions that are served, from those in the field that still require a visit."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
@@ -110,7 +111,7 @@ class FreeFibers:
         return near[np.sort(order[: self.fibers])]
 
     def _degrees(self, near, state):
-        """Return how many targets of the field, still to be observed, are too close to each."""
+        """Return the number of targets of the field that are still to be observed and too close to each target."""
         indptr, other = self.neighbors
         degree = indptr[near + 1] - indptr[near]
         some = np.flatnonzero(degree)
@@ -122,24 +123,24 @@ class FreeFibers:
 
 
 class FocalPlaneFibers:
-    """The positioners of an instrument, by one of the allocators: a tile is planned as a survey plans it.
+    """The positioners of an instrument with an allocator; tiles are planned as in a survey.
 
     Parameters
     ----------
     instrument : Instrument
-        What observes.
+        The instrument.
     options : AllocationOptions
         The allocator and its options, as `AllocationOptions.for_instrument` returns them.
     catalog : Catalog
         The targets, by row.
     index : SkyIndex
-        Of the catalog.
+        Index of the catalog.
     fibers : Fibers
-        The largest number of targets, and whether collisions count.
+        Largest number of targets, and whether targets whose arms collide are lost.
     angles : ndarray
-        Position angle of each tile, radians; one for all, or as many as there are tiles.
+        Position angle in radians, one for all tiles or one for each.
     seed : int
-        Of the random numbers; each tile has a stream of its own.
+        Seed of the random numbers; each tile has its own stream.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class FocalPlaneFibers:
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
-        """Return the positions that are served, of those in the field that still want a visit."""
+        """Return the positions that are served, from those in the field that still require a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
         plane = self.instrument.field_projection(
@@ -189,9 +190,9 @@ class FocalPlaneFibers:
         return near[served]
 
     def _candidates(self, center, near, state):
-        """Return what may be assigned, in the order of rows, and the directions that blank sky keeps away from."""
+        """Return the targets that may be assigned, in row order, and the directions that blank sky must avoid."""
         others, rest = self.science is not None and bool(self.options.requirements), None
-        if others:  # standards and sky are there for every tile
+        if others:  # every tile may use standards and sky positions
             use = np.where(self.science, state.left > 0, True).astype(np.float64)
             near = self.index.near(center, state.problem.radius, use)
         if self.options.sky_separation is not None:
@@ -201,13 +202,13 @@ class FocalPlaneFibers:
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each direction the others closer than an angle, as (indptr, indices)."""
+    """Return the other directions closer than an angle to each direction, as (indptr, indices)."""
     from scipy.spatial import cKDTree
 
     chord = 2 * np.sin(min(separation_rad, np.pi) / 2)
     pairs = cKDTree(vectors).query_pairs(chord, output_type="ndarray")
     distance = np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=1)
-    pairs = pairs[distance < chord]  # the tree takes those at the distance, too
+    pairs = pairs[distance < chord]  # the tree also returns those exactly at the distance
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
     indptr = np.searchsorted(both[:, 0], np.arange(len(vectors) + 1))

@@ -1,4 +1,4 @@
-"""Where the tiles of a survey are: centers, position angles, passes."""
+"""The tiles of a survey: centers, position angles, passes."""
 
 import os
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
 COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
-# Usual names, compared without case, in order of preference.
+# Common names, compared without case, in order of preference.
 NAMES = {
     "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan id name identifier",
     "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
@@ -31,20 +31,20 @@ NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class Tiling:
-    """Where tiles go, a row each, in the order in which they are to be observed.
+    """The tiles of a survey, one per row, in the order in which they are to be observed.
 
     Parameters
     ----------
     table : QTable
         Columns ``tile`` (integer or text, unique), ``ra`` and ``dec`` (ICRS), ``position_angle`` (of +y, from north
-        toward east) and ``pass`` (integer); further columns are kept. ``meta["summary"]`` says how the
-        tiling was made.
+        toward east) and ``pass`` (integer); further columns are kept. ``meta["summary"]`` describes how the tiling
+        was made.
 
     Raises
     ------
     InputError
-        If a column is missing or impossible, if an id occurs twice, or if two tiles have the same center, position
-        angle and pass (and ``program``, where there is such a column).
+        If a column is missing or has invalid values, if an identifier occurs twice, or if two tiles have the same
+        center, position angle and pass (and ``program``, if there is such a column).
 
     Examples
     --------
@@ -103,7 +103,7 @@ class Tiling:
 
     @property
     def summary(self) -> dict:
-        """How the tiling was made, and how good it is; empty for a list from elsewhere."""
+        """How the tiling was made, and its quality; empty for a list of tiles from another source."""
         return self.table.meta.get("summary", {})
 
     @cached_property
@@ -113,21 +113,21 @@ class Tiling:
 
     @classmethod
     def from_table(cls, table: Table, columns: dict | None = None, units: dict | None = None) -> "Tiling":
-        """Make a tiling from a table, its columns found by their usual names.
+        """Make a tiling from a table whose columns have common names.
 
         Parameters
         ----------
         table : Table, QTable or DataFrame
-            With centers (``ra`` and ``dec``, ``racen`` and ``deccen``, ``tile_ra`` and ``tile_dec``, ...). Found too:
-            the id (``tile``, ``tileid``, ``field``, ...; else the row number), ``pass`` (else 1) and the position
-            angle (``position_angle``, ``pa``, ``field_pa``, ``posang``; else 0). Other columns are kept.
-            A DataFrame is one of pandas or Polars, or a table of Arrow; its angles are in degrees unless ``units``
-            says otherwise.
+            Table with centers (``ra`` and ``dec``, ``racen`` and ``deccen``, ``tile_ra`` and ``tile_dec``, ...).
+            These columns are optional: the identifier (``tile``, ``tileid``, ``field``, ...; the row number by
+            default), ``pass`` (1 by default) and the position angle (``position_angle``, ``pa``, ``field_pa``,
+            ``posang``; 0 by default). Other columns are kept. A DataFrame of pandas or Polars and an Arrow table
+            are accepted; their angles are in degrees unless ``units`` specifies others.
         columns : dict, optional
-            Role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name where the usual names do
-            not serve.
+            Role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns with other
+            names.
         units : dict, optional
-            Role to unit for columns that carry none, for example ``{"ra": "deg", "dec": "deg"}``.
+            Role to unit, for columns without a unit, for example ``{"ra": "deg", "dec": "deg"}``.
 
         Returns
         -------
@@ -137,7 +137,7 @@ class Tiling:
         Raises
         ------
         InputError
-            If coordinates are missing, have no unit, or are out of range, or if an id or a tile occurs twice.
+            If coordinates are missing, have no unit or are out of range, or if an identifier or a tile occurs twice.
         """
         return cls._from_table(table, columns, units, assume_units=False)
 
@@ -157,7 +157,7 @@ class Tiling:
         n, found = len(table), {}
         for role in ("ra", "dec", "position_angle"):
             if role in names:
-                # the finder knows units by the roles of a catalog: an angle is an angle
+                # the finder uses roles of a catalog: any role of an angle serves
                 as_angle = {"ra": names[role]}
                 unit = {"ra": units[role]} if role in units else {}
                 found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")
@@ -178,13 +178,13 @@ class Tiling:
 
     @classmethod
     def read(cls, path: str | os.PathLike, columns: dict | None = None, units: dict | None = None) -> "Tiling":
-        """Read a tiling, one of ours or any list of tiles.
+        """Read a tiling from a file: one written by this package, or any list of tiles.
 
         Parameters
         ----------
         path : str or path-like
-            FITS, ECSV, CSV, VOTable or Parquet, with or without ``.gz``; CSV carries no units, and is taken in
-            degrees.
+            FITS, ECSV, CSV, VOTable or Parquet file, optionally with ``.gz``. CSV files have no units; degrees are
+            assumed.
         columns, units : dict, optional
             As in `from_table`.
 
@@ -196,7 +196,7 @@ class Tiling:
         Raises
         ------
         InputError
-            If the file is not there, or is not a list of tiles.
+            If the file does not exist, or is not a list of tiles.
         """
         path = _io.to_path(path)
         table = _io.read_table(path)
@@ -207,24 +207,24 @@ class Tiling:
             raise InputError(f"{path}: {error}") from None
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
-        """Write the tiling as FITS or ECSV; the file appears whole or not at all.
+        """Write the tiling as FITS or ECSV; if writing fails, no incomplete file remains.
 
         Parameters
         ----------
         path : str or path-like
-            Ends in ``.fits`` or ``.ecsv``, with or without ``.gz``.
+            Path that ends in ``.fits`` or ``.ecsv``, optionally followed by ``.gz``.
         overwrite : bool, optional
-            Replace a file that exists.
+            Whether to replace an existing file.
 
         Raises
         ------
         InputError
-            If the folder is missing or the file exists.
+            If the folder does not exist, or the file exists and ``overwrite`` is False.
         """
         _io.write_table(self.table, path, overwrite=overwrite, cards={"NTILES": len(self)})
 
     def coverage(self, radius: u.Quantity, *, nside: int = 64) -> np.ndarray:
-        """Return how many tiles cover each place of the sky.
+        """Return the number of tiles that cover each pixel of the sky.
 
         Parameters
         ----------
@@ -236,12 +236,12 @@ class Tiling:
         Returns
         -------
         ndarray of int, shape (12 * nside**2,)
-            Tiles over the center of each pixel, nested order, ICRS.
+            Number of tiles that contain the center of each pixel, in the nested order and ICRS.
 
         Raises
         ------
         InputError
-            If the radius or ``nside`` is impossible.
+            If ``radius`` or ``nside`` is out of range.
         """
         radius_rad = to_scalar(radius, u.rad, "radius", low=0, high=np.pi)
         nside = _healpix.check_nside(nside)
@@ -251,7 +251,7 @@ class Tiling:
 
 
 def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
-    """Return a tiling from itself, a table, a DataFrame or centers."""
+    """Return a tiling from a tiling, a table, a DataFrame or centers."""
     if isinstance(tiles, Tiling):
         return tiles
     if is_table(tiles):
@@ -263,20 +263,20 @@ def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
 
 
 def to_ra_dec(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return right ascension and declination in degrees of unit vectors."""
+    """Return right ascension and declination of unit vectors in degrees."""
     lon, lat = to_lonlat(vectors)
     return np.rad2deg(lon) % 360, np.rad2deg(lat)
 
 
 def place_of(ra, dec) -> np.ndarray:
-    """Return whole numbers, shape (n, 2), that tell whether centers (degrees) are the same to 1e-8 deg."""
+    """Return integers, shape (n, 2), which are equal for centers (degrees) that are equal to 1e-8 deg."""
     return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
         np.int64
     )
 
 
 def _find(table, columns):
-    """Return role to column name."""
+    """Return a dict from role to column name."""
     columns = {} if columns is None else columns
     if not isinstance(columns, dict):
         raise refusal("columns must be a dict from role to column", columns, dict)
@@ -305,7 +305,7 @@ def _integers(column, tile):
 
 
 def _refuse_twins(tile, angles, number, table):
-    """Raise an error where two tiles of a pass (and of a program, if there are some) are the same to 1e-8 deg."""
+    """Raise an error if two tiles of a pass (and of a program, if there are some) are equal to 1e-8 deg."""
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
     columns = [angles["ra"], angles["dec"], angles["position_angle"]]

@@ -1,4 +1,4 @@
-"""Observe a list of tiles: the one with the most targets left first, or as listed."""
+"""Observe a list of tiles, either the tile with the most remaining targets first, or in the order of the list."""
 
 import heapq
 
@@ -10,12 +10,12 @@ __all__ = ["visit_all", "visit_given"]
 
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
-    """Observe the tiles of one pass until nothing is left to do; returns how many were placed.
+    """Observe the tiles of one pass until no more are needed; return the number of tiles placed.
 
-    Tiles that serve nobody are left out; with ``every``, only those on which nobody ever wanted a visit.
+    Tiles that serve no target are omitted; with ``every``, only tiles without any requested visit are omitted.
 
-    Numbers of targets left only fall, so that the tile whose number was last known as the largest is the next one as
-    soon as its number is still that.
+    Numbers of remaining targets only decrease. The tile with the largest known number is therefore the next one if an
+    update does not change its number.
     """
     index, radius = state.problem.index, state.problem.radius
     state.chances = np.zeros(len(index))
@@ -41,7 +41,7 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
 
 
 def visit_given(problem: TilingProblem) -> TilingState:
-    """Observe the tiles of the list in their order, all of them or until enough is done."""
+    """Observe the tiles of the list in their order, all of them or until the goal is reached."""
     state = TilingState(problem)
     for center, number in zip(problem.tiles.vectors, problem.tiles.table["pass"].tolist(), strict=True):
         if state.done and not problem.open_ended:

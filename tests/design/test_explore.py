@@ -174,7 +174,7 @@ def test_the_front_is_what_no_row_beats(rows, largest):
 
 def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front():
     with pytest.warns(
-        rs.RfpsurveyWarning, match=r"1 of 3 designs have no figures \(centers are nearer than the minimum"
+        rs.RfpsurveyWarning, match=r"1 of 3 designs have no values \(centers are nearer than the minimum"
     ):
         table = explore(pitch=[4, 25.6, 30] * MM, objectives={"usable_per_area": "max", "loss": "min"})
     assert table["reason"].tolist() == ["centers are nearer than the minimum separation", "", ""]
@@ -292,7 +292,7 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
         ({"time_limit": 0 * u.s}, "time_limit must be one finite value above 0"),
         ({"objectives": {"loss": "min"}}, "objectives must be two columns"),
         ({"objectives": {"loss": "min", "color": "max"}}, "unknown column for an objective 'color'"),
-        ({"objectives": {"loss": "least", "coverage": "max"}}, "unknown aim for loss 'least'"),
+        ({"objectives": {"loss": "least", "coverage": "max"}}, "unknown direction of loss 'least'"),
         ({"executor": 2}, "executor must be a concurrent.futures.Executor"),
         ({"resume": True}, "resume needs the path"),
         ({"path": "scan.csv"}, "must end in .fits or .ecsv"),
@@ -339,13 +339,13 @@ def test_shares_and_slopes_of_known_functions():
     [
         (5, "must be what explore_designs returns"),
         (scan(lambda a, b, c, d: a), "at least one of central_arm, ratio, pitch and clearance must vary"),
-        (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with figures, got 2"),
+        (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with values, got 2"),
     ],
 )
 def test_sensitivities_that_make_no_sense_are_refused(table, words):
     with pytest.raises(rs.InputError, match=words):
         rs.design.design_sensitivities(table, figures=["loss"])
-    with pytest.raises(rs.InputError, match=r"unknown figure of designs|must be what"):
+    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be what"):
         rs.design.design_sensitivities(table, figures=["reason"])
 
 

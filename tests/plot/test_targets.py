@@ -1,4 +1,4 @@
-"""Plots of all targets of a tile or of a survey: every target is drawn once, as what became of it."""
+"""Plots of all targets of a tile or of a survey: every target is drawn once, by its outcome."""
 
 import io
 import re
