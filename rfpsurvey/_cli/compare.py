@@ -36,6 +36,8 @@ def compare(
         list[str] | None, typer.Option(help="Methods, may be given several times. None: lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
+    required: _options.RequiredOption = None,
+    keep_out: _options.KeepOutOption = None,
     sky_separation: _options.SkyOption = None,
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
@@ -51,7 +53,9 @@ def compare(
 ) -> None:
     """Put instruments side by side: reach, fibers, collisions and what they cost."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    options = _app.allocation_options("lamost", require, sky_separation, time_limit)
+    options = _app.allocation_options(
+        "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
+    )
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill),

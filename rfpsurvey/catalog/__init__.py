@@ -1,4 +1,4 @@
-"""Targets: real catalogs from files and tables, and synthetic ones."""
+"""Catalogs of targets, read from files and tables or synthetic."""
 
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._catalog import Catalog
