@@ -45,6 +45,20 @@ def test_commands_print_what_the_page_shows(block, run, tmp_path, monkeypatch):
         assert same(shown, out, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), out
 
 
+def test_commands_of_the_cheat_sheet_run(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (DOCS / "cheatsheet.rst").read_text()
+    commands = re.findall("^    rfpsurvey (.*)$", text, re.MULTILINE)
+    assert len(commands) == 10
+    assert 30 <= len(commands) + text.count("\n>>> ") <= 42  # more would not fit on a page
+    for command in commands:
+        code, out, err = run(*shlex.split(command, comments=True))
+        assert code == 0, (command, err)
+        assert out
+    for name in re.findall(r"--(?:output|plot|report|folder) (\S+)", text):
+        assert (tmp_path / name).exists()
+
+
 def test_broken_links_are_found(tmp_path):
     spec = importlib.util.spec_from_file_location("check_links", DOCS / "check_links.py")
     check_links = importlib.util.module_from_spec(spec)
