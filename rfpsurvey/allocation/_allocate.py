@@ -128,8 +128,12 @@ def assign(
     *,
     forbidden: np.ndarray | None = None,
     avoid: np.ndarray = NO_POINTS,
+    tell: Callable[[float, str], None] | None = None,
 ) -> Allocation:
-    """Assign targets in mm to positioners; the columns are those of a catalog, and are not checked again."""
+    """Assign targets in mm to positioners; the columns are those of a catalog, and are not checked again.
+
+    ``tell`` is called during long searches with the fraction that is done and the stage.
+    """
     begin = perf_counter()
     n = len(xy_mm)
     reach = focal_plane.arrays.reach(xy_mm, columns.fiber_type)
@@ -154,6 +158,7 @@ def assign(
         columns.is_required,
         options,
         rng,
+        tell=tell,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)

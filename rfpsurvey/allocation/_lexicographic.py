@@ -130,11 +130,14 @@ class _Pursuit:
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 
-def pursue(program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool) -> Solution:
+def pursue(
+    program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None
+) -> Solution:
     """Return the best plan, or the best one found before the deadline, beginning with ``first`` if that may be.
 
     ``limit``, where there is one, is what the objectives of a matching reach whose arms may collide. With
-    ``squared_cost`` the least cost of all best plans comes last.
+    ``squared_cost`` the least cost of all best plans comes last. ``tell`` is called with the number of objectives that
+    are proven, and their total.
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0
@@ -142,6 +145,8 @@ def pursue(program: Program, first, deadline: float, limit, *, integral: bool, s
     halt = deadline - FOR_FILLING * left if np.isfinite(left) and len(objectives) > 1 else deadline
     bounds = now.high.copy()
     while k < len(objectives):
+        if tell is not None:
+            tell(k, len(objectives))
         n, bound = now.prove(k, halt)
         if n == 0:
             if k < len(objectives) - 1:

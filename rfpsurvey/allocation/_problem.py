@@ -125,6 +125,8 @@ class AllocationProblem:
         ``problem.start()`` returns the answer that the option ``start`` stands for, that of ``lamost`` by default.
     watched : ndarray of int, shape (n_positioners,), optional
         Sky position that the fiber of a stuck positioner observes, -1 for none.
+    tell : callable, optional
+        If it is not None, a long search may call it with the fraction that is done and the name of its stage.
 
     Examples
     --------
@@ -156,6 +158,7 @@ class AllocationProblem:
     rng: np.random.Generator | None = None
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
     watched: np.ndarray | None = None
+    tell: Callable[[float, str], None] | None = None
 
     def __post_init__(self):
         n = len(self.xy)

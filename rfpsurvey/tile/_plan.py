@@ -10,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_center, to_generator
 from rfpsurvey.allocation import (
     KINDS,
@@ -55,6 +56,7 @@ def plan_tile(
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
     allocator: AllocationOptions | str | Callable = "lamost",
+    progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
     """Assign the targets of one field to fibers and find the arms that collide there.
@@ -80,6 +82,9 @@ def plan_tile(
     allocator : AllocationOptions or str or callable, optional
         The allocator and its options, such as sky fibers and standards that the tile must hold, required targets, and
         circles that no arm may cover; or the allocator alone. See `AllocationOptions`.
+    progress : bool or callable, optional
+        During the searches of ``sdss`` and ``optimal``, show a line on the standard error, or call a function with
+        (fraction done, 1).
     rng : int, Generator or None, optional
         Seed or source of random numbers, for allocators that draw. The default gives the same tile every time.
 
@@ -153,7 +158,10 @@ def plan_tile(
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
-    plan = plan_field(instrument, plane.plain, targets, options, rng, blank)
+    with Progress(progress) as bar:
+        plan = plan_field(
+            instrument, plane.plain, targets, options, rng, blank, lambda done, stage: bar(done, note=stage)
+        )
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
