@@ -18,7 +18,8 @@ def check_angle(value: float | None) -> float | None:
 CatalogArgument = Annotated[
     Path | None,
     typer.Argument(
-        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
+        "stars come with the package. None: a synthetic Poisson "
         "catalog."
     ),
 ]
@@ -152,7 +153,8 @@ TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .pn
 SurveyCatalogArgument = Annotated[
     Path | None,
     typer.Argument(
-        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
+        "stars come with the package. None: a synthetic Poisson "
         "catalog, wider than a field."
     ),
 ]
@@ -220,6 +222,7 @@ DesignPlotOption = Annotated[Path | None, typer.Option(help="Draw the front, .pn
 PLAN_EXAMPLES = """\b
 Examples:
   rfpsurvey plan
+  rfpsurvey plan example:anticenter --center "95 23" --epoch 2026.5
   rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
   rfpsurvey plan stars.fits --output tile.fits --report tile.html
   rfpsurvey plan stars.fits --keep mag --plot tile.png --targets outcome --quality quality.png

@@ -22,7 +22,10 @@ def compare(
     instruments: Annotated[
         list[str] | None, typer.Argument(help="Presets, or paths of TOML files. None: all presets.")
     ] = None,
-    catalog: Annotated[Path | None, typer.Option(help="The same sky for all. None: synthetic Poisson skies.")] = None,
+    catalog: Annotated[
+        Path | None,
+        typer.Option(help="The same sky for all, a file or example:anticenter. None: synthetic Poisson skies."),
+    ] = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     epoch: _options.EpochOption = None,

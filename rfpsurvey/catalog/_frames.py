@@ -1,4 +1,4 @@
-"""Tables of other packages: DataFrames of pandas and Polars, tables of Arrow, structured arrays of numpy."""
+"""Tables of other packages: DataFrames of pandas and Polars, Arrow tables, structured arrays of NumPy."""
 
 import numpy as np
 from astropy.table import Table
@@ -11,15 +11,15 @@ __all__ = ["as_table", "is_table"]
 
 
 def is_table(given: object) -> bool:
-    """Return whether an object is a table, of astropy or of another package."""
+    """Return whether an object is a table of astropy or of another package."""
     return isinstance(given, Table) or _is_records(given) or _is_pandas(given) or _is_arrow(given)
 
 
 def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
-    """Return a table of astropy, and whether it is of a kind that cannot carry units.
+    """Return an astropy table, and whether the given type of table cannot have units.
 
-    The index of a DataFrame is kept as columns if it has names; otherwise it is ``id`` where no other column is, if
-    ``index_as_id``.
+    The index of a DataFrame is kept as columns if it has names. Otherwise it becomes ``id`` if no column has this role
+    and ``index_as_id`` is true.
     """
     if isinstance(given, Table):
         return given, False
@@ -35,7 +35,7 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
             return table_of_arrow(given), not (given.schema.metadata or {}).get(b"table_meta_yaml")
     except InputError:
         raise
-    except Exception as error:  # the packages raise what they like
+    except Exception as error:  # the packages can raise any exception
         raise InputError(f"{short(given)} cannot be used as a table: {error}") from error
     raise InputTypeError(f"table must be an astropy Table or QTable, or a DataFrame, got {short(given)}")
 
@@ -53,7 +53,7 @@ def _is_arrow(given) -> bool:
 
 
 def _has_type(given, package: str, name: str) -> bool:
-    """Return whether an object has a type of a package, which need not be installed."""
+    """Return whether an object has a certain type of a package, which need not be installed."""
     return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
 
 

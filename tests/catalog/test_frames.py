@@ -1,8 +1,6 @@
 """Catalogs from tables of other packages, and from tables without units."""
 
 import importlib.util
-import subprocess
-import sys
 
 import astropy.units as u
 import numpy as np
@@ -139,16 +137,6 @@ def test_dataframes_that_are_refused_are_not_pasted(frame):
             call()
         assert message in str(told.value)
         assert "\n" not in str(told.value)
-
-
-def test_pandas_is_imported_by_the_user_alone():
-    code = (
-        "import sys, rfpsurvey as rs; from astropy.coordinates import SkyCoord; "
-        "import astropy.units as u; "
-        "rs.plan_tile(rs.synthetic_catalog('uniform', '95 23', .2 * u.deg, n_targets=50, rng=1), 'moons'); "
-        "assert 'pandas' not in sys.modules and 'pyarrow' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_parquet_of_pandas(frame, tmp_path):

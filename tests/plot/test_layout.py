@@ -145,7 +145,21 @@ PLOTS = {
 }
 
 
-@pytest.mark.parametrize("name", PLOTS)
+# the same functions with other options or results
+VARIANTS = {
+    "focal plane with x to the right",
+    "part of a tile",
+    "quality of many classes",
+    "fiber types",
+    "map of a tile",
+    "tower of tiles",
+    "tiles about a pole",
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.exhaustive if name in VARIANTS else ()) for name in PLOTS]
+)
 def test_all_that_is_drawn_is_inside_the_figure(results, name):
     """The label of the comparison's last panel and the right edge of a survey's figure were cut."""
     figure = PLOTS[name](results).figure
