@@ -143,7 +143,7 @@ CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this par
 FibersOption = Annotated[
     int | None, typer.Option(help="Targets of a tile at most; without --allocator, wherever they are in the field.")
 ]
-NTilesOption = Annotated[int | None, typer.Option(help="At most so many tiles.")]
+NTilesOption = Annotated[int | None, typer.Option(help="Maximum number of tiles.")]
 TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling, .fits or .ecsv.")]
 ChartOption = Annotated[Path | None, typer.Option(help="Draw the chart, .png, .pdf or .svg.")]
 MapPlotOption = Annotated[
@@ -200,7 +200,7 @@ PitchOption = Annotated[
 ]
 ClearanceOption = Annotated[str | None, typer.Option(help="Radius that an arm keeps free, mm, likewise. None: 2.25.")]
 NDesignsOption = Annotated[
-    int | None, typer.Option(help="So many designs between LOW:HIGH instead of a grid, by Sobol points.")
+    int | None, typer.Option(help="Number of Sobol points between LOW:HIGH, instead of a grid.")
 ]
 EstimandOption = Annotated[
     str | None,

@@ -67,7 +67,7 @@ def explore_designs(
     clearance : Quantity, scalar or shape (k,)
         Radius that the eccentric arm keeps free around itself, half the minimum separation (but for ``step``).
     n_designs : int, optional
-        So many designs instead of a grid, between limits: each parameter is one value, or (low, high). They are
+        Number of designs between limits, instead of a grid: each parameter is one value, or (low, high). They are
         scrambled points of Sobol; fewer designs of the same seed are the first of more.
     step : Quantity, optional
         Angle of one step of the motors, of which the minimum separation depends, see `~rfpsurvey.Positioner`.

@@ -191,7 +191,7 @@ def _line(name: str, entry: tuple[int, str]) -> str:
 
 
 def _belongs(name: str, n_tiles: int) -> bool:
-    """Tell whether a survey of so many tiles has such a file."""
+    """Return whether a survey with this number of tiles has such a file."""
     stem = Path(name).stem
     return name in TABLES or (stem.isdigit() and int(stem) < n_tiles and name == part_name(int(stem)))
 

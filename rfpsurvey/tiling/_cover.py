@@ -15,13 +15,13 @@ from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["RegionCover", "cover_targets", "in_any", "snap"]
 
-# Samples of a region: so fine as parts of the tile's radius, as long as there are not more than so many.
+# Samples of a region: their distance as a fraction of the radius of a tile, and their largest number.
 FINE = 1 / 40
 MOST_SAMPLES = 200_000
 
 
 def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
-    """Cover the targets so many times as asked for; or, for a goal, until it is reached or a pass serves nobody."""
+    """Cover the targets in the number of passes asked for; or, for a goal, until it is reached or a pass serves nobody."""
     state = TilingState(problem)
     center, reach = problem.circle()
     number, whole = 0, problem.open_ended

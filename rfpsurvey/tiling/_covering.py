@@ -16,7 +16,7 @@ HEXAGON = 1.5 * np.sqrt(3)
 # The plastic number's sequence: shifts of the passes, as unlike each other as can be (Roberts 2018).
 PLASTIC = 1.32471795724474602596
 MOST = 500_000
-# Centers are laid so many radii beyond the circle, so that its border is like its middle.
+# Number of radii beyond the circle up to which there are centers, so that its border is like its center.
 MARGIN = 4.0
 
 

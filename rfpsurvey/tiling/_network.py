@@ -81,7 +81,7 @@ def _covering_number(problem: TilingProblem) -> int:
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
-    """Return n centers, evenly over the targets: a hexagonal lattice of the pitch that gives so many with targets."""
+    """Return n centers, evenly over the targets: a hexagonal lattice whose pitch gives n centers with targets."""
     center, reach = problem.circle()
 
     def make(pitch):

@@ -71,7 +71,7 @@ class FreeFibers:
     Parameters
     ----------
     fibers : int
-        At most so many targets.
+        Maximum number of targets.
     priority : ndarray or None
         By position.
     neighbors : tuple of ndarray or None
