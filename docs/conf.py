@@ -1,13 +1,16 @@
 """Sphinx configuration: astropy's, without anything that needs the network, neither to build nor to read."""
 
-import subprocess
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
 from sphinx_astropy.conf.v3 import *
+from typer.testing import CliRunner
+
+from rfpsurvey._cli import app as command_line
 
 sys.path.insert(0, str(Path(__file__).parent))
+from inventories import linked_types, write_inventories
 
 project = "rfpsurvey"
 author = "The rfpsurvey developers"
@@ -16,7 +19,7 @@ release = installed_version("rfpsurvey")
 version = release.split("+")[0]
 
 # scripts of other sites, and what is not used
-for name in ("sphinx.ext.intersphinx", "sphinx.ext.mathjax", "sphinx.ext.inheritance_diagram"):
+for name in ("sphinx.ext.mathjax", "sphinx.ext.inheritance_diagram"):
     if name in extensions:
         extensions.remove(name)
 extensions += ["mathml", "matplotlib.sphinxext.plot_directive", "sphinx_design", "sphinx_gallery.gen_gallery"]
@@ -33,13 +36,13 @@ html_static_path = ["_static"]
 html_css_files = ["style.css"]
 nitpicky = True
 autodoc_typehints = "none"
-numpydoc_xref_param_type = False
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore = "all"
+numpydoc_xref_aliases = linked_types()
 plot_formats = [("png", 120)]
 plot_html_show_formats = False
 plot_html_show_source_link = False
 plot_include_source = True
-# pages read files of data/, as their readers do in the source tree
-plot_working_directory = str(Path(__file__).parents[1])
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
@@ -52,11 +55,8 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "min_reported_time": 1e9,
 }
-# names of other packages, which only the network could resolve
-nitpick_ignore_regex = [
-    ("py:.*", r"(astropy|numpy|scipy|matplotlib|typer|click)\..*"),
-    ("py:.*", r"(SkyCoord|Quantity|QTable|Table|Time)"),
-]
+# names of other packages: those in docs/inventories
+intersphinx_mapping = write_inventories(Path(__file__).parent / "_build" / "inventories")
 
 
 def write_help(app):
@@ -81,10 +81,12 @@ def write_help(app):
     )
     calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}
     calls |= {"instruments": ["instruments"], "instruments_columns": ["instruments", "lamost", "desi", "sdss_apo"]}
+    runner = CliRunner(env={"COLUMNS": "80"})
     for name, arguments in calls.items():
-        call = [sys.executable, "-m", "rfpsurvey", *arguments]
-        text = subprocess.run(call, capture_output=True, text=True, check=True).stdout
-        (folder / f"{name}.txt").write_text(text)
+        result = runner.invoke(command_line, arguments, prog_name="rfpsurvey", catch_exceptions=False)
+        if result.exit_code:
+            raise RuntimeError(f"rfpsurvey {' '.join(arguments)}: {result.output}")
+        (folder / f"{name}.txt").write_text(result.stdout)
 
 
 def setup(app):

@@ -5,10 +5,21 @@ from typing import Annotated
 
 import typer
 
+from rfpsurvey.errors import InputError
+
+
+def check_angle(value: float | None) -> float | None:
+    """Return a position angle that was typed, if it is within one turn."""
+    if value is not None and not abs(value) <= 360:
+        raise InputError(f"--pa must lie between -360 and 360 deg, got {value:g}")
+    return value
+
+
 CatalogArgument = Annotated[
     Path | None,
     typer.Argument(
-        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
+        "stars come with the package. None: a synthetic Poisson "
         "catalog."
     ),
 ]
@@ -16,7 +27,7 @@ CenterOption = Annotated[
     str | None,
     typer.Option(help="Field center, ICRS, as '95.1 23.0' (deg) or '06:20:24 +23:00:00'. None: the mean direction."),
 ]
-PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.")]
+PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.", callback=check_angle)]
 SeedOption = Annotated[int, typer.Option(help="Seed of random numbers.", min=0)]
 FrameOption = Annotated[str, typer.Option(help="Frame of the catalog's coordinates.")]
 AllocatorOption = Annotated[
@@ -28,7 +39,9 @@ AllocatorOption = Annotated[
 ]
 RequireOption = Annotated[
     list[str] | None,
-    typer.Option(help="What the tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."),
+    typer.Option(
+        help="KIND=NUMBER that a tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."
+    ),
 ]
 RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
 KeepOutOption = Annotated[
@@ -60,7 +73,10 @@ FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE of rows that have none, as priority=0 or visits=1.")
 ]
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners are parked, as obstacles for others.")]
-OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(help="Write the tile, .fits or .ecsv; only FITS holds the outcomes of all targets, too."),
+]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
 TargetsOption = Annotated[
     str | None,
@@ -110,7 +126,10 @@ TilingAllocatorOption = Annotated[
     ),
 ]
 TilingPaOption = Annotated[
-    float | None, typer.Option(help="Position angle of +y, deg from north to east. None: that of --centers, or 0.")
+    float | None,
+    typer.Option(
+        help="Position angle of +y, deg from north to east. None: that of --centers, or 0.", callback=check_angle
+    ),
 ]
 TilingMethodOption = Annotated[
     str,
@@ -134,7 +153,8 @@ TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .pn
 SurveyCatalogArgument = Annotated[
     Path | None,
     typer.Argument(
-        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
+        "stars come with the package. None: a synthetic Poisson "
         "catalog, wider than a field."
     ),
 ]
@@ -158,6 +178,10 @@ ProcessesOption = Annotated[bool, typer.Option("--processes", help="Processes in
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
+]
+SurveyQualityOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw visits by class, targets by outcome, and fibers by kind, .png, .pdf or .svg."),
 ]
 DesignInstrumentOption = Annotated[
     str | None,
@@ -198,6 +222,7 @@ DesignPlotOption = Annotated[Path | None, typer.Option(help="Draw the front, .pn
 PLAN_EXAMPLES = """\b
 Examples:
   rfpsurvey plan
+  rfpsurvey plan example:anticenter --center "95 23" --epoch 2026.5
   rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
   rfpsurvey plan stars.fits --output tile.fits --report tile.html
   rfpsurvey plan stars.fits --keep mag --plot tile.png --targets outcome --quality quality.png

@@ -9,7 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey._io import output_path, write_table
+from rfpsurvey._io import output_path, suffix_of, write_table
 from rfpsurvey.plot import draw_tiling
 from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
 
@@ -80,6 +80,8 @@ def finish(
         report=(report, tile, {"data": output}),
     ):
         print_summary(tile)
+    if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
+        print(f"{output} has no outcomes of targets, since ECSV holds one table: write .fits to keep them")
 
 
 def finish_tiling(
@@ -167,6 +169,8 @@ def print_summary(tile: "rs.Tile") -> None:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
+    elif "positions" in values:
+        print("scored from positions on the focal plane, for which no field center is needed")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
     for label, value in tile_facts(tile).items():

@@ -11,8 +11,10 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
 from rfpsurvey._executors import end_with_parent
+from rfpsurvey._io import read_table
 from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
+from rfpsurvey.tiling import warn_of_targets
 
 __all__ = ["run", "targets_of", "workers"]
 
@@ -32,7 +34,9 @@ def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, uni
 def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
     """Return the tiles of a file, or two coverings of the catalog."""
     if path is not None:
-        return rs.Tiling.read(path)
+        tiling = rs.Tiling.read(path)
+        warn_of_targets(read_table(path), len(targets))
+        return tiling
     if isinstance(targets, rs.PartitionedCatalog):
         raise rs.InputError("a catalog in partitions needs --tiles, such as those of: rfpsurvey tile --region ...")
     return rs.place_tiles(targets, model, passes=2)
@@ -86,7 +90,14 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
 
 
 def run(
-    targets, tiles: Path | None, model: "rs.Instrument", executor, options: dict, plot: Path | None, report: Path | None
+    targets,
+    tiles: Path | None,
+    model: "rs.Instrument",
+    executor,
+    options: dict,
+    plot: Path | None,
+    quality: Path | None,
+    report: Path | None,
 ) -> None:
     """Plan a survey, print what came out, and draw it where asked."""
     tiling = _read_tiles(tiles, targets, model)
@@ -100,7 +111,12 @@ def run(
         print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
         raise
     seconds = perf_counter() - begin
-    with _app.files(overwrite=True, plot=(plot, lambda: draw_survey(survey)), report=(report, survey, {})):
+    with _app.files(
+        overwrite=True,
+        plot=(plot, lambda: draw_survey(survey)),
+        quality=(quality, lambda: rs.plot.plot_quality(survey)[0].figure),
+        report=(report, survey, {}),
+    ):
         _print_survey(survey, seconds)
         if survey.folder is not None:
             print(f"wrote {survey.folder}")

@@ -1,4 +1,4 @@
-"""A catalog as a table: coordinates, epochs and kinds from the columns that people use."""
+"""Read coordinates, epochs and kinds of a catalog from the columns of a table."""
 
 import astropy.units as u
 import numpy as np
@@ -6,6 +6,7 @@ from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
 from astropy.table import QTable, Table
 from astropy.time import Time
 
+from rfpsurvey._units import rows_of
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns
 from rfpsurvey.catalog._frames import as_table
@@ -18,9 +19,10 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
-    """Return the arguments of a Catalog that a table describes.
+    """Return the arguments of a Catalog from a table.
 
-    Where units may be assumed, nothing is said; they are assumed with a warning for a table without any unit.
+    With ``assume_units``, missing units are assumed without a warning; otherwise, only for a table without any unit,
+    with a warning.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -40,7 +42,7 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
             )
     return {
         "coord": coord,
-        "id": find.labels("id"),
+        "id": _ids(find),
         "priority": find.complete("priority"),
         "kind": kind,
         "category": category,
@@ -51,8 +53,19 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
     }
 
 
+def _ids(find: Finder) -> np.ndarray | None:
+    """Return the identifiers of all rows, None where no column has them."""
+    ids = find.labels("id")
+    if ids is not None and ids.dtype.kind == "U" and (ids == "").any():
+        warn(
+            f"column {find.name_of('id')!r} (id) is empty in {rows_of(ids == '')}; columns={{'id': ...}} or --column "
+            "id=... names another column"
+        )
+    return ids
+
+
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns that are to be kept, without those that results have in any case, None for none."""
+    """Return the columns to keep, except those that results always have; None if there are none."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -60,7 +73,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of columns that results have in any case under the same name, with the same values."""
+    """Return the names of columns that results always have under the same name, with the same values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -71,7 +84,7 @@ def _names_in_results(table, columns, frame):
 
 
 def has_units(table: Table) -> bool:
-    """Return whether a column of a table has a unit."""
+    """Return whether any column of a table has a unit."""
     return any(getattr(column, "unit", None) is not None for column in table.columns.values())
 
 
@@ -86,6 +99,8 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     frame = frame.lower()
     check_choice(frame, frame_transform_graph.get_names(), "frame")
     equatorial = frame in EQUATORIAL
+    if not equatorial:
+        _check_frame(frame)
     roles = ("ra", "dec") if equatorial else ("lon", "lat")
     lacking = [role for role in roles if find.name_of(role) is None]
     if lacking:
@@ -105,8 +120,18 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
         raise InputError(f"frame {frame!r} cannot be used: {error}") from error
 
 
+def _check_frame(frame: str) -> None:
+    """Refuse a frame whose directions need an observer or a time, such as altaz."""
+    try:
+        SkyCoord(0 * u.deg, 0 * u.deg, frame=frame).transform_to("icrs")
+    except Exception as error:  # frames raise what they like
+        raise InputError(
+            f"frame must be one that has a fixed relation to ICRS, such as icrs, fk5 or galactic, got {frame!r}"
+        ) from error
+
+
 def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
-    """Return the column with this role in degrees; ``unit`` is that of sexagesimal text without a unit of its own."""
+    """Return the column with this role in degrees; ``unit`` is the unit of sexagesimal text that has none."""
     if not find.is_text(role):
         return find.quantity(role)
     own, texts = find.unit_of(role), find.texts(role)
@@ -126,7 +151,7 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
 
 
 def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
-    """Return the first text that is no angle."""
+    """Return the first text that is not an angle."""
     for text in texts.tolist():
         try:
             Angle(text, unit)
@@ -136,7 +161,7 @@ def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
 
 
 def _motion(find: Finder, *, equatorial: bool) -> dict:
-    """Proper motions as arguments of SkyCoord, where the table has them."""
+    """Return the proper motions of a table, if it has them, as arguments of SkyCoord."""
     names = [find.name_of(role) for role in ("pmra", "pmdec")]
     if names == [None, None]:
         return {}
@@ -149,7 +174,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
 
 
 def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
-    """Epoch from a column, or from the table's meta where it says so; None where nothing moves by it."""
+    """Return the epoch from a column or from the meta of the table; None if no target has a proper motion."""
     name = find.name_of("epoch")
     if name is None:
         meta = {str(k).lower(): v for k, v in find.table.meta.items()}
@@ -184,7 +209,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:
-    """Return the kinds that categories such as sky_boss or standard_apogee speak of."""
+    """Return the kinds that follow from categories such as sky_boss or standard_apogee."""
     lower = np.char.lower(category)
     kind = np.full(len(lower), "science", dtype="U8")
     kind[np.char.startswith(lower, "standard") | np.char.startswith(lower, "std")] = "standard"
@@ -193,7 +218,7 @@ def _kind_of_category(category: np.ndarray) -> np.ndarray:
 
 
 def _plain_meta(meta: dict) -> dict:
-    """Keep what JSON can say of a table's meta, without the comments that readers leave."""
+    """Return the entries of a table's meta that JSON can represent, without the comments that readers add."""
     return {
         str(k): v for k, v in meta.items() if isinstance(v, str | int | float | bool) and not str(k).startswith("__")
     }

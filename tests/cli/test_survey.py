@@ -40,7 +40,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     folder, sky, tiling = files
     picture = tmp_path / "plan.png"
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", "--workers", 2)
-    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture)
+    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture, "--quality", tmp_path / "quality.svg")
     expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["visits wanted"] == [str(sky.visits.sum())]
@@ -50,6 +50,8 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "3 of 3 tiles" in err
     assert "not met" not in out  # nothing was required
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {tmp_path / 'quality.svg'}" in out
+    assert "fraction of the visits wanted" in (tmp_path / "quality.svg").read_text()
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]
     call(*words, "--folder", tmp_path / "plan", "--resume")
@@ -135,6 +137,25 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     n = int((outcome == "observed").sum())
     assert 0 < n == tile.summary["n_required_observed"] < tile.summary["n_required"] == len(required)
     assert lines == 2 * [["required", "targets", "observed", str(n), "of", str(len(required))]]
+
+
+def test_instruments_are_compared_with_required_targets_and_circles(call, files, tmp_path):
+    folder, sky, _ = files
+    words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]
+    words += ["--allocator", "lamost", "--required", 9, "--keep-out", "95,23.05,0.02", "--output", tmp_path / "c.ecsv"]
+    call(*words)
+    options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    expected = rs.compare_instruments(
+        sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"], options=options, progress=False
+    )
+    found, plain = (
+        QTable.read(tmp_path / "c.ecsv"),
+        rs.compare_instruments(sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"]),
+    )
+    assert found["probability"].tolist() == expected["probability"].tolist() != plain["probability"].tolist()
+    assert found.meta["parameters"]["required"] == ["9"]
+    _, err = call("compare", "moons", "--required", 9, code=2)
+    assert "required targets need a catalog" in err
 
 
 @pytest.mark.parametrize("command", ["plan", "compare-allocators"])

@@ -116,6 +116,7 @@ PLOTS = {
     "targets of a survey": lambda r: rs.plot.plot_targets(r["survey"], r["targets"]),
     "quality": lambda r: rs.plot.plot_quality(r["tile"])[0],
     "quality of many classes": lambda r: rs.plot.plot_quality(r["tile with classes"])[0],
+    "quality of a survey": lambda r: rs.plot.plot_quality(r["survey"])[0],
     "instrument": lambda r: rs.plot.plot_focal_plane("lamost"),
     "fiber types": lambda r: rs.plot.plot_focal_plane("sdss_apo", color="fiber_type"),
     "spectrographs": lambda r: rs.plot.plot_focal_plane("lamost", color="spectrograph"),

@@ -1,0 +1,47 @@
+"""A Sphinx extension: links to the documentation of other packages, from lists that are kept here, without the network.
+
+Each file of ``docs/inventories`` is named after a package. Its first line is the address of the package's documentation;
+each other line has a domain and role, a name, and its page. At build time they become inventories of intersphinx.
+"""
+
+import re
+import zlib
+from pathlib import Path
+
+FOLDER = Path(__file__).parent / "inventories"
+# words of docstrings' types that are neither names of Python and numpy nor classes with a page here
+PLAIN = ("array", "generator", "numpy", "scalar", "string")
+
+
+def read(path):
+    """Return the address of a package's documentation, and its entries as lists of role, name and page."""
+    address, *lines = path.read_text().splitlines()
+    return address, [line.split() for line in lines]
+
+
+def write_inventories(folder):
+    """Write the inventories; return what ``intersphinx_mapping`` needs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mapping = {}
+    for path in sorted(FOLDER.glob("*.txt")):
+        address, entries = read(path)
+        lines = "".join(f"{name} {role} 1 {page} -\n" for role, name, page in entries)
+        head = f"# Sphinx inventory version 2\n# Project: {path.stem}\n# Version: \n"
+        head += "# The remainder of this file is compressed using zlib.\n"
+        inventory = folder / f"{path.stem}.inv"
+        inventory.write_bytes(head.encode() + zlib.compress(lines.encode()))
+        mapping[path.stem] = (address, str(inventory))
+    return mapping
+
+
+def linked_types():
+    """Return what types of docstrings link to: classes of other packages, and those on the page ``api``."""
+    aliases = {word: word for word in PLAIN}
+    aliases |= {"bool": ":class:`python:bool`", "unit-like": ":term:`astropy:unit-like`"}
+    for path in FOLDER.glob("*.txt"):
+        for role, name, _ in read(path)[1]:
+            if role == "py:class" and "." in name:
+                aliases[name.split(".")[-1]] = f":class:`~{name}`"
+                aliases[name] = f":class:`{name}`"
+    own = re.findall(r"^    ((?:\w+\.)?([A-Z]\w+))$", (FOLDER.parent / "api.rst").read_text(), re.MULTILINE)
+    return aliases | {short: f":class:`{short} <rfpsurvey.{name}>`" for name, short in own}
