@@ -1,7 +1,7 @@
-"""A Sphinx extension: links to the documentation of other packages, from lists that are kept here, without the network.
+"""Links to the documentation of other packages, from lists that are kept in ``docs/inventories``, without the network.
 
-Each file of ``docs/inventories`` is named after a package. Its first line is the address of the package's documentation;
-each other line has a domain and role, a name, and its page. At build time they become inventories of intersphinx.
+Each list is named after a package. Its first line is the address of the package's documentation; each other line has a
+domain and role, a name, and its page. At build time they become inventories of intersphinx.
 """
 
 import re
