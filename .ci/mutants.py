@@ -31,7 +31,7 @@ COLLISION = (
 )
 ALLOCATION = (
     "allocation/requirements allocation/repair allocation/sky allocation/allocate allocation/methods "
-    "allocation/quotas regressions input_validation allocation/search allocation/optimal"
+    "allocation/quotas allocation/random_quotas regressions input_validation allocation/search allocation/optimal"
 )
 PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
@@ -56,9 +56,11 @@ TESTS = {
     "rfpsurvey/_kernels/reach.py": (
         "focal_plane/focal_plane focal_plane/coverage allocation/allocate probability/collision_probability"
     ),
-    "rfpsurvey/_kernels/reduce.py": "allocation/search allocation/optimal allocation/quotas",
+    "rfpsurvey/_kernels/reduce.py": "allocation/search allocation/optimal allocation/quotas allocation/random_quotas",
     "rfpsurvey/_kernels/reference.py": "collision/methods collision/exact_arithmetic",
-    "rfpsurvey/_kernels/repair.py": "allocation/repair allocation/quotas allocation/sky allocation/allocate",
+    "rfpsurvey/_kernels/repair.py": (
+        "allocation/repair allocation/quotas allocation/random_quotas allocation/sky allocation/allocate"
+    ),
     "rfpsurvey/_kernels/simulate.py": "probability/targets probability/hard_cases probability/collision_probability",
 }
 # What rfpsurvey and its tests import: once, and not once a mutant.

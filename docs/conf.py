@@ -43,8 +43,6 @@ plot_formats = [("png", 120)]
 plot_html_show_formats = False
 plot_html_show_source_link = False
 plot_include_source = True
-# pages read files of data/, as their readers do in the source tree
-plot_working_directory = str(Path(__file__).parents[1])
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",

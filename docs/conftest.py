@@ -1,6 +1,4 @@
-"""Pages run as their readers do: in a folder with ``data``, where they may write."""
-
-from pathlib import Path
+"""Pages run as their readers do: in a folder without the source tree, where they may write."""
 
 import pytest
 
@@ -9,5 +7,4 @@ collect_ignore = ["check_docstrings.py", "check_links.py", "conf.py", "inventori
 
 @pytest.fixture(autouse=True)
 def _clean_folder(tmp_path, monkeypatch):
-    (tmp_path / "data").symlink_to(Path(__file__).parents[1] / "data")
     monkeypatch.chdir(tmp_path)

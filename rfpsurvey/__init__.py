@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from rfpsurvey.allocation import Allocation, AllocationOptions, Requirement, allocate
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, partition_catalog, synthetic_catalog
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, partition_catalog, synthetic_catalog
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
@@ -61,6 +61,7 @@ __all__ = [
     "compare_allocators",
     "compare_instruments",
     "count_collisions",
+    "example_catalog",
     "find_collisions",
     "partition_catalog",
     "place_tiles",

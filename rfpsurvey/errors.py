@@ -20,6 +20,7 @@ __all__ = [
     "check_switch",
     "check_whole",
     "close_to",
+    "number_of",
     "refusal",
     "short",
     "warn",
@@ -90,6 +91,11 @@ def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
     lower = {str(one).lower(): str(one) for one in choices}
     close = get_close_matches(str(name).lower(), sorted(lower), n=1, cutoff=cutoff)
     return f"did you mean {lower[close[0]]!r}?" if close else ""
+
+
+def number_of(n: int, noun: str, plural: str = "") -> str:
+    """Return a number and its noun, such as "1 target" and "2 targets"; the plural needs to be given if it is no -s."""
+    return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
 def check_choice(name: object, choices: Iterable[str], what: str) -> str:

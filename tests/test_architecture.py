@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import re
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,9 @@ def package_of(path):
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+@cache
 def nodes_of(path):
-    return ast.walk(ast.parse(path.read_text()))
+    return list(ast.walk(ast.parse(path.read_text())))
 
 
 def private(name):

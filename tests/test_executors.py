@@ -9,12 +9,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+import rfpsurvey
 from rfpsurvey._executors import map_in_order, submit
 
 SECONDS = 5.0
 
+# the package without the imports of its __init__, which each process that is spawned would repeat
 SCRIPT = """
-import os, sys, time
+import os, sys, time, types
+sys.modules.setdefault("rfpsurvey", types.ModuleType("rfpsurvey")).__path__ = [PACKAGE]
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from rfpsurvey._executors import map_in_order
@@ -58,6 +61,7 @@ def is_alive(pid):
 def test_workers_end_when_their_parent_is_killed(tmp_path, script, arguments):
     """They waited for work forever, with 215 MB each."""
     path = tmp_path / "script.py"
+    script = script.replace("PACKAGE", repr(os.path.dirname(rfpsurvey.__file__)))
     path.write_text(script if arguments[-1:] != ["0.01"] else script + "        time.sleep(600)\n")
     parent = subprocess.Popen([sys.executable, "-W", "ignore", path, *arguments], stdout=subprocess.PIPE, text=True)
     try:

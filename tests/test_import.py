@@ -12,27 +12,36 @@ BASE = "import astropy.coordinates, astropy.table, numba, scipy.spatial"
 ON_USE = ("benchmark", "compare", "design", "plot", "probability", "report", "reproduction", "survey", "tiling")
 
 
+PLAN = """
+import astropy.units as u, rfpsurvey as rs
+rs.plan_tile(rs.synthetic_catalog("uniform", "95 23", .2 * u.deg, n_targets=50, rng=1), "moons")
+"""
+# an empty step takes the modules of rfpsurvey away again
 STEPS = """
 import sys
-sys.stdout.write(repr([(exec(step, {}), sorted(sys.modules))[1] for step in sys.argv[1:]]))
+def loaded(step):
+    if not step:
+        for name in [name for name in sys.modules if name.partition(".")[0] == "rfpsurvey"]:
+            del sys.modules[name]
+    exec(step, {})
+    return sorted(sys.modules)
+sys.stdout.write(repr([loaded(step) for step in sys.argv[1:]]))
 """
-
-
-def loaded(*steps):
-    """Return the modules that are there after each of some statements, in one fresh process."""
-    done = subprocess.run([sys.executable, "-c", STEPS, *steps], capture_output=True, text=True, check=True)
-    return [set(names) for names in ast.literal_eval(done.stdout)]
 
 
 @pytest.fixture(scope="module")
 def stages():
-    """Modules after the dependencies, after the package, and after the use of all of it."""
-    return loaded(BASE, "import rfpsurvey", "import rfpsurvey as rs; " + "; ".join(f"rs.{name}" for name in ON_USE))
+    """Modules after the dependencies, the package, a plan, the use of all of the package, and `plot` on its own."""
+    use = "import rfpsurvey as rs; " + "; ".join(f"rs.{name}" for name in ON_USE)
+    steps = (BASE, "import rfpsurvey", PLAN, use, "", "from rfpsurvey import plot")
+    done = subprocess.run([sys.executable, "-c", STEPS, *steps], capture_output=True, text=True, check=True)
+    before, after, planned, used, _, plot = (set(names) for names in ast.literal_eval(done.stdout))
+    return before, after, planned, used, plot
 
 
 def test_import_brings_in_nothing_heavy(stages):
     """What is not needed to plan a tile waits until it is."""
-    before, after, used = stages
+    before, after, _, used, _ = stages
     extra = {name.split(".")[0] for name in after - before}
     assert "rfpsurvey" in extra
     assert "jinja2" not in used  # until a report is written
@@ -89,11 +98,17 @@ def test_import_costs_little(tmp_path):
 
 
 def test_packages_that_a_plan_does_not_need_are_imported_on_use(stages):
-    _, before, after = stages
+    _, before, planned, after, plot = stages
     names = {f"rfpsurvey.{name}" for name in ON_USE}
     assert not names & before
+    assert not {"rfpsurvey.plot", "rfpsurvey.survey", "rfpsurvey.report"} & planned
     assert names <= after
-    assert "rfpsurvey.plot" in loaded("from rfpsurvey import plot")[0]
+    assert "rfpsurvey.plot" in plot
+
+
+def test_pandas_is_imported_by_the_user_alone(stages):
+    _, _, planned, *_ = stages
+    assert not {"pandas", "pyarrow"} & planned
 
 
 def test_type_checkers_see_the_names_that_are_imported_on_use():

@@ -154,7 +154,7 @@ CALLS = {
         axes=[None],
     ),
     "table must be a QTable, got Table": lambda: rs.Tiling(Table()),
-    "table must be an astropy Table or QTable, got int": lambda: rs.Tiling.from_table(3),
+    "table must be an astropy Table or QTable, or a DataFrame, got 3": lambda: rs.Tiling.from_table(3),
     "units must be a dict from role to unit, got 'deg'": lambda: rs.Tiling.from_table(sky_table(), units="deg"),
     "columns must be a dict from role to column, got 'ra'": lambda: rs.Tiling.from_table(sky_table(), columns="ra"),
     "pass must be a whole number for every tile, got text such as 'first'": lambda: rs.Tiling.from_table(

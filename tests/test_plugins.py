@@ -1,7 +1,6 @@
 """What other packages add: as pip leaves it behind, written by hand, and once by pip itself."""
 
 import importlib.util
-import os
 import shutil
 import subprocess
 import sys
@@ -236,10 +235,10 @@ def test_its_dice_agree_with_the_quadrature(installed, run):
     assert abs(value - true) < 4 * error
 
 
-def test_processes_find_it_by_its_name(target, tmp_path):
-    command = [sys.executable, "-m", "rfpsurvey", "survey", "--instrument", "toy", "--allocator", "rarest"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(target), *filter(None, sys.path)])}
-    subprocess.run([*command, "--processes", "--folder", "survey"], env=environment, check=True, cwd=tmp_path)
+def test_processes_find_it_by_its_name(installed, run, tmp_path):
+    """Processes that are spawned look for packages where this one does."""
+    command = ["survey", "--instrument", "toy", "--allocator", "rarest", "--folder", tmp_path / "survey"]
+    assert run(*command, "--processes", "--workers", 1)[0] == 0
     survey = rs.Survey.read(tmp_path / "survey")
     assert survey.provenance["software"]["rfpsurvey-example"] == "0.1"
     assert survey.summary["n_assigned"] > 30

@@ -2,18 +2,17 @@
 One tile of SDSS-V
 ==================
 
-Real stars around the Galactic anticenter, planned without collisions; the bright ones first.
+This example plans a tile of real stars around the Galactic anticenter without collisions, and prefers bright stars.
 """
 
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
 
 import rfpsurvey as rs
 
-table = QTable.read("../../data/tycho2_anticenter_r8.ecsv.gz", format="ascii.ecsv")
+table = rs.example_catalog("anticenter").to_table()
 table["priority"] = np.where(table["vt_mag"] < 10 * u.mag, 2, 1)
 stars = rs.Catalog.from_table(table, keep=["vt_mag"])
 center = SkyCoord("06h20m00s +23d00m00s")
@@ -21,26 +20,27 @@ tile = rs.plan_tile(stars, "sdss_apo", center, epoch=2026.5, allocator="optimal"
 print(tile)
 
 # %%
-# The number of stars of each class that got a fiber, and the proven limit.
+# The summary gives the number of assigned stars of each class, and the proven upper limit.
 
 for name, reached, limit in tile.summary["objectives"]:
     print(f"{name}: {reached:.0f} of {limit:.0f}")
 
 # %%
-# Patrol areas are rings, since the arms are not equal; black discs are fiducials, which no arm may touch.
+# The patrol areas are rings, because the two arms have different lengths. Black discs are fiducials, which no arm may
+# touch.
 
 fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
 rs.plot.plot_focal_plane(tile, ax=ax)
 
 # %%
-# All stars of the field by outcome: those that are left in reach, and those out of reach.
+# The next plot shows the outcome of each star in the field: assigned, in reach but not assigned, or out of reach.
 
 fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
 rs.plot.plot_targets(tile, ax=ax)
 
 # %%
-# How many stars of each class are observed, how their magnitudes are distributed, and the fraction that is assigned at
-# each distance from the center.
+# The last figure shows the number of observed stars of each class, the distribution of their magnitudes, and the
+# assigned fraction against the distance from the center.
 
 fig, axes = plt.subplots(2, 2, figsize=(11, 7), layout="constrained")
 axes = rs.plot.plot_quality(tile, column="vt_mag", axes=axes.ravel())

@@ -1,8 +1,9 @@
 """
-A collision in close-up
+Close-up of a collision
 =======================
 
-LAMOST's rule does not look at collisions. Which one is the closest, and what does the optimum do there?
+LAMOST's allocation rule ignores collisions. This example shows the collision with the smallest distance between two
+arms, and the optimal allocation of the same positioners.
 """
 
 import astropy.units as u
@@ -21,10 +22,10 @@ depth = -worst["clearance"]
 print(f"{worst['id']} and {worst['colliding_with']} are closer than the minimum separation, by {depth:.2f}")
 
 # %%
-# Arms collide where their shades overlap. Green dots are all stars that some fiber may reach.
+# Arms collide where their shaded areas overlap. Green dots are all stars.
 
-middle = u.Quantity([worst["x"], worst["y"]])
-region = u.Quantity([middle - 45 * u.mm, middle + 45 * u.mm])
+position = u.Quantity([worst["x"], worst["y"]])
+region = u.Quantity([position - 45 * u.mm, position + 45 * u.mm])
 dots = rs.Instrument.preset("sdss_apo").projection(center).to_focal_plane(stars).value
 fig, axes = plt.subplots(1, 2, figsize=(11, 5.9), layout="constrained", sharey=True)
 for ax, tile, name in zip(axes, (rule, best), ("LAMOST's rule", "optimum"), strict=True):

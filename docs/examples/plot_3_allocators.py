@@ -1,8 +1,8 @@
 """
-Allocators side by side
-=======================
+Comparison of allocators
+========================
 
-What each method makes of the same crowded field of MOONS: science fibers that can be used, and those that collide.
+This example compares six allocators on a crowded field of MOONS by the number of usable and colliding science fibers.
 """
 
 import astropy.units as u
@@ -19,7 +19,8 @@ table = rs.compare_allocators(galaxies, "moons", center)
 table["allocator", "science", "colliding", "usable", "loss", "gap"].pprint()
 
 # %%
-# ``sdss`` assigns the most, and loses a quarter. ``optimal`` and ``repair`` leave no collision.
+# ``sdss`` assigns the most targets, but a quarter of them are lost to collisions. ``optimal`` and ``repair`` leave no
+# collisions.
 
 fig, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
 rs.plot.plot_allocators(table, ax=ax).set_title("Usable fibers of six allocators on a field of MOONS")

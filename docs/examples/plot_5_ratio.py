@@ -1,8 +1,8 @@
 """
-Probability against the ratio of the arms
-=========================================
+Collision probability against the ratio of the arms
+===================================================
 
-The collision probability of LAMOST's lattice, if its eccentric arms were longer, with 95 % intervals.
+This example computes the collision probability of LAMOST's lattice for longer eccentric arms, with 95 % intervals.
 """
 
 import astropy.units as u
@@ -22,8 +22,8 @@ for ratio, one in zip(ratios, found, strict=True):
     print(f"{ratio:.1f}: {one.value:.3f} ({one.low:.3f} to {one.high:.3f}), {one.n} realizations")
 
 # %%
-# Two questions, two answers: targets that are shared out among the positioners, and positioners that draw targets
-# whatever the others do, for which the surrogate answers at once.
+# The plot compares two estimands. For allocated targets, each target goes to one positioner. For independent targets,
+# every positioner draws its own target; the surrogate interpolates this probability.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
 values = np.array([one.value for one in found])

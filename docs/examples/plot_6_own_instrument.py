@@ -2,8 +2,8 @@
 An instrument of your own
 =========================
 
-A table of positions becomes an instrument: here 400 positioners on a sunflower's spiral, two of them broken, and a
-guide camera in the middle.
+This example makes an instrument from a table of positions: 400 positioners on a sunflower spiral, two of them broken,
+and a guide camera at the center.
 """
 
 import astropy.units as u
@@ -25,7 +25,7 @@ sunflower = rs.Instrument("sunflower", plane, plate_scale=200 * u.mm / u.deg)
 print(sunflower, "collisions of type", plane.collision_type, f"field {2 * sunflower.field_radius:.2f} across")
 
 # %%
-# It plans like any other.
+# The instrument can be used like a preset.
 
 center = SkyCoord("12h +30d")
 stars = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=400 / u.deg**2, rng=1)

@@ -2,7 +2,7 @@
 Tiling a region
 ===============
 
-A covering leaves no gap. Where targets crowd, fewer tiles are enough.
+A hexagonal covering leaves no gap between tiles. For clustered targets, ``max_density`` needs fewer tiles.
 """
 
 import astropy.units as u

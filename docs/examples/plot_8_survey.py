@@ -1,19 +1,18 @@
 """
-How complete is a survey?
-=========================
+Completeness of a survey
+========================
 
-Four passes of SDSS-V over real stars, in two classes: bright ones are wanted twice.
+This example plans four passes of SDSS-V over real stars in two classes. Bright stars require two visits.
 """
 
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
 
 import rfpsurvey as rs
 
-table = QTable.read("../../data/tycho2_anticenter_r8.ecsv.gz", format="ascii.ecsv")
+table = rs.example_catalog("anticenter").to_table()
 bright = table["vt_mag"] < 10 * u.mag
 table["priority"], table["visits"] = np.where(bright, 2, 1), np.where(bright, 2, 1)
 stars = rs.Catalog.from_table(table).within(SkyCoord("06h20m00s +23d00m00s"), 4 * u.deg)
@@ -24,7 +23,7 @@ for outcome, number in survey.summary["outcomes"].items():
     print(f"{number:>6} {outcome}")
 
 # %%
-# A tile visits a star once, so that the first pass can hardly make more than half of the visits to bright stars.
+# A tile visits a star once. The first pass can therefore hardly complete more than half of the visits to bright stars.
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
 rs.plot.plot_tiling(survey, ax=left).set_title("completeness of each field")

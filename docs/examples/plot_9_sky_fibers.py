@@ -1,8 +1,8 @@
 """
-Sky fibers and standards
-========================
+Sky fibers and standard stars
+=============================
 
-The tile that LAMOST would observe: sky fibers and standards in every spectrograph, and no collision.
+This example plans a LAMOST tile without collisions, with sky fibers and standard stars in every spectrograph.
 """
 
 import astropy.units as u
@@ -27,14 +27,14 @@ tile = rs.plan_tile(
 print(tile, "missing:", tile.summary["unmet"])
 
 # %%
-# How many fibers of each kind has each of the 16 spectrographs?
+# This is the number of fibers of each kind in each of the 16 spectrographs.
 
 for kind in ("science", "standard", "sky"):
     each = np.bincount(tile.table["spectrograph"][tile.table["kind"] == kind], minlength=16)
     print(f"{kind}: {each.min()} to {each.max()}")
 
 # %%
-# Which fibers of a spectrograph look at the sky is left open, as long as their number is right.
+# The requirements specify only the number of sky fibers per spectrograph, not which fibers observe the sky.
 
 fig, ax = plt.subplots(figsize=(6.5, 6.5), layout="constrained")
 for kind, color, size in (("science", "0.8", 2), ("standard", "#D55E00", 9), ("sky", "#0072B2", 9)):

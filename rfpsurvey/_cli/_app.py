@@ -28,7 +28,7 @@ from rfpsurvey._cli._print import (
 )
 from rfpsurvey._io import WRITABLE, check_fits_text, check_output, read_table, suffix_of
 from rfpsurvey._units import to_center
-from rfpsurvey.catalog import UNITS, as_catalog
+from rfpsurvey.catalog import UNITS, as_catalog, is_example
 from rfpsurvey.errors import check_choice
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.plot import COLORINGS
@@ -246,7 +246,7 @@ def to_mm(value: float | None):
 
 def read_targets(name: str):
     """Return a catalog from a file, or the name of a kind of random targets as it is."""
-    return rs.Catalog.read(name) if Path(name).suffix else name
+    return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
 
 
 def check_outputs(

@@ -8,7 +8,8 @@ import typer
 CatalogArgument = Annotated[
     Path | None,
     typer.Argument(
-        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
+        "stars come with the package. None: a synthetic Poisson "
         "catalog."
     ),
 ]
@@ -60,7 +61,10 @@ FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE of rows that have none, as priority=0 or visits=1.")
 ]
 ParkedOption = Annotated[bool, typer.Option(help="Idle equal-arm positioners are parked, as obstacles for others.")]
-OutputOption = Annotated[Path | None, typer.Option(help="Write the tile, .fits or .ecsv.")]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(help="Write the tile, .fits or .ecsv; only FITS holds the outcomes of all targets, too."),
+]
 PlotOption = Annotated[Path | None, typer.Option(help="Draw the focal plane, .png, .pdf or .svg.")]
 TargetsOption = Annotated[
     str | None,
@@ -134,7 +138,8 @@ TilingPlotOption = Annotated[Path | None, typer.Option(help="Draw the tiles, .pn
 SurveyCatalogArgument = Annotated[
     Path | None,
     typer.Argument(
-        help="FITS, ECSV, CSV, VOTable or Parquet, or a folder of HEALPix partitions (HATS). None: a synthetic Poisson "
+        help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
+        "stars come with the package. None: a synthetic Poisson "
         "catalog, wider than a field."
     ),
 ]
@@ -158,6 +163,10 @@ ProcessesOption = Annotated[bool, typer.Option("--processes", help="Processes in
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Draw the tiles on the sky and the completeness, .png, .pdf or .svg.")
+]
+SurveyQualityOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw visits by class, targets by outcome, and fibers by kind, .png, .pdf or .svg."),
 ]
 DesignInstrumentOption = Annotated[
     str | None,
@@ -198,6 +207,7 @@ DesignPlotOption = Annotated[Path | None, typer.Option(help="Draw the front, .pn
 PLAN_EXAMPLES = """\b
 Examples:
   rfpsurvey plan
+  rfpsurvey plan example:anticenter --center "95 23" --epoch 2026.5
   rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
   rfpsurvey plan stars.fits --output tile.fits --report tile.html
   rfpsurvey plan stars.fits --keep mag --plot tile.png --targets outcome --quality quality.png

@@ -9,7 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey._io import output_path, write_table
+from rfpsurvey._io import output_path, suffix_of, write_table
 from rfpsurvey.plot import draw_tiling
 from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
 
@@ -80,6 +80,8 @@ def finish(
         report=(report, tile, {"data": output}),
     ):
         print_summary(tile)
+    if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
+        print(f"{output} has no outcomes of targets, since ECSV holds one table: write .fits to keep them")
 
 
 def finish_tiling(

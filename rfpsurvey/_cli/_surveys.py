@@ -86,7 +86,14 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
 
 
 def run(
-    targets, tiles: Path | None, model: "rs.Instrument", executor, options: dict, plot: Path | None, report: Path | None
+    targets,
+    tiles: Path | None,
+    model: "rs.Instrument",
+    executor,
+    options: dict,
+    plot: Path | None,
+    quality: Path | None,
+    report: Path | None,
 ) -> None:
     """Plan a survey, print what came out, and draw it where asked."""
     tiling = _read_tiles(tiles, targets, model)
@@ -100,7 +107,12 @@ def run(
         print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
         raise
     seconds = perf_counter() - begin
-    with _app.files(overwrite=True, plot=(plot, lambda: draw_survey(survey)), report=(report, survey, {})):
+    with _app.files(
+        overwrite=True,
+        plot=(plot, lambda: draw_survey(survey)),
+        quality=(quality, lambda: rs.plot.plot_quality(survey)[0].figure),
+        report=(report, survey, {}),
+    ):
         _print_survey(survey, seconds)
         if survey.folder is not None:
             print(f"wrote {survey.folder}")

@@ -22,7 +22,10 @@ def compare(
     instruments: Annotated[
         list[str] | None, typer.Argument(help="Presets, or paths of TOML files. None: all presets.")
     ] = None,
-    catalog: Annotated[Path | None, typer.Option(help="The same sky for all. None: synthetic Poisson skies.")] = None,
+    catalog: Annotated[
+        Path | None,
+        typer.Option(help="The same sky for all, a file or example:anticenter. None: synthetic Poisson skies."),
+    ] = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     epoch: _options.EpochOption = None,
@@ -33,6 +36,8 @@ def compare(
         list[str] | None, typer.Option(help="Methods, may be given several times. None: lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
+    required: _options.RequiredOption = None,
+    keep_out: _options.KeepOutOption = None,
     sky_separation: _options.SkyOption = None,
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
@@ -48,7 +53,9 @@ def compare(
 ) -> None:
     """Put instruments side by side: reach, fibers, collisions and what they cost."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    options = _app.allocation_options("lamost", require, sky_separation, time_limit)
+    options = _app.allocation_options(
+        "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
+    )
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill),

@@ -19,7 +19,9 @@ def probability(
     estimand: Annotated[str | None, typer.Option(help="For auto: allocated (default) or independent.")] = None,
     precision: Annotated[float | None, typer.Option(help="Standard error to reach.")] = None,
     max_iterations: Annotated[int | None, typer.Option(help="Iterations, realizations or points at most.")] = None,
-    targets: Annotated[str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog.")] = "uniform",
+    targets: Annotated[
+        str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog, such as example:anticenter.")
+    ] = "uniform",
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
     target_radius: Annotated[float | None, typer.Option(help="Of the circle where they fall, mm.")] = None,
     min_separation: Annotated[float | None, typer.Option(help="Of poisson_disc, mm.")] = None,

@@ -33,11 +33,12 @@ def survey(
     keep: _options.KeepOption = None,
     fill: _options.FillOption = None,
     plot: _options.SurveyPlotOption = None,
+    quality: _options.SurveyQualityOption = None,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Plan tile after tile until targets are observed as often as they are wanted."""
-    _app.check_outputs(None, plot, report, overwrite=overwrite)
+    _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
     model = as_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
@@ -54,4 +55,4 @@ def survey(
         "rng": seed,
     }
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiles, model, executor, options, plot, report)
+        _surveys.run(targets, tiles, model, executor, options, plot, quality, report)

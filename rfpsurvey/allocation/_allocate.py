@@ -1,4 +1,4 @@
-"""Assign targets to positioners: the public function, and the same on plain arrays."""
+"""Assign targets to positioners: the public function, and a version of it for plain arrays."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -41,9 +41,9 @@ def allocate(
 ) -> Allocation:
     """Assign targets to positioners: at most one target per positioner, and one positioner per target.
 
-    Science targets are what a plan is for; standards and sky positions serve requirements, and beyond these fill
-    positioners that would be idle (``sdss``, ``optimal``, ``repair``). Only ``optimal`` and ``repair`` look at
-    collisions, and leave none.
+    The purpose of an allocation is to observe science targets. Standards and sky positions are assigned to meet
+    requirements; ``sdss``, ``optimal`` and ``repair`` also assign them to positioners that would otherwise be idle.
+    Only ``optimal`` and ``repair`` take collisions into account; their allocations contain none.
 
     Parameters
     ----------
@@ -52,40 +52,42 @@ def allocate(
     xy : Quantity, shape (n_targets, 2)
         Targets on the focal plane, in catalog order; NaN is out of reach.
     allocator : AllocationOptions or str or callable, optional
-        The allocator and its options, or the allocator alone, see `AllocationOptions`.
+        The allocator with its options, or only the allocator; see `AllocationOptions`.
     priority : array_like of float, shape (n_targets,), optional
-        Larger is more important; targets of one value form a class.
+        Priority of each target; larger values are more important. Targets with the same priority form a class.
     fiber_type : array_like of str, shape (n_targets,), optional
-        Fiber type that each target needs; ``""`` means any.
+        Fiber type that each target requires; ``""`` means any type.
     kind : array_like of str, shape (n_targets,), optional
-        ``science`` (all, by default), ``standard`` or ``sky``.
+        Kind of each target: ``science`` (the default), ``standard`` or ``sky``.
     category : array_like of str, shape (n_targets,), optional
         Names that requirements refer to, such as ``sky_boss``.
     required : array_like of int, shape (k,), optional
-        Rows of targets that come before everything else, as `AllocationOptions` has their ids.
+        Rows of the targets that take precedence over all others. `AllocationOptions` has the same parameter, with
+        identifiers in place of rows.
     forbidden : array_like of int, shape (k, 2), optional
-        Pairs (positioner, target), by row, that must not be.
+        Pairs of rows (positioner, target) that must not be assigned to each other.
     avoid : Quantity, shape (k, 2), optional
-        Further points from which sky positions keep the distance ``sky_separation``, such as stars that nobody wants to
-        observe.
+        Further points that sky positions must be at least ``sky_separation`` away from, such as stars that are not
+        targets.
     rng : int, Generator or None, optional
-        Seed or source of the draw of ``balanced``; None draws anew each time.
+        Seed or generator of the random draw of ``balanced``; with None, each call draws differently.
 
     Returns
     -------
     Allocation
-        The same input gives the same allocation, unless the time limit cuts a search short.
+        The allocation. The same input gives the same allocation, unless the time limit ends a search early.
 
     Raises
     ------
     InputError
-        If a name is unknown, a shape does not fit, a unit is missing, a number is impossible, ``start`` belongs to
-        other targets or another focal plane, or an allocator of another package fails or returns what cannot be.
+        If a name is unknown, a shape is wrong, a unit is missing, a number is out of range, ``start`` belongs to
+        other targets or to another focal plane, or an allocator of another package fails or returns an invalid
+        allocation.
 
     Warns
     -----
     RfpsurveyWarning
-        If ``sky_separation`` is given, and no requirement asks for sky.
+        If ``sky_separation`` is given but no requirement asks for sky.
 
     Examples
     --------
@@ -129,7 +131,7 @@ def assign(
     forbidden: np.ndarray | None = None,
     avoid: np.ndarray = NO_POINTS,
 ) -> Allocation:
-    """Assign targets in mm to positioners; the columns are those of a catalog, and are not checked again."""
+    """Assign targets in mm to positioners; the columns come from a catalog and are not checked again."""
     begin = perf_counter()
     n = len(xy_mm)
     reach = focal_plane.arrays.reach(xy_mm, columns.fiber_type)
@@ -187,7 +189,7 @@ def _priorities(priority, n):
 
 
 def _classes(priority, n):
-    """Priorities, the largest first, and the class of each target, 0 the most important."""
+    """Return the priorities, largest first, and the class of each target; class 0 is the most important."""
     if priority is None:
         return (0.0,), np.zeros(n, dtype=np.int64)
     classes, rank = np.unique(-priority, return_inverse=True)
@@ -195,7 +197,7 @@ def _classes(priority, n):
 
 
 def _squeeze(classes, rank, science):
-    """Keep the classes of science targets; all others come after them."""
+    """Renumber the classes of science targets without gaps; all other targets form the class after them."""
     used, new = np.unique(rank[science], return_inverse=True)
     squeezed = np.full(len(rank), len(used), dtype=np.int64)
     squeezed[science] = new.reshape(-1)
@@ -212,7 +214,7 @@ def _labels(values, n, name):
 
 
 def _marked(required, n):
-    """Return truth values for all targets from the rows of those that are required."""
+    """Convert the rows of the required targets to a boolean array over all targets."""
     if required is None or np.size(required) == 0:
         return None
     rows = np.atleast_1d(to_plain(required, "required"))
@@ -229,7 +231,7 @@ def _marked(required, n):
 
 
 def _allowed(reach: Reach, forbidden, n) -> Reach:
-    """Take forbidden pairs out."""
+    """Return the reachable pairs without the forbidden ones."""
     if forbidden is None:
         return reach
     try:
@@ -253,7 +255,7 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
 
 
 def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) -> AllocationAnswer:
-    """Return the plan that `repair` begins with."""
+    """Return the plan from which `repair` starts."""
     start = problem.options.start
     if isinstance(start, str):
         return find_method(start)(problem)
@@ -273,11 +275,11 @@ def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) 
 
 
 def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:
-    """Columns of the allocation; sky positions that nobody uses are left out."""
+    """Return the columns of the allocation, without the sky positions that no positioner uses."""
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
     rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
-    new = np.full(len(problem.xy) + 1, -1)  # the last one for no target
+    new = np.full(len(problem.xy) + 1, -1)  # the last entry stands for no target
     new[rows] = np.arange(len(rows))
     points = problem.xy[rows]
     levels = answer.levels

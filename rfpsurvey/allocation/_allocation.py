@@ -1,4 +1,4 @@
-"""What an allocation is."""
+"""The class of allocations."""
 
 from dataclasses import dataclass
 
@@ -16,43 +16,44 @@ __all__ = ["Allocation"]
 
 @dataclass(frozen=True, eq=False)
 class Allocation:
-    """Which positioner observes which target.
+    """An allocation: the target that each positioner observes.
 
     Parameters
     ----------
     allocator : str
-        Name of the allocator that made it.
+        Name of the allocator that made the allocation.
     target_of_positioner : ndarray of int, shape (n_positioners,)
-        Target of each positioner, -1 for none. Rows behind those that were given are sky positions found in gaps.
+        Row of the target of each positioner, -1 for none. Rows from ``n_given`` on are sky positions that were found
+        in gaps between the targets.
     positioner_of_target : ndarray of int, shape (n_targets,)
-        Positioner of each target, -1 for none.
+        Row of the positioner of each target, -1 for none.
     handedness : ndarray of str, shape (n_positioners,)
-        Elbow of each arm, "right" or "left".
+        Handedness of each arm, "right" or "left".
     tips : Quantity, shape (n_positioners, 2)
-        Where each fiber is; NaN without a target.
+        Position of each fiber; NaN for positioners without a target.
     fiber_type : ndarray of str, shape (n_positioners,)
-        Fiber in use.
+        Fiber type that each positioner uses.
     in_reach : ndarray of bool, shape (n_given,)
-        Which targets at least one positioner reaches.
+        Whether at least one positioner reaches each target.
     parked_obstacles : bool
-        Do idle equal-arm positioners count as obstacles?
+        Whether idle positioners with equal arms count as obstacles.
     seconds : dict of str to float
-        Time of each stage.
+        Computing time of each stage in seconds.
     xy : Quantity, shape (n_targets, 2)
-        The targets on the focal plane, those given and then sky positions in use that were found in gaps.
+        Positions on the focal plane: the given targets, followed by the sky positions in gaps that are in use.
     n_given : int
-        Number of the former.
+        Number of given targets.
     target_fiber_type : ndarray of str, shape (n_targets,), or None
-        Fiber type that each target needs, ``""`` for any.
+        Fiber type that each target requires, ``""`` for any.
     queues : tuple of ndarray or None
-        For ``balanced``: indptr and targets of all queues, of which the configuration is one draw.
+        For ``balanced``: ``indptr`` and targets of all queues, from which the configuration was drawn.
     levels : tuple of Level
-        What the plan objectives at, the first objective before all others: name, value and bound, which is what no plan
-        exceeds given the values before; NaN where nothing is proven.
+        Name, value and bound of each objective, in strict order of precedence. No plan that has the values of the
+        earlier objectives exceeds the bound; it is NaN where nothing is proven.
     unmet : tuple of Shortfall
-        Requirements that are not met; as text each is a sentence.
+        Requirements that are not met; ``str`` turns each into a sentence.
     meta : dict
-        How the solution was found.
+        Information on how the solution was found.
 
     Examples
     --------
@@ -89,37 +90,38 @@ class Allocation:
 
     @property
     def n_assigned(self) -> int:
-        """Number of positioners with a target."""
+        """Number of positioners that have a target."""
         return int(np.count_nonzero(self.target_of_positioner >= 0))
 
     @property
     def objective(self) -> float:
-        """Targets observed, less what the requirements lack."""
+        """Number of observed targets minus the number of fibers missing for requirements."""
         lack = sum(level.value for level in self.levels if level.name == "requirements")
         return float(self.n_assigned + lack)
 
     @property
     def bound(self) -> float:
-        """What no plan exceeds that is as good in all objectives that are proven; NaN where nothing is proven."""
-        # classes that are not proven have bounds on all classes up to them: the largest gap counts, not their sum
+        """Upper bound of the objective for all plans with the same proven values; NaN where nothing is proven."""
+        # the bound of a class that is not proven includes all classes before it: take the largest gap, not the sum
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property
     def gap(self) -> float:
-        """Relative difference of bound and objective: 0 for a proven optimum, NaN where nothing is proven.
+        """Relative difference between bound and objective: 0 for a proven optimum, NaN where nothing is proven.
 
-        The bound of ``repair`` is what arms could reach that pass through each other: it lost at most so much.
+        The bound of ``repair`` ignores collisions, so that its gap is an upper limit of the fraction of targets that
+        it lost to them.
         """
         missing = self.bound - self.objective
         return missing / max(abs(self.bound), 1.0) if missing else 0.0
 
     def place_arms(self, focal_plane: FocalPlane) -> Arms:
-        """Return the poses that go with the allocation.
+        """Return the poses of the arms for this allocation.
 
         Parameters
         ----------
         focal_plane : FocalPlane
-            The focal plane that it was made for.
+            The focal plane for which the allocation was made.
 
         Returns
         -------
@@ -129,7 +131,7 @@ class Allocation:
         Raises
         ------
         InputError
-            If this is no focal plane, or one of other positioners.
+            If ``focal_plane`` is not a focal plane, or has other positioners.
         """
         return place_arms(
             focal_plane,

@@ -1,4 +1,4 @@
-"""Arms at candidates."""
+"""Poses of arms at candidates."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ __all__ = ["place_segments"]
 def place_segments(
     problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the segments that can collide of positioners (by row) at targets, shape (4, n).
+    """Return the colliding segments, shape (4, n), of positioners (by row) at targets.
 
-    ``idle`` lists the rows that stand for the idle arm of each positioner, whose target is -1.
+    ``idle`` lists the rows of idle arms, one for each positioner; their target is -1.
     """
     plane, columns = problem.focal_plane, problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

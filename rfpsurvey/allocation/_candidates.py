@@ -1,4 +1,4 @@
-"""Every place where an arm may stand, and which of them exclude each other."""
+"""Candidates: the possible targets and elbows of each positioner, and which of them exclude each other."""
 
 from dataclasses import dataclass
 
@@ -19,18 +19,18 @@ ROOM = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates, the idle arm the last of each positioner, and their conflicts."""
+    """Candidates with their conflicts; the last candidate of each positioner is its idle arm."""
 
     problem: AllocationProblem
     options: conflicts.Options
     side: np.ndarray
-    """Elbow of each candidate, +1 right, -1 left."""
+    """Elbow of each candidate: +1 is right, -1 is left."""
     pairs: np.ndarray
-    """Candidates that collide, shape (2, m)."""
+    """Pairs of candidates that collide, shape (2, m)."""
     held: np.ndarray
-    """Which requirements count which candidates, shape (n_groups, n)."""
+    """Whether each requirement counts each candidate, shape (n_groups, n)."""
     preselection: Preselection
-    """Reachable pairs behind the candidates, of which some may have been left out."""
+    """Reachable pairs from which the candidates were made; some pairs may have been left out."""
 
     def __len__(self):
         return len(self.side)
@@ -44,9 +44,9 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates whose best plan is as good as any plan of all candidates, also of those left out.
+        """Return candidates whose best plan is at least as good as any plan, including plans with omitted candidates.
 
-        Candidates that stand for others that were left out collide with nothing.
+        Candidates that represent omitted candidates have no conflicts.
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
@@ -62,10 +62,10 @@ def find_candidates(
     squared_cost: bool = False,
     keep_target: np.ndarray | None = None,
 ) -> Candidates:
-    """Return the candidates of a problem: all, or as many as `preselect` keeps of them.
+    """Return the candidates of a problem: all of them, or those that `preselect` keeps.
 
-    Without ``collide`` arms may pass through each other and have one elbow. Targets of ``keep_target``, shape
-    (n_positioners,), are kept in any case.
+    Without ``collide``, arms may pass through each other, and each target has only one elbow. The targets in
+    ``keep_target``, shape (n_positioners,), are always kept.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -79,7 +79,7 @@ def find_candidates(
     at_home[idle] = True
     segments = place_segments(problem, own, target, side, idle)
     pairs = _conflicts(plane, start, segments)
-    # two idle arms that collide, or one that touches an obstacle, do so whatever the plan is
+    # collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan
     pairs = pairs[:, ~at_home[pairs].all(axis=0)]
     found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
     touch = _touches_obstacle(plane, start, segments) & ~at_home
@@ -87,7 +87,7 @@ def find_candidates(
 
 
 def _assemble(problem, preselection, start, own, target, side, cost, pairs):
-    """Put together what follows from the columns."""
+    """Return the candidates with everything that follows from their columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
     held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
@@ -100,7 +100,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
 
 
 def _list(problem, reach, both):
-    """Reachable targets of each positioner with their elbows, and its idle arm."""
+    """Return the reachable targets of each positioner with their elbows, and its idle arm."""
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
@@ -130,7 +130,7 @@ def _touches_obstacle(plane, start, segments):
 
 
 def _conflicts(plane, start, segments):
-    """Pairs of candidates that collide, shape (2, m); what rounding could decide is settled exactly."""
+    """Return pairs of candidates that collide, shape (2, m); borderline pairs are decided in exact arithmetic."""
     columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)
     halve(segments, halves)
@@ -154,7 +154,7 @@ def _conflicts(plane, start, segments):
 
 
 def _keys(problem, target, held):
-    """Group candidates by what they do for the requirements, and say which groups do at least as much as others."""
+    """Group candidates by the requirements that count them, and find groups that include the counts of others."""
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)
@@ -171,7 +171,7 @@ def _keys(problem, target, held):
 
 
 def _by_target(target, n):
-    """Candidates of each target, in rows."""
+    """Return the candidates of each target, one row per target."""
     rows = np.flatnonzero(target >= 0)
     rows = rows[np.argsort(target[rows], kind="stable")]
     return np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=n))]), rows

@@ -10,12 +10,12 @@ from rfpsurvey.region import Region
 
 __all__ = ["as_keep_out", "as_required", "brief", "circle_text", "recorded"]
 
-# Identifiers or circles that a result lists; of more, it holds the number and a digest.
+# Results list at most this many identifiers or circles; of longer lists they hold the number and a digest.
 MOST_LISTED = 1000
 
 
 def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
-    """Return the different identifiers of required targets, all integers or all text, in the order given."""
+    """Return the distinct identifiers of required targets, all integers or all text, in the given order."""
     if required is None or np.size(required) == 0:
         return ()
     names = to_labels(np.atleast_1d(required), "required")
@@ -27,7 +27,7 @@ def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
 
 
 def as_keep_out(keep_out: object) -> tuple[Region, ...]:
-    """Return circles on the sky from one, from several, or from None."""
+    """Convert one circle on the sky, a list of circles, or None to a tuple of circles."""
     regions = () if keep_out is None else (keep_out,) if isinstance(keep_out, Region) else keep_out
     what = "keep_out must be circles made by Region.cap, one or a list"
     if not isinstance(regions, list | tuple):
@@ -48,13 +48,13 @@ def circle_text(region: Region) -> str:
 
 
 def recorded(texts: list[str]) -> list[str]:
-    """Return what a result holds of identifiers or circles: all of them, or their number and a digest."""
+    """Return the identifiers or circles as a result records them: all of them, or their number and a digest."""
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]
 
 
 def brief(values: tuple, most: int = 5) -> str:
-    """Return the first values as text, and how many there are."""
+    """Return the first values and the number of all values as text."""
     listed = ", ".join(str(value) for value in values[:most])
     return f"{listed} ({len(values)} in all)"

@@ -1,4 +1,4 @@
-"""Objectives in strict order, each proven before the next one is looked at."""
+"""Optimize objectives in strict order: each is proven before the next one is considered."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -9,30 +9,30 @@ from rfpsurvey.allocation._milp import Program
 
 __all__ = ["Solution", "pursue"]
 
-# Objectives are combined while the product of their sizes stays below this, so that rounding is harmless.
+# Objectives are combined as long as the product of their sizes is below this, so that rounding has no effect.
 LARGEST = 1e6
-# Otherwise so many of the proven objectives enter the goal of the next one, with weights that fall by this factor.
+# Otherwise this many proven objectives enter the goal of the next one, with weights that decrease by this factor.
 STEEP, N_STEEP = 8.0, 4
-# Programs with so many variables.
+# Programs with at least this many variables.
 LARGE = 500
-# Fraction of the time for objectives that cannot be proven in time, the least weight of one of them, and a gap.
+# Fraction of the time spent on objectives that cannot be proven in time, their least weight, and the gap allowed.
 FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 
 
 class Solution(NamedTuple):
-    """One candidate of each positioner of a part, and what each objective reaches."""
+    """The chosen candidate of each positioner of a part, and the value and bound of each objective."""
 
     chosen: np.ndarray | None
-    """Candidates in use; None where time did not suffice to find any plan."""
+    """Candidates in use; None if no plan was found within the time limit."""
     values: np.ndarray
     bounds: np.ndarray
     n_programs: int
     integral: bool
-    """Had integers to be asked for?"""
+    """Whether an integer program had to be solved."""
 
 
 class _Pursuit:
-    """What is known so far."""
+    """The state of the search: the best plan and the values that are proven so far."""
 
     def __init__(self, program: Program, first, limit, *, integral):
         self.program, self.limit = program, limit
@@ -45,20 +45,20 @@ class _Pursuit:
         self.solved: list[float] = []  # values of the first objectives
 
     def upper(self, values):
-        """Return what each objective cannot exceed, given the values of those before it."""
+        """Return the upper bound of each objective, given the values of the objectives before it."""
         if self.limit is None:
             return self.high
         # no plan has more targets of the first classes than the best matching has
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
         if self.program.problem.any_required:
-            # the matching is the best one if all that comes before is as good as in it
+            # the matching is optimal if the plan equals it in all earlier objectives
             known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
             most = np.where(known, most, np.inf)
         return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
-        """Return the best variables for a goal and its bound; a linear program first, if that may do."""
+        """Return the best variables for a goal and its bound; try a linear program first where that can suffice."""
         x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
         self.n_programs += 1
         if not self.integral and x is not None:
@@ -69,13 +69,13 @@ class _Pursuit:
         return x, bound
 
     def take(self, x):
-        """Keep the variables if they are better than those there are."""
+        """Keep the variables if they are better than the best so far."""
         values = self.program.reaches(x)
         if self.x is None or tuple(values) > tuple(self.values):
             self.x, self.values = x, values
 
     def next_pack(self, k, largest):
-        """Return how many objectives from k on fit into one objective, and their weights."""
+        """Return how many objectives, from number k on, can be combined into one, and their weights."""
         sizes, product = [], 1.0
         for objective in self.program.objectives[k:]:
             product *= objective.high - objective.low + 1.0
@@ -85,7 +85,7 @@ class _Pursuit:
         return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
 
     def prove(self, k, deadline):
-        """Solve objective k and those combined with it; return how many are proven then, and a bound of the first."""
+        """Solve objective k and those combined with it; return how many are then proven, and a bound of the first."""
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
@@ -93,7 +93,7 @@ class _Pursuit:
             if n:
                 self.solved += self.values[k : k + n].tolist()
                 return n, self.values[k]
-        # objectives that are proven: as constraints, or (without these a large program is far easier) in the objective
+        # proven objectives become constraints; in large programs, which constraints slow down much, terms of the goal
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
         goal = program.goal(k, weights)
@@ -119,22 +119,22 @@ class _Pursuit:
         return 0, np.inf
 
     def fill(self, k, deadline):
-        """Make the best of the objectives from k on, which could not be proven, about in their order."""
+        """Improve the objectives from number k on, which could not be proven, approximately in their order."""
         worth = np.maximum(STEEP ** -np.arange(len(self.program.objectives) - k, dtype=float), FLATTEST)
         x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
         if x is not None:
             self.take(x)
 
     def is_kept(self, values):
-        """Say whether nothing that is proven is lost."""
+        """Return whether a plan keeps all proven values."""
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 
 def pursue(program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool) -> Solution:
-    """Return the best plan, or the best one found before the deadline, beginning with ``first`` if that may be.
+    """Return the best plan, or the best one found before the deadline; start from ``first`` if it is feasible.
 
-    ``limit``, where there is one, is what the objectives of a matching reach whose arms may collide. With
-    ``squared_cost`` the least cost of all best plans comes last.
+    ``limit``, if given, holds the objectives of a matching whose arms may collide. With ``squared_cost``, the last
+    objective is the least cost among all best plans.
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0

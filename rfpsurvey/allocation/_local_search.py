@@ -1,4 +1,4 @@
-"""Plans without a proof: the best matching of arms that may collide, and local moves that end collisions."""
+"""Plans without a proof: the best matching of arms that may collide, and local moves that remove collisions."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def match(candidates: Candidates) -> np.ndarray:
 
 
 def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
-    """Return the candidate of each positioner for given targets and elbows, -1 where there is none."""
+    """Return the candidate of each positioner for given targets and elbows, -1 if there is none."""
     options = candidates.options
     fits = (options.target >= 0) & (options.target == target_of[options.own])
     if side is not None:
@@ -39,7 +39,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 
 
 def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
-    """Return a plan that exceeds no maximum: the least important targets are given up."""
+    """Return a plan that exceeds no maximum: the least important targets are dropped."""
     target_of = target_of.copy()
     if problem.watched is not None:
         target_of = np.where(problem.watched >= 0, problem.watched, target_of)
@@ -49,7 +49,7 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
             continue
         own = np.flatnonzero(target_of >= 0)
         own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
-        # what stuck fibers look at cannot be given up
+        # the sky positions of stuck fibers cannot be dropped
         own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane.arrays.usable[own]))]
         extra = own[most:]
         target_of[extra[problem.focal_plane.arrays.usable[extra]]] = -1
@@ -57,9 +57,9 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
 
 
 def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Return a plan without collisions, how many positioners moved without a loss, and how many gave up.
+    """Return a plan without collisions, how many positioners kept a target as good, and how many lost their target.
 
-    The last candidate of each positioner must be its idle arm, which stands in for none (-1).
+    The last candidate of each positioner must be its idle arm, which takes the place of no candidate (-1).
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
@@ -68,7 +68,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
 
     def order():
-        """Return positioners, those that no requirement needs and with the least important targets first."""
+        """Return positioners: first those that no requirement counts and those with the least important targets."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = moves.repair(options, order(), now, *state, ROUNDS)
@@ -82,7 +82,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
 
 
 def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
-    """Return a plan without collisions in which some positioners look at more important targets, if moves find any."""
+    """Return a plan without collisions in which some positioners have more important targets, if moves find any."""
     now, *state = _stand(candidates, chosen)
     order = np.argsort(-candidates.options.rank[now], kind="stable")
     moves.repair(candidates.options, order, now, *state, ROUNDS)
@@ -90,7 +90,7 @@ def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
 
 
 def _stand(candidates, chosen):
-    """Return what is in use, how many of these block each candidate, and who holds each target."""
+    """Return the candidates in use, how many of them block each candidate, and the positioner of each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)

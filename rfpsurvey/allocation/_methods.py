@@ -1,4 +1,4 @@
-"""Methods of allocation: from the problem to a choice."""
+"""The built-in allocators: functions from an allocation problem to its answer."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ __all__ = ["METHODS"]
 
 
 def balanced(problem: AllocationProblem) -> AllocationAnswer:
-    """Queues of equal length, one entry drawn from each."""
+    """Distribute targets to queues of nearly equal length, and draw one target from each queue."""
     reach = problem.only(problem.science)
     count = np.empty(reach.n_positioners, dtype=np.int64)
     owner_of = np.empty(len(problem.rank), dtype=np.int64)
@@ -27,7 +27,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
-    """Closest pairs first, class after class."""
+    """Assign the closest pairs first, class after class."""
     reach, rank, _ = _in_order(problem)
     indptr, target, r2, _ = _best(problem, reach, rank)
     m = len(problem.rank)
@@ -37,7 +37,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
-    """Nomination of the nearest target, class after class; then what the requirements ask for."""
+    """Let positioners nominate their nearest targets, class after class; then fill the requirements."""
     reach, rank, n_ranks = _in_order(problem)
     indptr, target, r2, in_reach = _best(problem, reach, rank)
     n, m = reach.n_positioners, len(problem.rank)
@@ -50,17 +50,17 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
-    """Network flow, class after class, then the least sum of squared distances."""
+    """Maximize the number of targets by network flow, class after class; then minimize the squared distances."""
     return decide(problem, collide=False, integral=False, squared_cost=True)
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
-    """As many as possible, class after class, without a collision."""
+    """Maximize the number of targets, class after class, such that no arms collide."""
     return decide(problem, collide=True)
 
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:
-    """Another plan, its collisions ended by local moves."""
+    """Remove the collisions of another plan by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
     candidates = find_candidates(problem, keep_target=before)
@@ -68,7 +68,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     first = pick(candidates, trim(problem, before), side)
     chosen, moved, dropped = repair_collisions(candidates, first)
     options, had = candidates.options, before >= 0
-    dropped += int((had & (first < 0)).sum())  # at obstacles, or beyond a maximum
+    dropped += int((had & (first < 0)).sum())  # positioners at obstacles or beyond a maximum
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
     levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
@@ -83,11 +83,11 @@ METHODS = {
     "optimal": optimal,
     "repair": repair,
 }
-"""Name to function from a problem to a choice."""
+"""Allocators by name: functions from an allocation problem to its answer."""
 
 
 def _bounded(problem, target_of, blind):
-    """Return what a plan reaches, and what it could if arms passed through each other, as far as that is known."""
+    """Return the levels of a plan, with bounds from the plan whose arms may pass through each other, where known."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():
@@ -97,9 +97,9 @@ def _bounded(problem, target_of, blind):
 
 
 def _in_order(problem):
-    """Return the pairs that are assigned by class, the class of each target, and how many classes there are.
+    """Return the pairs that are assigned class by class, the class of each target, and the number of classes.
 
-    Required targets, of whatever kind, are a class before all others.
+    Required targets of any kind form a class before all others.
     """
     if not problem.any_required:
         return problem.only(problem.science), problem.rank, len(problem.classes)
@@ -108,10 +108,10 @@ def _in_order(problem):
 
 
 def _best(problem, reach, rank):
-    """Return the candidates of each positioner by class, then distance, and how many targets it reaches.
+    """Return the candidates of each positioner, sorted by class and distance, and how many targets it reaches.
 
-    Only positioners that share a target with it can take one away, at most one each. A positioner therefore ends with
-    one of its first candidates, as many as there are such positioners and one more; the others are left out.
+    Only positioners that share a target with it can take one of its candidates, at most one each. With k such
+    positioners, a positioner therefore ends with one of its first k + 1 candidates; the others are omitted.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
@@ -122,14 +122,14 @@ def _best(problem, reach, rank):
 
 
 def _with_watched(problem, target_of):
-    """Add the sky that stuck positioners look at."""
+    """Add the sky positions that stuck positioners observe."""
     if problem.watched is None:
         return target_of
     return np.where(problem.watched >= 0, problem.watched, target_of)
 
 
 def _fill_quotas(problem, target_of, owner_of):
-    """Idle positioners, then those with the least important targets, take what the requirements lack, in place."""
+    """Fill the requirements in place: first by idle positioners, then by those with the least important targets."""
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used

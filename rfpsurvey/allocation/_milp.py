@@ -1,4 +1,4 @@
-"""Variables, constraints and objectives of some positioners whose candidates are not decided."""
+"""The integer program of positioners with undecided candidates: its variables, constraints and objectives."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -11,26 +11,27 @@ from rfpsurvey.allocation._candidates import Candidates
 
 __all__ = ["Objective", "Program"]
 
-# HiGHS' presolve looks at no clock. It takes about this many seconds for each (entries of the matrix)^2 / variables, as
-# measured on dense programs, and is left out where that is more than this part of the time limit.
+# The presolve of HiGHS ignores the time limit. It takes about this many seconds times (entries of the matrix)^2 /
+# variables, as measured on dense programs, and is skipped if that exceeds this fraction of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 
 
 class Objective(NamedTuple):
-    """Something to be as large as possible, a row of `Program.matrix`."""
+    """A sum of variables to maximize, a row of `Program.matrix`."""
 
     low: float
     high: float
-    """No plan reaches less or more."""
+    """Least and largest possible value."""
     is_class: bool = False
-    """Is it the number of targets of a priority class?"""
+    """Whether the objective is the number of targets of a priority class."""
 
 
 class Program:
-    """A plan for the candidates ``rows``, sorted by positioner, as a linear program.
+    """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
-    ``others`` are candidates in use elsewhere, which count for the requirements; ``edges`` are the conflicts
-    among ``rows``, shape (2, m). Variables are the candidates, 1 if in use, and what each requirement lacks.
+    ``others`` are candidates in use outside the program, which also count for the requirements; ``edges`` are the
+    conflicts among ``rows``, shape (2, m). The variables are the candidates, 1 if in use, and the number of fibers
+    missing for each requirement.
     """
 
     def __init__(self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray):
@@ -50,7 +51,7 @@ class Program:
         self.matrix, self.objectives = self._objectives()
 
     def variables(self, chosen: np.ndarray) -> np.ndarray:
-        """Return the variables of a plan; what requirements lack is what they lack in it."""
+        """Return the variables of a plan, with the number of fibers that it lacks for each requirement."""
         x = np.zeros(self.n)
         x[self.index[chosen]] = 1.0
         matrix, low, _ = self.rows
@@ -59,11 +60,11 @@ class Program:
         return x
 
     def chosen(self, x: np.ndarray) -> np.ndarray:
-        """Return the candidates in use."""
+        """Return the candidates in use according to the variables."""
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]
 
     def reaches(self, x: np.ndarray) -> np.ndarray:
-        """Return what each objective reaches."""
+        """Return the value of each objective."""
         return np.round(self.matrix @ x)
 
     def goal(self, first: int, weights: np.ndarray) -> np.ndarray:
@@ -71,15 +72,15 @@ class Program:
         return self.matrix[first : first + len(weights)].T @ weights
 
     def holds(self, x: np.ndarray) -> bool:
-        """Say whether variables keep all constraints."""
+        """Return whether the variables satisfy all constraints."""
         matrix, low, high = self.rows
         total = matrix @ x
         return bool((total >= low - 1e-6).all() and (total <= high + 1e-6).all())
 
     def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, keep=(), gap: float = 0.0):
-        """Return variables (None: nothing found in time) and what the goal cannot exceed.
+        """Return the variables that maximize a goal, None if none were found in time, and the upper bound of the goal.
 
-        ``keep`` are values of the first objectives that must not be lost, ``gap`` the relative error that is allowed.
+        ``keep`` holds the values that the first objectives must not fall below; ``gap`` is the relative error allowed.
         """
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -90,7 +91,7 @@ class Program:
         if len(keep):
             matrix = vstack([matrix, self.matrix[: len(keep)]], format="csr")
             low, high = np.append(low, keep), np.append(high, np.full(len(keep), np.inf))
-        # HiGHS takes short indices only
+        # HiGHS accepts 32-bit indices only
         short = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
         matrix = csr_array((matrix.data, *short), shape=matrix.shape)
         most = np.append(np.ones(len(self.candidate)), np.full(len(self.short), np.inf))
@@ -107,24 +108,24 @@ class Program:
         return (found.x, -found.fun) if found.status == 0 else (None, np.inf)
 
     def _may_presolve(self, matrix) -> bool:
-        """Say whether presolve ends soon enough; the answer does not depend on how fast the machine is."""
+        """Return whether the presolve is fast enough, independent of the speed of the machine."""
         seconds = PRESOLVE_SECONDS * matrix.nnz**2 / self.n
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
-        """Add rows of ones; ``row`` counts from 0."""
+        """Add rows of ones with limits; ``row`` is counted from 0."""
         n = len(high)
         self._parts.append(csr_array((np.ones(len(column)), (row, column)), shape=(n, self.n)))
         self._low.append(np.broadcast_to(low, n))
         self._high.append(np.broadcast_to(high, n))
 
     def _positioners(self):
-        """One candidate of each positioner is in use."""
+        """Add the constraints that one candidate of each positioner is in use."""
         _, row = np.unique(self.own, return_inverse=True)
         self._add(row, np.arange(len(self.candidate)), 1.0, np.ones(int(row.max(initial=-1)) + 1))
 
     def _targets(self):
-        """No target is observed twice."""
+        """Add the constraints that no target is observed twice."""
         real = np.flatnonzero(self.target >= 0)
         _, row, count = np.unique(self.target[real], return_inverse=True, return_counts=True)
         shared = count[row] > 1
@@ -132,7 +133,7 @@ class Program:
         self._add(row, real[shared], -np.inf, np.ones(int(row.max(initial=-1)) + 1))
 
     def _cliques(self, edges):
-        """No two arms collide; two arms on the same target are a conflict like any other."""
+        """Add the constraints that no two arms collide; two arms on the same target conflict like any other pair."""
         if edges.shape[1] == 0:
             return
         options = self.candidates.options
@@ -153,7 +154,7 @@ class Program:
         self._add(row, self.index[column], -np.inf, np.ones(n))
 
     def _twins(self):
-        """Pairs of candidates of different positioners for the same target."""
+        """Return pairs of candidates of different positioners for the same target."""
         options = self.candidates.options
         rows = self.candidate[np.argsort(self.target, kind="stable")]
         rows = rows[options.target[rows] >= 0]
@@ -168,7 +169,7 @@ class Program:
             step += 1
 
     def _requirements(self, others):
-        """Minima may be missed, maxima may not."""
+        """Add the constraints of the requirements: a plan may miss minima, but must not exceed maxima."""
         held = self.candidates.held
         for g, group in enumerate(self.problem.groups):
             column = np.flatnonzero(held[g, self.candidate])
@@ -180,7 +181,7 @@ class Program:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
     def _objectives(self):
-        """Everything to be as large as possible, in strict order: coefficients of the variables, and limits."""
+        """Return the objectives in strict order: the coefficients of the variables, and limits."""
         problem, n_classes = self.problem, len(self.problem.classes)
         rank = self.candidates.options.rank[self.candidate]
         columns, worth, objectives = [], [], []

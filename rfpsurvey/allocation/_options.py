@@ -1,4 +1,4 @@
-"""The options of an allocation, which tiles, surveys, tilings and comparisons share."""
+"""The options of an allocation, which plans of tiles, surveys, tilings and comparisons share."""
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -34,72 +34,72 @@ OBJECTIVES = ("priority", "count")
 ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
 GROUP = "rfpsurvey.allocators"
-"""Entry points by which packages add allocators."""
-# Values of one option that a representation lists.
+"""Entry-point group by which packages add allocators."""
+# A representation lists at most this many values of one option.
 MOST_SHOWN = 20
 
 
 @check_keywords
 @dataclass(frozen=True)
 class AllocationOptions:
-    """How targets are assigned: the allocator, and what the plan of each tile must hold.
+    """Options of an allocation: the allocator, and the constraints and requirements that each plan must meet.
 
-    Functions that take these as ``allocator`` also take a plain name or function, which stands for the options with
-    that allocator and everything else as by default.
+    Functions that accept these options as ``allocator`` also accept the name of an allocator or a function; all other
+    options then have their default values.
 
     Parameters
     ----------
     allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
-        ``balanced``: science targets in catalog order, each to the positioner in reach with the shortest queue, then
-        the nearest, then the lowest row; one target of each queue, drawn uniformly, is observed. No priorities.
-        ``nearest``: class after class, the closest pair of positioner and target first.
-        ``lamost``: class after class from the top priority, every free positioner nominates its nearest
-        unassigned target of the class until none nominates; a target nominated by several goes to the
-        one with the fewest unassigned targets (of any class) in reach, then the nearest, then the lowest row. Then, for
-        one requirement after the other, idle positioners take what is lacking, and after them those with
-        the least important targets, which are released.
-        ``sdss``: network flow: as many as possible class after class, arms may collide; then the least sum of squared
-        distances from the centers. ``optimal``: as many as possible class after class such that no arm with a target
-        collides with another arm or an obstacle, with a proof. Idle arms that are obstacles (parked equal-arm
-        units with ``parked_obstacles``, disabled and stuck units) count as other arms; two idle arms that collide
-        with each other, or an idle arm at an obstacle, are left as they are.
-        ``repair``: the plan ``start``, its collisions removed by local moves. Another name is that
-        of an allocator of an installed package; a function of an `~rfpsurvey.allocation.AllocationProblem` is taken as
-        it is.
+        ``balanced``: science targets are added, in catalog order, to the queue of a positioner in reach: the one with
+        the shortest queue, then the nearest, then the lowest row. One target of each queue, drawn uniformly, is
+        observed. Priorities are ignored. ``nearest``: class after class, pairs of positioner and target are assigned
+        in the order of their distance. ``lamost``: class after class, beginning with the highest priority, every free
+        positioner nominates its nearest unassigned target of the class, until no positioner can nominate one. A
+        target nominated by several positioners is assigned to the one with the fewest unassigned targets (of any
+        class) in reach, then the nearest, then the lowest row. The requirements are then filled one after the other:
+        first by idle positioners, then by positioners that give up the least important targets. ``sdss``: network
+        flow that maximizes the number of targets, class after class, and then minimizes the sum of squared distances
+        from the centers; arms may collide. ``optimal``: the largest number of targets, class after class, such that
+        no arm with a target collides with another arm or an obstacle, with a proof. Idle arms that are obstacles
+        (parked equal-arm units with ``parked_obstacles``, disabled and stuck units) count as other arms. Collisions
+        of two idle arms, or of an idle arm with an obstacle, remain. ``repair``: the plan ``start``, with its
+        collisions removed by local moves. Any other name is that of an allocator of an installed package. A function
+        is called with an `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
-        What the plan must hold, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``; ``"instrument"``: the
-        requirements of the instrument. Minima come before science, are met as far as possible and reported where they
-        are not. ``balanced`` and ``nearest`` only report.
+        Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
+        ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets.
+        They are met as far as possible; those that are not met are reported. ``balanced`` and ``nearest`` only
+        report.
     sky_separation : Quantity, optional
-        Length on the focal plane, or an angle where an instrument is known: positions at least so far from all targets
-        serve as sky too, also those that stuck positioners observe. They are sought where requirements on ``sky``
-        ask for some.
+        Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is
+        known, an angle. Positions at least this far from all targets then also serve as sky, including those that
+        stuck positioners observe. They are only searched for if a requirement asks for ``sky``.
     objective : {"priority", "count"}, optional
-        ``priority``: class after class. ``count``: the number of science targets before the classes (``sdss``,
-        ``optimal``).
+        ``priority``: maximize the number of targets class after class. ``count``: maximize the number of all science
+        targets first, then class after class (``sdss``, ``optimal``).
     time_limit : Quantity, optional
-        ``sdss`` and ``optimal`` then return the best plan so far, with its gap; 60 s by default. It holds for the
-        search of ``start`` too.
+        Time after which ``sdss`` and ``optimal`` return the best plan found so far, with its gap; 60 s by default.
+        The limit also applies to the search for ``start``.
     start : Allocation or str, optional
-        For ``repair``, and allocators that ask for it: the plan to begin with, or the allocator that makes it (not
-        ``repair``).
+        Plan from which ``repair`` starts, or the name of the allocator that makes it (not ``repair``). Allocators of
+        other packages can use it too.
     parked_obstacles : bool, optional
-        Whether idle equal-arm positioners are obstacles.
+        Whether idle positioners with equal arms are obstacles.
     required : array_like of int or str, optional
-        Ids of targets that come before everything else, science targets or others. ``nearest`` and ``lamost`` assign
-        them as a class before all classes, ``sdss`` and ``optimal`` as many as possible, ``repair`` as far as its moves
-        find a place for them; ``balanced`` does not distinguish them. Those without a fiber are reported. `allocate`
-        takes rows of targets in their place.
+        Identifiers of targets, of science or any other kind, that take precedence over all others. ``nearest`` and
+        ``lamost`` assign them as a class before all other classes; ``sdss`` and ``optimal`` assign as many as
+        possible; ``repair`` assigns those for which its moves find a positioner; ``balanced`` does not distinguish
+        them. Required targets without a fiber are reported. `allocate` accepts rows of targets instead.
     keep_out : Region or list of Region, optional
-        Circles made by `Region.cap` that no arm may cover, such as the light of bright stars. In each field, those
-        that an arm can touch are obstacles: ``optimal`` and ``repair`` avoid them, for other allocators the arms that
-        cover them are counted. On the focal plane, an obstacle holds the whole image of its circle, also where the
-        center of the circle is outside the field.
+        Circles on the sky, made by `Region.cap`, that no arm may cover, such as those around bright stars. In each
+        field, the circles that an arm can touch are obstacles: ``optimal`` and ``repair`` avoid them; for other
+        allocators, the arms that cover them are counted as collisions. On the focal plane, an obstacle contains the
+        whole image of its circle, even if the center of the circle is outside the field.
 
     Raises
     ------
     InputError
-        If a name is unknown, a requirement has another form, a number is impossible, or ``keep_out`` is no circle.
+        If a name is unknown, a requirement cannot be read, a number is out of range, or ``keep_out`` is not a circle.
 
     References
     ----------
@@ -157,12 +157,12 @@ class AllocationOptions:
         return isinstance(self.requirements, str) and self.requirements == "instrument"
 
     def check_for_fields(self, what: str) -> None:
-        """Refuse options that can only hold for one field.
+        """Raise an error for options that apply to a single field only.
 
         Parameters
         ----------
         what : str
-            What is planned, for the error.
+            What is planned, for the error message.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class AllocationOptions:
 
     @cached_property
     def circles(self) -> np.ndarray:
-        """Unit vectors of the centers of ``keep_out`` and radii in radians, shape (n, 4)."""
+        """Unit vectors of the centers of the circles ``keep_out``, and their radii in radians, shape (n, 4)."""
         return np.reshape([region.values for region in self.keep_out], (-1, 4))
 
     @cached_property
@@ -188,22 +188,22 @@ class AllocationOptions:
         return float(self.time_limit.to_value(u.s))
 
     def for_instrument(self, instrument: object) -> "AllocationOptions":
-        """Return the options with the requirements of an instrument, lengths in place of angles, and unused ones reset.
+        """Return the options for an instrument: with its requirements, lengths for angles, and unused options reset.
 
         Parameters
         ----------
         instrument : Instrument or None
-            The instrument; None where only a focal plane is known.
+            The instrument; None if only a focal plane is known.
 
         Returns
         -------
         AllocationOptions
-            What `allocate` takes, and a result records.
+            Options that `allocate` accepts and that a result records.
 
         Raises
         ------
         InputError
-            If requirements of the instrument, an angle, identifiers or circles on the sky are asked for and no
+            If the options contain requirements of the instrument, an angle, identifiers or circles on the sky, and no
             instrument is given.
         """
         requirements, separation = self.requirements, self.sky_separation
@@ -230,7 +230,7 @@ class AllocationOptions:
             separation = (separation * instrument.plate_scale).to(u.mm)
         built_in = self.name in ALLOCATORS
         unused = {}
-        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # which may begin with one of these
+        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # which may start from one of these
             unused["time_limit"] = 60 * u.s
         if built_in and self.allocator != "repair":
             unused["start"] = AllocationOptions.start
@@ -238,7 +238,7 @@ class AllocationOptions:
 
     @property
     def record(self) -> dict:
-        """The options as text and numbers that a file can hold."""
+        """The options as text and numbers that can be written to a file."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
         requirements = self.requirements
         return {
@@ -255,18 +255,18 @@ class AllocationOptions:
 
 
 def as_options(given: object) -> AllocationOptions:
-    """Return options from themselves, or from an allocator alone."""
+    """Return the given options, or the default options with the given allocator."""
     return given if isinstance(given, AllocationOptions) else AllocationOptions(given)
 
 
 def check_allocator(given: object, known=ALLOCATORS, what: str = "allocator") -> None:
-    """Refuse what is neither a built-in allocator, nor one of a package, nor a function."""
+    """Raise an error unless an allocator is built in, provided by a package, or a function."""
     if not (isinstance(given, str) and given in known):
         find_function(GROUP, given, known, what)
 
 
 def _shown(value: object) -> str:
-    """Return the text of a value; of many values, the first ones."""
+    """Return the text of a value; for many values, the first ones only."""
     return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
 
 

@@ -1,4 +1,4 @@
-"""Allocators by name: built-in ones, those of other packages, and functions, whose answers are checked."""
+"""Find built-in allocators, allocators of other packages, and functions; check the answers of the latter two."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,14 +19,14 @@ ELBOWS = ("right", "left")
 
 
 def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function from a problem to an answer: a built-in one, that of a package, or the one given."""
+    """Return the function of an allocator: a built-in one, one of a package, or the given function."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given]
     return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
 
 
 def packages(options: AllocationOptions) -> dict[str, str]:
-    """Return name and version of the packages behind an allocator, and behind the plan that it may begin with."""
+    """Return names and versions of the packages that provide an allocator and the plan from which it may start."""
     found, own = {}, name_of(options.allocator)
     for name in (options.allocator, options.start) if own == "repair" or own not in METHODS else ():
         if isinstance(name, str) and name not in METHODS:
@@ -35,7 +35,7 @@ def packages(options: AllocationOptions) -> dict[str, str]:
 
 
 def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
-    """Let a plugin solve a problem, and check what it returns."""
+    """Call a plugin with a problem, and check its answer."""
     with plugin.answering():
         answer = plugin.value(problem)
         if not isinstance(answer, AllocationAnswer):
@@ -52,7 +52,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
 
 
 def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: AllocationAnswer) -> None:
-    """Refuse levels that are not those of the plan, and queues of targets that positioners do not reach."""
+    """Raise an error for levels that differ from those of the plan, or queues with targets out of reach."""
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}
@@ -68,7 +68,7 @@ def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: All
 
 
 def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
-    """Return the target of each positioner, if it can be that."""
+    """Return the target of each positioner from an answer; raise an error if the answer is not valid."""
     n, n_targets = len(problem.focal_plane), len(problem.xy)
     target_of = _plain(given)
     if target_of.shape != (n,) or target_of.dtype.kind not in "iu":
@@ -80,7 +80,7 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
     if len(strange):
         raise InputError(f"targets must be rows from 0 to {n_targets - 1}, or -1 for none, got {strange[0]}")
     target_of = target_of.astype(np.int64)
-    if problem.watched is not None:  # the answer that `start` returns has them
+    if problem.watched is not None:  # the answer that `start` returns includes them
         target_of[(problem.watched >= 0) & (target_of == problem.watched)] = -1
     own = np.flatnonzero(target_of >= 0)
     used, counts = np.unique(target_of[own], return_counts=True)
@@ -99,7 +99,7 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
 
 
 def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -> np.ndarray:
-    """Return the elbows of all arms, if the positioners allow those that are given at their targets."""
+    """Return the elbows of all arms; raise an error if a positioner does not allow the given elbow at its target."""
     plane, own = problem.focal_plane, np.flatnonzero(target_of >= 0)
     names = _plain(elbows)
     if names.shape != target_of.shape or not np.isin(names[own], ELBOWS).all():
@@ -120,7 +120,7 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
 
 
 def _plain(given: object) -> np.ndarray:
-    """Return an array from what may be none, which then has no column."""
+    """Return an array from an optional column; None becomes an array without columns."""
     try:
         return to_plain(given)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Leave candidates out where a positioner reaches far more targets than any plan can need."""
+"""Omit candidates of positioners that reach far more targets than any plan can use."""
 
 from typing import NamedTuple
 
@@ -12,9 +12,9 @@ from rfpsurvey.focal_plane import Reach, joints_allow
 
 __all__ = ["Preselection", "preselect", "replaceable"]
 
-# Targets that a positioner keeps at least: the best ones, and others spread over the rest of their class.
+# Each positioner keeps at least these numbers of targets: the best ones, and others spread over the rest of the class.
 N_BEST, N_SPREAD = 64, 64
-# Reachable pairs whose arms are placed at the same time.
+# Number of reachable pairs whose arms are placed at the same time.
 BATCH = 1 << 18
 
 
@@ -23,28 +23,29 @@ class Preselection(NamedTuple):
 
     reach: Reach
     code: np.ndarray
-    """What a target does for the requirements, a number for each target."""
+    """Code of each target; targets with the same code count for the same requirements."""
     shortened: np.ndarray
-    """Positioners (by row) and codes of which pairs were left out, shape (n_positioners, n_codes)."""
+    """Whether pairs of a positioner (by row) and a code were omitted, shape (n_positioners, n_codes)."""
     n_left_out: int
 
 
 def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
-    """Return the pairs of a target and a positioner that are enough for a plan.
+    """Return a subset of the reachable pairs that suffices for a plan.
 
-    Others can take at most one target each from a positioner. Among as many of its best targets of one code as there
-    are others, and one more, one is therefore always free. This makes the preselection exact where arms may
-    pass through each other. With collisions, a plan of the pairs that are kept may be worse than the best plan of
-    all; `replaceable` is what bounds by how much.
+    Each other positioner can take at most one target from a positioner. If k others share targets with it, at least
+    one of its best k + 1 targets of each code is therefore always free. This makes the preselection exact if arms may
+    pass through each other. With collisions, the best plan of the kept pairs may be worse than the best plan of all
+    pairs; `replaceable` serves to bound the difference.
 
     Parameters
     ----------
     problem : AllocationProblem
         The allocation.
     collide : bool
-        Must arms not collide? Then some more targets are kept, and those that are taken by an obstacle do not count.
+        Whether collisions are forbidden. If so, more targets are kept, and targets whose arms touch an obstacle are
+        not counted.
     keep_target : ndarray of int, shape (n_positioners,), optional
-        Targets that are kept in any case, -1 for none.
+        Target of each positioner that is always kept, -1 for none.
     """
     plane, reach = problem.focal_plane, problem.pairs
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
@@ -66,22 +67,22 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
 
 
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
-    """Mark candidates that stand for those that were left out.
+    """Mark candidates that represent the omitted ones.
 
-    A target that was left out is no better than those that were kept of its positioner and code. One of the last
-    ``n_rivals + 1`` of them is always free. If these, and all of their class or a later one, collided with
-    nothing, a plan could put one of them in the place of any target that was left out, and would be as good.
+    An omitted target is no better than the kept targets of its positioner and code. One of the last ``n_rivals + 1``
+    of these is always free. If these targets, and all targets of their class or a later one, collided with nothing, a
+    plan could replace any omitted target by one of them without a loss.
 
     Parameters
     ----------
     preselection : Preselection
-        What was kept.
+        The pairs that were kept.
     own, target, rank : ndarray of int, shape (n,)
         Positioner, target (-1 for idle arms) and class of each candidate.
     n_rivals : ndarray of int, shape (n_positioners,)
-        How many others can share a target with each positioner.
+        Number of other positioners that can share a target with each positioner.
     n_elbows : int
-        Candidates that one target can have at a positioner.
+        Number of candidates that one target can have at a positioner.
 
     Returns
     -------
@@ -105,7 +106,7 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 
 
 def _codes(problem):
-    """Return a number for each target that tells what it does for the requirements, and how many there are."""
+    """Return a code for each target, the same for targets that requirements count alike, and the number of codes."""
     columns, seen = [], set()
     for group in problem.groups:
         if group.requirement not in seen:
@@ -125,7 +126,7 @@ def _codes(problem):
 
 
 def _without_obstacles(problem, reach, crowded):
-    """Return the pairs of which at least one arm touches no obstacle; only ``crowded`` positioners are looked at."""
+    """Return the pairs with at least one elbow that touches no obstacle; only ``crowded`` positioners are tested."""
     plane = problem.focal_plane
     pairs = plane.arrays.obstacle_pairs
     pairs = pairs[crowded[pairs[:, 0]]]

@@ -1,4 +1,4 @@
-"""The allocation problem that every allocator is given, and the answer that it returns."""
+"""The allocation problem that every allocator receives, and the answer that it returns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,16 +18,16 @@ __all__ = ["AllocationAnswer", "AllocationProblem", "Level", "TargetColumns"]
 
 
 class Level(NamedTuple):
-    """One objective of a plan; earlier ones come first, whatever they cost later ones.
+    """One objective of a plan; earlier objectives take precedence over all later ones.
 
     Parameters
     ----------
     name : str
-        What is counted, such as ``science`` or ``priority 2``.
+        Name of the objective, such as ``science`` or ``priority 2``.
     value : float
-        Its value in the plan; more is better.
+        Value of the objective in the plan; larger is better.
     bound : float
-        What no plan exceeds, given the values of the levels before; NaN where nothing is proven.
+        Upper bound of the value for all plans with the same values of the earlier levels; NaN if nothing is proven.
 
     Examples
     --------
@@ -45,7 +45,7 @@ class Level(NamedTuple):
 
 
 class TargetColumns(NamedTuple):
-    """Columns of targets, shape (n_targets,) each; None where nothing is given."""
+    """Columns of targets, shape (n_targets,) each; None if a column is not given."""
 
     priority: np.ndarray | None = None
     kind: np.ndarray | None = None
@@ -55,20 +55,20 @@ class TargetColumns(NamedTuple):
 
 
 class AllocationAnswer(NamedTuple):
-    """What an allocator returns; built-in allocators and those of other packages return the same.
+    """The answer of an allocator; built-in allocators and those of other packages return the same type.
 
     Parameters
     ----------
     target_of_positioner : ndarray of int, shape (n_positioners,)
         Row of the target of each positioner, -1 for none.
     handedness : ndarray of str, shape (n_positioners,), optional
-        Elbow of each arm, "right" or "left". None: the usual one of each positioner.
+        Handedness of each arm, "right" or "left". None: the default handedness of each positioner.
     queues : tuple of ndarray, optional
-        ``indptr`` and targets of the queues of all positioners, if the answer is one draw from them.
+        ``indptr`` and targets of the queues of all positioners, if the answer was drawn from them.
     levels : list of Level, optional
-        Value and bound of each objective. None: the values are computed, and nothing is proven.
+        Value and bound of each objective. None: the values are computed by the package, and no bound is proven.
     meta : dict, optional
-        How the answer was found.
+        Information on how the answer was found.
 
     Examples
     --------
@@ -90,23 +90,24 @@ def _no_start() -> AllocationAnswer:
 
 @dataclass(frozen=True, eq=False)
 class AllocationProblem:
-    """Targets on a focal plane, what they are worth, and what a plan must hold: numbers in mm, arrays that are locked.
+    """Targets on a focal plane with their priorities and the options of the plan, as read-only arrays in mm.
 
-    Built-in allocators and those of other packages are functions from this to an
-    `~rfpsurvey.allocation.AllocationAnswer`; an array of the target of each positioner, or a tuple of that and the
-    elbows ("right" or "left"), is short for one.
+    Every allocator, built in or from another package, is a function that takes an `AllocationProblem` and returns an
+    `~rfpsurvey.allocation.AllocationAnswer`. It may also return an array with the target of each positioner, or a
+    tuple of that array and the handedness of each arm ("right" or "left").
 
     Parameters
     ----------
     focal_plane : FocalPlane
         The positioners.
     xy : ndarray of float, shape (n_targets, 2)
-        Targets on the focal plane, mm. Blank positions that were found for sky are the last rows.
+        Positions of the targets on the focal plane, mm. The last rows are blank positions that were found for sky
+        fibers.
     pairs : Reach
-        Which positioner may observe which target, in columns: reach, joint limits, fiber types, disabled units and
-        forbidden pairs are all in it.
+        Pairs of a positioner and a target that may be assigned to each other. Reach, joint limits, fiber types,
+        disabled units and forbidden pairs have all been taken into account.
     rank : ndarray of int, shape (n_targets,)
-        Class of each target, 0 the most important; what is not science has the largest number.
+        Class of each target; 0 is the most important. All targets that are not science targets have the largest number.
     classes : tuple of float
         Priority of each class, the largest first.
     kind : ndarray of str, shape (n_targets,), optional
@@ -114,17 +115,17 @@ class AllocationProblem:
     category : ndarray of str, shape (n_targets,), optional
         Names that requirements refer to; ``""`` for none.
     fiber_type : ndarray of str, shape (n_targets,), optional
-        Fiber type that each target needs; ``""`` for any.
+        Fiber type that each target requires; ``""`` for any.
     is_required : ndarray of bool, shape (n_targets,), optional
-        Whether a target comes before everything else.
+        Whether a target takes precedence over all targets that are not required.
     options : AllocationOptions, optional
         Requirements, objective, time limit and the other options of the plan.
     rng : numpy.random.Generator, optional
-        The only source of random numbers to use, so that a plan can be made again.
+        Random number generator. Allocators must use no other one, so that plans are reproducible.
     start : callable, optional
-        ``problem.start()`` returns the answer that the option ``start`` stands for, that of ``lamost`` by default.
+        ``problem.start()`` returns the answer given by the option ``start``, by default the answer of ``lamost``.
     watched : ndarray of int, shape (n_positioners,), optional
-        Sky position that the fiber of a stuck positioner observes, -1 for none.
+        Row of the sky position that the fiber of a stuck positioner observes, -1 for none.
 
     Examples
     --------
@@ -162,13 +163,13 @@ class AllocationProblem:
         usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
         for name in ("xy", "rank", *usual):
             value = getattr(self, name)
-            # a column that is not given is one value, repeated without memory
+            # a column that is not given repeats one value without using memory
             value = np.broadcast_to(np.array(usual[name]), n) if value is None else locked(value)
             object.__setattr__(self, name, value)
 
     @cached_property
     def reachable(self) -> csr_array:
-        """Which positioner may observe which target, bool, shape (n_positioners, n_targets)."""
+        """Whether a positioner may observe a target: bool, shape (n_positioners, n_targets)."""
         matrix = self.pairs.matrix
         for array in (matrix.data, matrix.indices, matrix.indptr):
             array.flags.writeable = False
@@ -176,27 +177,27 @@ class AllocationProblem:
 
     @cached_property
     def priority(self) -> np.ndarray:
-        """Priority of each target, larger is more important; NaN for what is not science."""
+        """Priority of each target; larger is more important. NaN for targets that are not science targets."""
         return locked(np.append(self.classes, np.nan)[self.rank])
 
     @property
     def requirements(self) -> tuple[Requirement, ...]:
-        """What the plan is to hold; what it lacks is reported."""
+        """The requirements of the plan; those that it does not meet are reported."""
         return self.options.requirements
 
     @property
     def objective(self) -> str:
-        """``priority``: class after class; ``count``: the number of science targets before the classes."""
+        """Objective of the plan: ``priority`` (class after class) or ``count`` (number of science targets first)."""
         return self.options.objective
 
     @property
     def time_limit(self) -> float:
-        """Seconds to spend at most."""
+        """Time limit in seconds."""
         return self.options.seconds
 
     @property
     def parked_obstacles(self) -> bool:
-        """Whether idle equal-arm positioners are obstacles."""
+        """Whether idle positioners with equal arms are obstacles."""
         return self.options.parked_obstacles
 
     @cached_property
@@ -206,17 +207,17 @@ class AllocationProblem:
 
     @property
     def several_fiber_types(self) -> bool:
-        """Whether targets say which fiber type they need."""
+        """Whether the fiber types that the targets require are given."""
         return self.fiber_type.strides != (0,)
 
     @cached_property
     def science(self) -> np.ndarray:
-        """Targets that are science, shape (n_targets,)."""
+        """Whether each target is a science target, shape (n_targets,)."""
         return self.rank < len(self.classes)
 
     @cached_property
     def groups(self) -> list[Group]:
-        """What each requirement counts, for each spectrograph where it holds for each."""
+        """The targets and fibers that each requirement counts; a requirement per spectrograph has a group for each."""
         found = []
         for one in self.requirements:
             if _holds(self.category, one.what):
@@ -232,7 +233,7 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the class of targets; that of no target (-1) comes after all others.
+        """Return the classes of targets; no target (-1) has a class after all others.
 
         Parameters
         ----------
@@ -246,12 +247,12 @@ class AllocationProblem:
         """
         found = np.full(np.shape(target), len(self.classes) + 1, dtype=np.int64)
         real = np.asarray(target) >= 0
-        found[real] = self.rank[target[real]]  # without a copy of the ranks of all targets
+        found[real] = self.rank[target[real]]  # avoids a copy of the ranks of all targets
         return found
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target needs; -1 for any, and in the last place for no target."""
+        """Index of the fiber type that each target requires, -1 for any; the last entry (-1) stands for no target."""
         index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
@@ -276,7 +277,7 @@ class AllocationProblem:
         return np.where(code < 0, first, code)
 
     def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the spectrograph into which positioners send the light of targets.
+        """Return the spectrographs that receive the light of targets through the fibers of positioners.
 
         Parameters
         ----------
@@ -297,7 +298,7 @@ class AllocationProblem:
         Parameters
         ----------
         targets : ndarray of bool, shape (n_targets,)
-            Targets to keep.
+            Whether to keep each target.
 
         Returns
         -------
@@ -307,7 +308,7 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     def values(self, target_of: np.ndarray) -> dict[str, float]:
-        """Return the value of each objective of a plan, in their order; more is better.
+        """Return the value of each objective of a plan, in order of precedence; larger is better.
 
         Parameters
         ----------
@@ -336,7 +337,7 @@ class AllocationProblem:
         return levels
 
     def _counts(self, target_of: np.ndarray) -> list[int]:
-        """Return how many fibers of a plan each group counts."""
+        """Return the number of fibers of a plan that each group counts."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
@@ -352,7 +353,7 @@ class AllocationProblem:
         Returns
         -------
         list of Shortfall
-            What is missing, or too much.
+            The requirements with the numbers of fibers that are missing or too many.
         """
         found = []
         for group, n in zip(self.groups, self._counts(target_of), strict=True):
@@ -370,7 +371,7 @@ class AllocationProblem:
         return found
 
     def _hint(self, group: Group, possible: int) -> str:
-        """Say what may be wrong: a name that no target has, or more than there are positioners."""
+        """Return a hint at the cause: a name that no target has, or more fibers than there are."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
@@ -378,7 +379,7 @@ class AllocationProblem:
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:
-        """How many targets of a group are in reach of a fiber that would count."""
+        """Return how many targets of a group are in reach of a fiber that the group counts."""
         own, target = self.pairs.owner, self.pairs.target
         held = group.holds(target, self.spectrograph_of(own, target))
         n = len(np.unique(target[held]))
@@ -389,5 +390,5 @@ class AllocationProblem:
 
 
 def _holds(column: np.ndarray, word: str) -> bool:
-    """Return whether a column holds a word; one that is a repeated value is looked at once."""
+    """Return whether a column contains a word; a column that repeats one value is tested once."""
     return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

@@ -1,4 +1,4 @@
-"""What a plan must hold: so many targets of a kind, a tile or a spectrograph."""
+"""Requirements: numbers of targets of a kind or category that a plan must contain, per tile or per spectrograph."""
 
 import re
 from collections.abc import Iterable
@@ -20,28 +20,28 @@ MOST = 10**9
 @check_keywords
 @dataclass(frozen=True)
 class Requirement:
-    """So many targets of one kind or category must, or may at most, be observed.
+    """A minimum and a maximum number of observed targets of one kind or category.
 
-    The minimum is met as far as that is possible, before any science target counts; the maximum is not exceeded by
-    ``sdss``, ``optimal`` and ``repair``. Rules do not look at maxima, and report.
+    The minimum is met as far as possible, and takes precedence over science targets. ``sdss``, ``optimal`` and
+    ``repair`` do not exceed the maximum; the other allocators ignore maxima, and report where they are exceeded.
 
     Parameters
     ----------
     what : str
         A category of targets, such as ``sky_boss``, or a kind: ``science``, ``standard`` or ``sky``.
     minimum : int, optional
-        At least so many.
+        Smallest number of such targets.
     maximum : int, optional
-        At most so many.
+        Largest number of such targets.
     per : {"tile", "spectrograph"}, optional
-        In the whole tile, or in every spectrograph.
+        Whether the numbers apply to the whole tile or to each spectrograph.
     fiber_type : str, optional
-        Count only targets that need this fiber type.
+        Count only targets that require this fiber type.
 
     Raises
     ------
     InputError
-        If a number is not whole, negative or above 10^9, the minimum exceeds the maximum, or a name is none.
+        If a number is not a whole number from 0 to 10^9, the minimum exceeds the maximum, or a name is not valid.
 
     Examples
     --------
@@ -77,13 +77,13 @@ class Requirement:
 
     @classmethod
     def parse(cls, text: str) -> "Requirement":
-        """Read a requirement from text.
+        """Make a requirement from text.
 
         Parameters
         ----------
         text : str
-            ``WHAT=MIN``, ``WHAT=MIN-MAX`` or ``WHAT=-MAX``, with ``@FIBER`` after WHAT and ``/spectrograph`` at the end
-            where that is meant.
+            ``WHAT=MIN``, ``WHAT=MIN-MAX`` or ``WHAT=-MAX``, optionally with ``@FIBER`` after WHAT, and with
+            ``/spectrograph`` at the end if the numbers apply to each spectrograph.
 
         Returns
         -------
@@ -93,7 +93,7 @@ class Requirement:
         Raises
         ------
         InputError
-            If the text has another form, or says what no requirement may say.
+            If the text has another form or contains invalid numbers or names.
         """
         found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
@@ -121,17 +121,17 @@ class Shortfall:
     Parameters
     ----------
     requirement : Requirement or None
-        Which one; None for targets that are required one by one.
+        The requirement; None for required targets.
     spectrograph : int or None
-        Where, for requirements on every spectrograph.
+        Spectrograph, for requirements that apply to each spectrograph.
     wanted : int
-        How many there must be, at least or (where ``found`` is more) at most.
+        Minimum number or, if ``found`` exceeds it, maximum number of such targets.
     found : int
-        How many there are.
+        Number of such targets in the plan.
     possible : int
-        How many such targets are in reach of positioners that can take them.
+        Number of such targets in reach of positioners that can observe them.
     hint : str, optional
-        A name that may have been meant, or the reason why there are none.
+        A name that was possibly meant, or the reason why there are no such targets.
     """
 
     requirement: Requirement | None
@@ -143,7 +143,7 @@ class Shortfall:
 
     @property
     def what(self) -> str:
-        """What is lacking."""
+        """Text that names the targets that are missing or too many."""
         if self.requirement is None:
             return "required targets"
         fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
@@ -161,7 +161,7 @@ class Shortfall:
 
 
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
-    """Say what is lacking, a sentence for each requirement."""
+    """Return a sentence for each requirement that is not met."""
     by_requirement: dict = {}
     for one in shortfalls:
         by_requirement.setdefault((one.requirement, one.wanted > one.found), []).append(one)
@@ -191,25 +191,25 @@ class Group:
     requirement: Requirement
     spectrograph: int | None
     targets: np.ndarray
-    """Targets that count, shape (n_targets,)."""
+    """Whether each target counts, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Mark pairs of a target (-1: none) and the spectrograph of its fiber that count."""
+        """Mark the pairs of a target (-1 for none) and a spectrograph that count."""
         inside = np.append(self.targets, False)[target]
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 
 
 def hint_of_name(what: str, names: Iterable[str]) -> str:
-    """Say what a name may mean that is neither a kind of targets nor among ``names``, the categories that exist."""
+    """Return a hint for a name that is neither a kind of targets nor one of ``names``, the existing categories."""
     names = {*KINDS, *names} - {""}
     if what in names:
         return ""
-    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # skies are not like sky
+    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # the plural "skies" is not close enough to "sky"
     return close_to(what, names) or close_to(singular, names)
 
 
 def as_requirements(given: object) -> tuple[Requirement, ...]:
-    """Return requirements from themselves or from text, one or several."""
+    """Convert one or several requirements, or their texts, to a tuple of requirements."""
     if given is None:
         return ()
     given = [given] if isinstance(given, str | Requirement) else given
@@ -221,4 +221,4 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
             text = "a requirement must be a Requirement or text such as 'sky=20/spectrograph'"
             raise InputError(f"{text}, got {short(one)}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
-    return tuple(dict.fromkeys(found))  # one that is given twice is one
+    return tuple(dict.fromkeys(found))  # a repeated requirement counts once

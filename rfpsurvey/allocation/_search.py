@@ -1,4 +1,4 @@
-"""Plans that are proven: what no best plan needs is given up, the rest falls apart, and each part is solved alone."""
+"""Proven plans: drop candidates that no best plan needs, split the rest into parts, and solve each part alone."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -16,21 +16,21 @@ from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["decide"]
 
-# Parts are solved together until they have so many positioners: a call of the solver has its price.
+# Parts are solved together up to this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
-# Part of the time that is kept for the bound on plans with candidates that were left out.
+# Fraction of the time that is reserved for the bound on plans with omitted candidates.
 FOR_BOUND = 0.3
 
 
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan with its proof; ``collide``: arms must not."""
+    """Return the best plan with its proof; with ``collide``, arms must not collide."""
     deadline = perf_counter() + problem.time_limit
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
     n_left_out = everything.preselection.n_left_out
-    # a bound on plans with candidates that were left out needs time, too
+    # the bound on plans with omitted candidates also takes time
     halt = deadline - FOR_BOUND * (deadline - perf_counter()) if collide and n_left_out else deadline
     used, found = _search(everything, halt, collide=collide, **options)
     target_of = used.options.target[found.chosen]
@@ -48,13 +48,13 @@ def decide(
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
-    """Return the best plan of the candidates, and those of them among which it was looked for."""
+    """Return the best plan of the candidates, and the candidates that the search considered."""
     problem = everything.problem
     alive = np.ones(len(everything), dtype=bool)
     reduce.reduce_candidates(everything.options, alive)
     used = everything.where(alive)
     blind = pick(used, match(used))
-    # where an idle arm is not among the candidates, this may turn out to be no plan
+    # without an idle arm among the candidates, the result may not be a plan
     start = _plan(used, blind, collide)
     found = _solve(used, blind, start, deadline, integral=integral, squared_cost=squared_cost)
     if not found.complete:
@@ -66,7 +66,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
 
 
 def _plan(candidates, chosen, collide):
-    """Return a plan to begin with: no target (-1) is the idle arm, the last candidate, and collisions are repaired."""
+    """Return an initial plan without collisions, in which the idle arm (the last candidate) replaces no target (-1)."""
     if collide:
         return repair_collisions(candidates, chosen)[0]
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
@@ -74,7 +74,7 @@ def _plan(candidates, chosen, collide):
 
 class _Found(NamedTuple):
     chosen: np.ndarray
-    """Candidates in use, -1 where no time was left."""
+    """Candidates in use, -1 for those for which no time was left."""
     values: np.ndarray
     bounds: np.ndarray
     complete: bool
@@ -82,14 +82,14 @@ class _Found(NamedTuple):
 
 
 def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Found:
-    """Solve part after part; ``blind`` are the candidates of a matching whose arms may collide, -1 for none."""
+    """Solve the parts in turn; ``blind`` holds the candidates of a matching whose arms may collide, -1 for none."""
     problem, options = candidates.problem, candidates.options
     n_left = np.diff(options.start)
     chosen = np.where(n_left == 1, options.start[:-1], -1)
     known = chosen[chosen >= 0]
     levels = problem.values(np.where(chosen < 0, -1, options.target[chosen]))
     values = bounds = np.array(list(levels.values()))
-    # a part that knows of requirements counts what is known already
+    # a part with requirements includes the counts of the parts that are already solved
     adds = np.array([name != "requirements" for name in levels])
     n_parts = n_programs = 0
     integers, complete = False, True
@@ -115,17 +115,18 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
 
 
 def _bounds(problem, everything, names, values, bounds):
-    """Return what no plan exceeds, given the values before: as proven up to the first level that falls short of it.
+    """Return the upper bounds of the levels: as proven up to the first level that is below its bound.
 
-    After that, no plan has more targets of the first classes, or of all, than a matching of arms that may collide.
+    For the levels after it, the bound is that no plan has more targets of the first classes, or of all classes, than
+    a matching of arms that may collide.
     """
     first = int(np.flatnonzero(values < bounds)[0]) if (values < bounds).any() else len(names)
     target_of = match(everything)
     counts = np.bincount(problem.rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)
-    if problem.any_required:  # which came before the classes in the matching
+    if problem.any_required:  # these came before the classes in the matching
         counts = np.bincount(problem.rank[np.diff(problem.pairs.indptr) > 0], minlength=len(counts))
     most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
-    offset = len(names) - len(problem.classes) - (not problem.science.all())  # where the classes begin
+    offset = len(names) - len(problem.classes) - (not problem.science.all())  # position of the first class
     out = bounds.copy()
     for k in range(first + 1, len(names)):
         if k < offset:
@@ -138,7 +139,7 @@ def _bounds(problem, everything, names, values, bounds):
 
 
 def _parts(candidates, rows):
-    """Split undecided candidates into parts that do not touch each other, with the conflicts in each."""
+    """Split undecided candidates into independent parts, each with its conflicts."""
     from scipy.sparse.csgraph import connected_components
 
     options, problem = candidates.options, candidates.problem
@@ -156,9 +157,9 @@ def _parts(candidates, rows):
     same = same[:, options.target[same[0]] == options.target[same[1]]]
     first, second = options.own[np.concatenate([edges, same], axis=1)]
     n = len(options.start) - 1
-    ends = first.astype(np.int32), second.astype(np.int32)  # what older versions take
+    ends = first.astype(np.int32), second.astype(np.int32)  # older versions accept only this type
     _, label = connected_components(coo_array((np.ones(len(first)), ends), shape=(n, n)), directed=False)
-    # parts of a few positioners each, put together in the order of their labels
+    # combine parts of a few positioners each in the order of their labels
     members = np.unique(options.own[rows])
     names, size = np.unique(label[members], return_counts=True)
     batch = np.zeros(n, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Sky fibers: blank positions in gaps between the targets, and what stuck fibers look at."""
+"""Sky fibers: blank positions in gaps between the targets, and the positions that stuck fibers observe."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from rfpsurvey.focal_plane import Reach, joints_allow
 
 __all__ = ["with_sky"]
 
-# Points of each positioner that are looked at, and how many blank ones among them are kept.
+# Number of points per positioner that are tested, and number of blank ones among them that are kept.
 N_TRIALS, N_KEPT = 64, 4
 
 
@@ -22,16 +22,16 @@ class Sky(NamedTuple):
     points: np.ndarray
     wanted: np.ndarray
     stuck: np.ndarray
-    """Those that a stuck fiber looks at."""
+    """Whether a stuck fiber observes the position."""
 
 
 def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:
-    """Return positions at least ``separation`` (mm) from all points, for fibers of the given types ("": any)."""
+    """Return positions at least ``separation`` (mm) from all points, for the given fiber types ("": any)."""
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
     radii = plane.arrays.inner_radius, plane.arrays.outer_radius
-    # a van der Corput sequence: the first points are spread like all of them
+    # a van der Corput sequence: any first part of the points is spread evenly
     k = np.arange(N_TRIALS)
     fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
     parts = []
@@ -58,14 +58,14 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         if not plane.positioner.numbers.joints_free:
             keep = joints_allow(plane, own, spots, plane.arrays.sides(spots, own))
             own, spots = own[keep], spots[keep]
-        # where a stuck fiber is, is known of the first one of its positioner
+        # the position of a stuck fiber is known for the first fiber type of its positioner only
         fixed = np.flatnonzero(plane.arrays.is_stuck & ((name == "") | (plane.arrays.first_type == name)))
         seen = plane.arrays.idle(False).segments[2:, fixed].T
         clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
         parts += [(own, spots, name, False), (fixed[clear], seen[clear], name, True)]
     taken, columns = np.zeros(len(plane), dtype=bool), []
     for own, spots, name, stuck in parts:
-        keep = ~taken[own] if stuck else np.ones(len(own), dtype=bool)  # a stuck fiber looks at one position
+        keep = ~taken[own] if stuck else np.ones(len(own), dtype=bool)  # a stuck fiber observes one position
         if stuck:
             taken[own] = True
         n = int(keep.sum())
@@ -103,7 +103,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
         "fiber_type": None,
     }
     if problem.category.strides != (0,):
-        # where sky is a category, it is that; else the kind says what it is
+        # use the category "sky" where it exists, otherwise the kind
         name = "sky" if np.any(problem.category == "sky") else ""
         columns["category"] = np.concatenate([problem.category, np.full(k, name)])
     if problem.any_required:
@@ -114,7 +114,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
 
 
 def _bin(plane, x, y, separation):
-    """Targets sorted into cells: x0, y0, size, nx, ny, start, order."""
+    """Return targets sorted into cells: x0, y0, size, nx, ny, start, order."""
     margin = plane.arrays.outer_radius[:, None] + separation
     low, high = (plane.arrays.xy - margin).min(axis=0), (plane.arrays.xy + margin).max(axis=0)
     size = max(separation, float(np.sqrt(np.prod(high - low) / max(len(x), 1))), float((high - low).max()) / 4096)

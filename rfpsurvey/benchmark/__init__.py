@@ -1,4 +1,4 @@
-"""Comparison of the speed and the errors of methods."""
+"""Benchmarks: the speed and the errors of methods."""
 
 from rfpsurvey.benchmark._batches import benchmark_batches
 from rfpsurvey.benchmark._collisions import benchmark_collisions

@@ -1,4 +1,4 @@
-"""Many configurations at once."""
+"""Benchmark of scoring many configurations in one call."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,27 +26,27 @@ def benchmark_batches(
     repeats: int = 5,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Time the scoring of many configurations at once, kinematics included: processor threads, and a GPU if any.
+    """Measure the time of scoring many configurations in one call, with kinematics, on CPU threads and on a GPU.
 
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Preset, instrument or focal plane.
+        Name of a preset, instrument or focal plane.
     sizes : sequence of int, optional
-        Configurations scored in one call; at most 256 different ones are made, and repeated. Their tips lie in memory:
-        640 MB for 10,000 of 4000 positioners.
+        Numbers of configurations scored in one call. At most 256 different ones are made, and then repeated. Their
+        tips are kept in memory: 640 MB for 10,000 configurations of 4000 positioners.
     workers : sequence of int, optional
         Numbers of threads.
     repeats : int, optional
-        Calls of each kind, of which the median counts.
+        Number of calls with the same settings, of which the median time is returned.
     rng : int, Generator or None, optional
-        Seed or source of the targets, uniform in the patrol areas.
+        Seed or random number generator of the targets, which are uniform in the patrol areas.
 
     Returns
     -------
     QTable
-        A row for each device, number of workers and size: median ``time`` of a call, and ``rate``, configurations a
-        second.
+        Table with a row for each device, number of workers and size: median ``time`` of a call, and ``rate``, the
+        number of configurations per second.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def benchmark_batches(
     for size in sizes:
         tips = np.resize(some, (size, *some.shape[1:])) << u.mm
         times: dict[tuple[str, int], list[float]] = {way: [] for way in ways}
-        for turn in range(repeats + 1):  # the first to warm up
+        for turn in range(repeats + 1):  # the first call compiles the kernels
             for way in ways:
                 spent = _batch_seconds(plane, tips, *way)
                 times[way] += [spent] if turn else []

@@ -1,4 +1,4 @@
-"""Methods of finding collisions side by side: how fast each of them is, and how often and how far it errs."""
+"""Benchmark of the methods of finding collisions: their speed, and the number and size of their errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -32,7 +32,7 @@ __all__ = ["benchmark_collisions"]
 
 
 def every_pair(case: Configuration) -> Found:
-    """Look at all neighbors in a plain loop, by the exact distance, without a broad phase."""
+    """Compute the exact distance of all pairs of neighbors in a loop, without a broad phase."""
     first, second = case.plane.arrays.neighbors.T.copy()
     squared = np.empty(len(first))
     reference.all_pairs(case.segments, first, second, squared)
@@ -40,7 +40,7 @@ def every_pair(case: Configuration) -> Found:
 
 
 def endpoints(case: Configuration) -> Found:
-    """Look at the four ends of two arms alone, which misses crossings."""
+    """Compute distances from the four ends of two arms only, which misses crossings."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.endpoints(case.segments, first, second, squared)
@@ -48,7 +48,7 @@ def endpoints(case: Configuration) -> Found:
 
 
 def shapely(case: Configuration) -> Found:
-    """Let shapely find the distances, vectorized; its line strings are made within the time."""
+    """Compute distances by vectorized functions of shapely; making the line strings is part of the measured time."""
     from shapely import distance, linestrings
 
     first, second = near_pairs(case)
@@ -57,7 +57,7 @@ def shapely(case: Configuration) -> Found:
 
 
 COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
-"""All that `~rfpsurvey.benchmark.benchmark_collisions` can time; the last three are there for comparison alone."""
+"""All methods that `~rfpsurvey.benchmark.benchmark_collisions` can time; the last three serve comparison only."""
 
 WITH_POINTS = {"sampled": (3, 5, 9, 17, 33, 65, 129), "sweep": (9, 65)}
 
@@ -72,43 +72,44 @@ def benchmark_collisions(
     rng: int | np.random.Generator | None = 0,
     progress: bool | Callable = False,
 ) -> QTable:
-    """Time every way of finding collisions on the same arms, and compare what it finds with rational arithmetic.
+    """Measure the time and the errors of each method of finding collisions, on the same arms.
 
-    Targets are uniform in each patrol area, one a positioner. What is timed begins with arms that stand and ends
-    with the list of pairs. All methods take turns in random order, so that a busy machine slows them alike; compiled
-    code is warm. With few repeats times are rough.
+    Targets are uniform in each patrol area, one per positioner. The result of each method is compared with that of
+    rational arithmetic. The measured time is that from known poses of the arms to the list of pairs, without
+    compilation. Methods run alternately in random order, so that other load on the machine affects all of them alike.
+    With few repeats, times are inaccurate.
 
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Preset, instrument or focal plane.
+        Name of a preset, instrument or focal plane.
     methods : sequence of str, optional
-        Methods of `~rfpsurvey.find_collisions`, and for comparison ``every_pair`` (no broad phase), ``endpoints`` (no
-        test for crossings) and ``shapely`` (if it is installed). None: all that can run here.
+        Methods of `~rfpsurvey.find_collisions` and, for comparison, ``every_pair`` (no broad phase), ``endpoints``
+        (no test for crossings) and ``shapely`` (if it is installed). None: all methods that can run on this machine.
     n_configurations : int, optional
-        Configurations that each method is tried on.
+        Number of configurations on which each method runs.
     repeats : int, optional
-        How often at most each method runs on each of them.
+        Largest number of runs of each method on each configuration.
     seconds : float, optional
-        Time (s) after which a slow method is not repeated.
+        Time (s) after which a slow method is not run again.
     rng : int, Generator or None, optional
-        Seed or source of the targets.
+        Seed or random number generator of the targets.
     progress : bool or callable, optional
-        Show a line on the standard error, or call a function with (turns done, all turns).
+        Show the progress on the standard error, or call a function with the number of finished runs and of all runs.
 
     Returns
     -------
     QTable
-        A row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time`` of a tile,
-        ``ratio`` to that of ``exact``, ``n_colliding_true`` (pairs
-        that collide in truth, the same for every method), ``n_missed`` and ``n_spurious`` pairs,
-        ``misclassified`` (both, for each colliding pair), ``max_error`` and ``mean_error`` of the distances of
-        colliding pairs that were found. Counts are sums over the configurations.
+        Table with a row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time``
+        of a configuration, ``ratio`` of this time to that of ``exact``, ``n_colliding_true`` (true number of
+        colliding pairs, the same for every method), ``n_missed`` (false negatives) and ``n_spurious`` (false
+        positives), ``misclassified`` (sum of both, divided by the true number), ``max_error`` and ``mean_error`` of
+        the distances of colliding pairs that were found. Counts are sums over the configurations.
 
     Raises
     ------
     InputError
-        If a method is unknown or cannot run here, or a number is not positive.
+        If a method is unknown or cannot run on this machine, or a number is not positive.
 
     Examples
     --------
@@ -148,7 +149,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each run finds in each case, and all its times; the first round is to compile."""
+    """Return the pairs that each run finds in each case, and all its times, without a first round for compilation."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -164,14 +165,14 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
                     times[run].append(perf_counter() - start)
                 if turn == 0:
                     found[run] = results
-                    # the last call of a slow method counts, and may be all that there is time for
+                    # the last call of a slow method counts; there may be time for one call only
                     times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
             bar(turn + 1)
     return found, times
 
 
 def _true_pairs(case):
-    """Return all colliding pairs and their distances, in rational arithmetic and without a broad phase."""
+    """Return all colliding pairs and their distances, computed in rational arithmetic without a broad phase."""
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]
@@ -185,7 +186,7 @@ def _true_pairs(case):
 
 
 def _errors(truth, found):
-    """Return the numbers of pairs missed and spurious, and errors of the distances of the others."""
+    """Return the numbers of missed and spurious pairs, and the errors of the distances of all other pairs."""
     n = missed = spurious = 0
     errors = []
     for true, got in zip(truth, found, strict=True):
@@ -205,13 +206,13 @@ def _errors(truth, found):
 
 
 def _case(plane, tips) -> Configuration:
-    """Return the configuration of arms at their tips."""
+    """Return the configuration of arms with given tips."""
     posed = place_arms(plane, tips * u.mm)
     return Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
 
 
 def _check_methods(methods):
-    """Return the names that are given, or those of all methods that can run here."""
+    """Return the given names, or those of all methods that can run on this machine."""
     if isinstance(methods, str):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()

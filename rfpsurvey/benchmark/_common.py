@@ -14,7 +14,7 @@ __all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
-    """Return one target per positioner, uniform within its reach, in mm; NaN if a hundred attempts found none."""
+    """Return one target (mm) per positioner, uniform within its reach; NaN if a hundred attempts found none."""
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
     for _ in range(100):
@@ -30,7 +30,7 @@ def random_tips(plane, rng):
 
 
 def has_gpu():
-    """Return whether there is a GPU, not a simulated one."""
+    """Return whether there is a real GPU, not a simulated one."""
     try:
         from numba import config, cuda
     except ImportError:
@@ -39,7 +39,7 @@ def has_gpu():
 
 
 def provenance(instrument, plane):
-    """Return the instrument, the versions and the machine of a measurement."""
+    """Return the instrument, the versions of packages and the machine of a benchmark."""
     name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
     return {
         "instrument": name,
@@ -52,7 +52,7 @@ def provenance(instrument, plane):
 
 
 def processor(cpuinfo="/proc/cpuinfo"):
-    """Return the name of the processor, or of its architecture where the system does not state it."""
+    """Return the name of the processor, or of its architecture if the system does not provide the name."""
     try:
         lines = Path(cpuinfo).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

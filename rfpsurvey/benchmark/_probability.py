@@ -1,4 +1,4 @@
-"""Comparison of methods of collision probability with the same estimand."""
+"""Benchmark of the methods of estimating collision probabilities."""
 
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
@@ -38,33 +38,35 @@ def benchmark_probability(
     rng: int | np.random.Generator | None = 0,
     progress: bool | Callable = False,
 ) -> QTable:
-    """Time every method of collision probability, and compare it with the best answer to the same question.
+    """Measure the time and the error of each method of estimating collision probabilities.
 
-    Allocated targets are compared with a long conditional simulation, independent ones (uniform) with a fine
-    quadrature; methods take turns. Errors below that of the truth, ``truth_error``, mean nothing.
+    The reference value for allocated targets is a long conditional simulation; that for independent (uniform) targets
+    is a fine quadrature. Methods run alternately. Errors smaller than ``truth_error``, the error of the reference
+    value, are not significant.
 
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Preset, instrument or focal plane; random targets as `~rfpsurvey.collision_probability` has them by default.
+        Name of a preset, instrument or focal plane. Random targets are the default ones of
+        `~rfpsurvey.collision_probability`.
     efforts : mapping of str to sequence of int, optional
-        Iterations, realizations or points of each method; 0 for formulas.
+        Numbers of iterations, realizations or points for each method; 0 for formulas.
     repeats : int, optional
-        Runs of each, with other random numbers.
+        Number of runs with different random numbers for each method and effort.
     precision : float, optional
-        Standard error of the truth.
+        Standard error of the reference value.
     rng : int, Generator or None, optional
-        Seed or source of random numbers.
+        Seed or random number generator.
     progress : bool or callable, optional
-        Show a line on the standard error, or call a function with (turns done, all turns).
+        Show the progress on the standard error, or call a function with the number of finished runs and of all runs.
 
     Returns
     -------
     QTable
-        A row for each method and effort: ``method``, ``estimand``, ``effort``, median ``time``, mean ``value``,
-        ``bias`` (mean minus truth) and its standard error ``bias_error``, root mean square ``error`` and its standard
-        error ``error_error`` (NaN for a single run), mean ``standard_error`` as estimated, ``truth`` and
-        ``truth_error``.
+        Table with a row for each method and effort: ``method``, ``estimand``, ``effort``, median ``time``, mean
+        ``value``, ``bias`` (mean minus reference value) and its standard error ``bias_error``, root-mean-square
+        ``error`` and its standard error ``error_error`` (NaN for a single run), mean estimated ``standard_error``,
+        the reference value ``truth`` and its standard error ``truth_error``.
 
     Raises
     ------
@@ -96,7 +98,7 @@ def benchmark_probability(
         for kind in sorted(set(estimands.values()))
     }
     results: dict = {run: [] for run in runs}
-    turns = range(repeats + 1)  # the first to warm up
+    turns = range(repeats + 1)  # the first run compiles the kernels
     with Progress(progress, len(turns), "turns") as bar:
         for turn in turns:
             for method, n in runs:
@@ -132,7 +134,7 @@ def benchmark_probability(
 
 
 def _misses(values, true):
-    """Return bias and root mean square error of repeated runs, each with a standard error."""
+    """Return the bias and the root-mean-square error of repeated runs, each with its standard error."""
     n, away = len(values), values - true.value
     squares = away**2
     error = float(np.sqrt(squares.mean()))
@@ -147,24 +149,24 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare the collision probability of independent targets, for each density, with that of balanced queues.
+    """Compare collision probabilities of independent targets, for each density, with that of allocated targets.
 
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Preset, instrument or focal plane.
+        Name of a preset, instrument or focal plane.
     precision : float, optional
-        Standard error of every value but the empirical one.
+        Standard error of all values except the empirical one.
     n_allocations : int, optional
-        Allocations whose queues together are the empirical density.
+        Number of allocations whose combined queues form the empirical density.
     rng : int, Generator or None, optional
-        Seed or source of random numbers.
+        Seed or random number generator.
 
     Returns
     -------
     QTable
-        A row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (value minus that of allocated
-        targets), ``factor`` (their ratio). The first row is that of the allocated targets.
+        Table with a row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (the difference from
+        the value of allocated targets), and ``factor`` (the ratio to it). The first row is that of allocated targets.
 
     Raises
     ------

@@ -1,8 +1,10 @@
-"""Targets: real catalogs from files and tables, and synthetic ones."""
+"""Catalogs of targets, read from files and tables or synthetic."""
 
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import UNITS, Finder
+from rfpsurvey.catalog._example_files import is_example
+from rfpsurvey.catalog._examples import example_catalog
 from rfpsurvey.catalog._extra import RESERVED
 from rfpsurvey.catalog._frames import as_table, is_table
 from rfpsurvey.catalog._index import SkyIndex, half_chord_squared
@@ -20,7 +22,9 @@ __all__ = [
     "SkyIndex",
     "as_catalog",
     "as_table",
+    "example_catalog",
     "half_chord_squared",
+    "is_example",
     "is_table",
     "partition_catalog",
     "synthetic_catalog",

@@ -1,4 +1,4 @@
-"""A catalog in plain arrays."""
+"""A catalog as plain arrays."""
 
 from functools import cached_property
 
@@ -16,7 +16,7 @@ __all__ = ["CatalogArrays"]
 
 
 class CatalogArrays:
-    """The positions of a catalog as plain arrays, which cannot be written to; made on first use and kept.
+    """The positions of a catalog as read-only plain arrays, computed on first use and kept.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ class CatalogArrays:
     repeated_ids : bool
         Whether two targets have the same identifier.
     extra : dict
-        Further columns without units, by their names in results: ``target_ra`` for another ``ra``.
+        Further columns without units, by their names in results; a further column ``ra`` becomes ``target_ra``.
     extra_units : dict
-        Their units as text, empty for none.
+        Units of the further columns as text, empty for none.
 
     Examples
     --------
@@ -46,7 +46,7 @@ class CatalogArrays:
     """
 
     def __init__(self, catalog):
-        # not the catalog itself, which keeps this object: a large one must be freed at once
+        # no reference to the catalog, which refers to this object: the memory of a large catalog must be freed at once
         self._coord, self._id, self._epoch = catalog.coord, catalog.id, catalog.epoch
         names = [] if catalog.extra is None else catalog.extra.colnames
         columns = {result_name(name): catalog.extra[name] for name in names}
@@ -72,12 +72,12 @@ class CatalogArrays:
         return np.flatnonzero(mask)
 
     def rows_near(self, center: SkyCoord, radius_rad: float, time: object) -> np.ndarray:
-        """Return the rows of the targets that may be inside a circle at another epoch."""
-        # a little more than the way: the positions are compared in double precision
+        """Return the rows of the targets that can be inside a circle at another epoch."""
+        # slightly more than the distance, because the positions are compared in double precision
         return self.rows_within(center, radius_rad + self.farthest_rad(time) * (1 + 1e-9) + 1e-12)
 
     def farthest_rad(self, time: object) -> float:
-        """Return how far the fastest target moves on the sky until another epoch, at most."""
+        """Return an upper limit of the distance (rad) that any target moves on the sky until another epoch."""
         if "s" not in self._coord.data.differentials or self._epoch is None:
             return 0.0
         icrs = self._coord.icrs

@@ -17,6 +17,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
+from rfpsurvey.catalog._example_files import path_and_name
 from rfpsurvey.catalog._extra import extra_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
@@ -32,41 +33,42 @@ _TYPES = {"priority": float, "visits": float}
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class Catalog:
-    """Targets on the sky, a row each, with what an allocator may want to know about them.
+    """Targets on the sky, one per row, with priorities and other columns that allocators use.
 
-    Rows whose coordinates are masked or not finite are dropped, with a warning and a count in ``n_dropped``. What a
-    catalog does not carry stays None and costs nothing. Distances and radial velocities are not kept.
+    Rows whose coordinates are masked or not finite are dropped with a warning, and ``n_dropped`` counts them. Columns
+    that are not given stay None and use no memory. Distances and radial velocities are not kept.
 
     Parameters
     ----------
     coord : SkyCoord, shape (n,)
-        Positions in any frame; proper motions, where known, as differentials of the coordinates.
+        Positions in any frame, with proper motions, where known, as differentials of the coordinates.
     id : array_like, shape (n,), optional
-        Integers or text; the row number by default.
+        Identifiers, integers or text; the row numbers by default.
     priority : array_like of float, shape (n,), optional
-        Larger is more important. None: all alike.
+        Priority of each target; larger is more important. None: all targets are equally important.
     kind : array_like of str, shape (n,), optional
-        ``science``, ``standard`` or ``sky``. None: all science.
+        Kind of each target: ``science``, ``standard`` or ``sky``. None: all are science targets.
     category : array_like of str, shape (n,), optional
-        Free text, such as ``sky_boss``.
+        Category of each target, any text, such as ``sky_boss``.
     fiber_type : array_like of str, shape (n,), optional
-        Which fibers may observe the target; ``""`` means any.
+        Fiber type that each target requires; ``""`` means any type.
     visits : array_like of int, shape (n,), optional
-        How often a survey shall observe each target, 0 to 255. None: once.
+        Number of times that a survey is to observe each target, 0 to 255. None: once.
     epoch : Time, optional
-        Epoch of the positions, scalar or shape (n,); taken from ``coord.obstime`` where that is set.
+        Epoch of the positions, scalar or shape (n,); by default ``coord.obstime``.
     meta : dict, optional
-        Where the catalog comes from.
+        Information on the origin of the catalog.
     n_dropped : int, optional
-        Rows left out so far because their coordinates are not finite.
+        Number of rows dropped so far because their coordinates are not finite.
     extra : dict or Table, optional
-        Further columns by name, such as magnitudes: numbers, text or truth values, with or without units. No allocator
-        reads them; the tables of tiles and surveys carry them. Missing numbers become NaN, missing text empty.
+        Further columns by name, such as magnitudes: numbers, text or booleans, with or without units. Allocators do
+        not read them; the tables of tiles and surveys include them. Missing numbers become NaN, and missing text
+        becomes empty.
 
     Raises
     ------
     InputError
-        If a column has another length than ``coord``, if ``kind`` holds other words, or ``visits`` other numbers.
+        If the length of a column differs from that of ``coord``, or ``kind`` or ``visits`` contains an invalid value.
 
     Examples
     --------
@@ -142,7 +144,7 @@ class Catalog:
         return len(self.coord)
 
     def __getstate__(self):
-        # a copy for another process makes the plain arrays again
+        # a copy for another process computes the plain arrays again
         return {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
 
     def __getitem__(self, index):
@@ -157,7 +159,7 @@ class Catalog:
         return to_html(self, {"targets": len(self), **self.meta}, self[:5].to_table())
 
     def _take(self, index, **changes):
-        """Return the rows picked by ``index``, with some fields replaced."""
+        """Return the rows selected by ``index``, with some fields replaced."""
         index = np.atleast_1d(np.arange(len(self))[index])
         values = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
         for name in _PER_TARGET:
@@ -172,7 +174,7 @@ class Catalog:
 
     @cached_property
     def arrays(self) -> CatalogArrays:
-        """The catalog as plain arrays that cannot be written to (``CatalogArrays``); made once, used by every tile."""
+        """The catalog as read-only plain arrays (``CatalogArrays``), computed once for all tiles."""
         return CatalogArrays(self)
 
     @property
@@ -193,32 +195,32 @@ class Catalog:
         fill: dict | None = None,
         keep: list | None = None,
     ) -> "Catalog":
-        """Make a catalog from a table or DataFrame, its columns found by their usual names and UCDs.
+        """Make a catalog from a table or DataFrame whose columns have common names or UCDs.
 
         Parameters
         ----------
         table : Table, QTable or DataFrame
-            With a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
-            ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b``
-            (with ``frame="galactic"``). Found too: ``pmra`` (with cos dec) and ``pmdec``, ``ref_epoch``,
-            ``id``, ``priority``, ``kind``, ``category``, ``fiber_type``, ``visits``. A DataFrame is one of pandas or
-            Polars, or a table of Arrow.
+            Table with a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
+            ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b`` (with
+            ``frame="galactic"``). The columns ``pmra`` (with cos dec), ``pmdec``, ``ref_epoch``, ``id``,
+            ``priority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized. A DataFrame of
+            pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
-            Role to column name where the usual names do not serve, for example ``{"id": "star"}``.
-            ``{"priority": "-rank"}`` flips the sign, for lists in which smaller is more important.
+            Role to column name, for columns with other names, for example ``{"id": "star"}``. ``{"priority":
+            "-rank"}`` reverses the sign, for lists in which smaller numbers are more important.
         units : dict, optional
-            Role to unit for columns that carry none, for example ``{"ra": "hourangle", "dec": "deg"}``. In a table
-            without any unit, positions are taken in degrees and proper motions in mas / yr: with a warning, except for
-            DataFrames, which cannot carry units. ``meta["assumed_units"]`` lists the columns.
+            Role to unit, for columns without a unit, for example ``{"ra": "hourangle", "dec": "deg"}``. If no column
+            of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr. A warning is
+            issued, except for DataFrames, which cannot have units. ``meta["assumed_units"]`` lists the columns.
         frame : str, optional
-            Frame of the coordinates: ``icrs``, ``fk5`` and ``fk4`` look for right ascension and declination, others
-            for longitude and latitude.
+            Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
+            declination; for other frames they are longitude and latitude.
         fill : dict, optional
-            Role to the value of rows that have none (masked or NaN), for ``priority``, ``visits``, ``kind``,
-            ``category`` and ``fiber_type``, for example ``{"priority": 0}``. The sign of a ``-`` in ``columns`` does
-            not apply to it.
+            Role to the value that replaces missing values (masked or NaN), for ``priority``, ``visits``, ``kind``,
+            ``category`` and ``fiber_type``, for example ``{"priority": 0}``. A ``-`` in ``columns`` does not reverse
+            its sign.
         keep : list of str, optional
-            Names of further columns that results shall carry, see ``extra``.
+            Names of further columns to include in results, see ``extra``.
 
         Returns
         -------
@@ -228,8 +230,8 @@ class Catalog:
         Raises
         ------
         InputError
-            If coordinates are missing, have a wrong unit, or no unit where other columns have one, or if some rows
-            have no priority or visits and ``fill`` has no value for them.
+            If coordinates are missing or have a wrong unit, if they have no unit although other columns have one, or
+            if priorities or visits are missing in some rows and ``fill`` has no value for them.
 
         Examples
         --------
@@ -263,13 +265,15 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        CSV carries no units, and Parquet need not: without units, positions are taken in degrees and proper motions in
-        mas / yr, unless ``units`` says otherwise. Semicolons, tabs or vertical bars may take the place of the commas.
+        CSV files have no units, and Parquet files may have none. Without units, positions are assumed to be in
+        degrees and proper motions in mas / yr, unless ``units`` specifies others. CSV files may use semicolons, tabs
+        or vertical bars instead of commas.
 
         Parameters
         ----------
         path : str or path-like
-            The ending tells the format; it may be followed by ``.gz``.
+            Path of the file. The file extension, optionally followed by ``.gz``, determines the format. Or
+            ``example:anticenter`` (see `example_catalog`).
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
@@ -282,30 +286,30 @@ class Catalog:
         Returns
         -------
         Catalog
-            The targets; ``meta["file"]`` is the file's name.
+            The targets; ``meta["file"]`` is the name of the file or of the example.
 
         Raises
         ------
         InputError
-            If the file is not there, cannot be read, or lacks a column.
+            If the file does not exist or cannot be read, or a column is missing.
         """
-        path = _io.to_path(path)
+        path, name = path_and_name(path)
         table = _io.read_table(path)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
             catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        catalog.meta["file"] = path.name
+        catalog.meta["file"] = name
         return catalog
 
     def to_table(self) -> QTable:
-        """Return the catalog as a table that `from_table` reads back.
+        """Return the catalog as a table that `from_table` can read.
 
         Returns
         -------
         QTable
-            Columns ``id``, ``ra``, ``dec`` (ICRS) and whatever the catalog carries besides.
+            Columns ``id``, ``ra``, ``dec`` (ICRS) and all other columns of the catalog.
         """
         icrs = self.coord.icrs
         table = QTable({"id": self.id, "ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}, meta=dict(self.meta))
@@ -322,47 +326,47 @@ class Catalog:
         return table
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
-        """Write the catalog as FITS or ECSV; the file appears whole or not at all.
+        """Write the catalog as FITS or ECSV; if writing fails, no incomplete file remains.
 
         Parameters
         ----------
         path : str or path-like
-            Ends in ``.fits`` or ``.ecsv``, with or without ``.gz``.
+            Path that ends in ``.fits`` or ``.ecsv``, optionally followed by ``.gz``.
         overwrite : bool, optional
-            Replace a file that exists.
+            Whether to replace an existing file.
 
         Raises
         ------
         InputError
-            If the folder is missing or the file exists.
+            If the folder does not exist, or the file exists and ``overwrite`` is False.
         """
         _io.write_table(self.to_table(), path, overwrite=overwrite)
 
     @property
     def has_proper_motion(self) -> bool:
-        """Whether the catalog carries proper motions."""
+        """Whether the catalog has proper motions."""
         return "s" in self.coord.data.differentials
 
     def at_epoch(self, time: Time | str | float) -> "Catalog":
-        """Move the targets to where they are at another epoch.
+        """Return the catalog with the positions of the targets at another epoch.
 
-        Motion is along a straight line in space, without parallax and radial velocity; targets without a proper
-        motion, or with half of one, stay where they are.
+        Targets move along straight lines in space; parallaxes and radial velocities are ignored. Targets with no
+        proper motion, or with only one component of it, keep their positions.
 
         Parameters
         ----------
         time : Time, str or float
-            The new epoch; a number is a Julian year, text is anything that Time reads.
+            The new epoch. A number is a Julian year; text is any text that `~astropy.time.Time` reads.
 
         Returns
         -------
         Catalog
-            The same targets at the new epoch; the same object if none of them moves.
+            The same targets at the new epoch; the catalog itself if no target moves.
 
         Raises
         ------
         InputError
-            If there are proper motions but no epoch that they count from.
+            If the catalog has proper motions but no epoch.
         """
         time = to_time(time, "time")
         if not self.has_proper_motion or len(self) == 0:
@@ -381,7 +385,7 @@ class Catalog:
         Parameters
         ----------
         center : SkyCoord or str
-            Center of the circle; text as in `plan_tile`.
+            Center of the circle; text is read as in `plan_tile`.
         radius : Quantity
             Angular radius.
 
@@ -393,7 +397,7 @@ class Catalog:
         Raises
         ------
         InputError
-            If the center is not one direction, or the radius not one angle of at least 0.
+            If ``center`` is not a single direction, or ``radius`` is not a single angle of at least 0.
         """
         radius_rad = to_scalar(radius, u.rad, "radius", low=0, closed=True)
         return self._take(self.arrays.rows_within(to_center(center), radius_rad))

@@ -1,4 +1,4 @@
-"""Find the columns of a target table by their usual names and UCDs."""
+"""Find the columns of a target table by common names and UCDs."""
 
 from dataclasses import dataclass, field
 
@@ -11,7 +11,7 @@ from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
 
-# For each role: names (compared without case, in order of preference), then the start of its UCD.
+# For each role: names (compared without case, in order of preference), then the first part of its UCD.
 ROLES = {
     "ra": (
         "ra ra_icrs raj2000 ra_j2000 _raj2000 radeg ra_deg target_ra _ra alpha alpha_j2000 right_ascension",
@@ -53,29 +53,29 @@ UNITS = {
     "x": u.mm,
     "y": u.mm,
 }
-# What stands in columns of numbers where there is none, beside nothing at all.
+# Text that marks missing numbers, in addition to empty text.
 NOTHING = ("", "null", "none", "na", "n/a", "--", "---")
-# Roles whose missing values can be filled, and whether these are numbers.
+# Roles whose missing values can be filled, and whether their values are numbers.
 FILLED = {"priority": True, "visits": True, "kind": False, "category": False, "fiber_type": False}
-# One degree a day: nothing outside of the solar system moves as fast.
+# One degree per day: no object outside of the solar system moves this fast.
 MOST_MOTION = 1.3e9 * u.mas / u.yr
 
 
 @dataclass
 class Finder:
-    """Looks columns up in a table, by role."""
+    """Finds columns in a table by their role."""
 
     table: Table
     columns: dict = field(default_factory=dict)
-    """Role to column name, overriding the usual names; a leading minus flips the sign of a number."""
+    """Role to column name, in place of the common names; a leading minus reverses the sign of numbers."""
     units: dict = field(default_factory=dict)
-    """Role to unit, for columns that carry none."""
+    """Role to unit, for columns without a unit."""
     assume_units: bool = False
-    """May a missing unit be taken as the usual one (formats that cannot carry units)?"""
+    """Whether a missing unit is assumed to be the usual one (for formats that cannot have units)."""
     fill: dict = field(default_factory=dict)
-    """Role to the value of rows that have none."""
+    """Role to the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
-    """Role to unit, of the columns whose unit was assumed so far."""
+    """Role to unit, for the columns whose unit was assumed so far."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
@@ -114,7 +114,7 @@ class Finder:
         return None
 
     def unit_of(self, role: str) -> u.UnitBase | None:
-        """Return the unit of the column with this role: its own, or the one that was given; None if there is none."""
+        """Return the unit of the column with this role, its own or the given one; None if there is none."""
         name = self.name_of(role)
         own = getattr(self.table[name], "unit", None)
         own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else _unit(own, role)
@@ -144,14 +144,14 @@ class Finder:
             unit = self.assumed[role] = UNITS[role]
         try:
             values = u.Quantity(values, unit).to(UNITS[role])
-        except (TypeError, ValueError):  # units that do not convert, or that are not known
+        except (TypeError, ValueError):  # units that cannot be converted or are unknown
             raise InputError(
                 f"column {name!r} ({role}) must have a unit convertible to {UNITS[role]}, got {unit}"
             ) from None
         return self._bounded(role, values) if role in ("pmra", "pmdec") else values
 
     def _bounded(self, role: str, motion: u.Quantity) -> u.Quantity:
-        """Return proper motions with NaN where they are infinite, if all others are possible."""
+        """Return proper motions with NaN in place of infinity; raise an error if any is out of range."""
         motion = np.where(np.isfinite(motion), motion, np.nan)
         fast = np.abs(motion) > MOST_MOTION
         if fast.any():
@@ -162,7 +162,7 @@ class Finder:
         return motion
 
     def _decimal(self, role: str) -> np.ndarray:
-        """Return the column as float64; text that reads as decimal numbers will do."""
+        """Return the column as float64; text that contains decimal numbers is converted."""
         name = self.name_of(role)
         values = self._plain(role)
         try:
@@ -177,7 +177,7 @@ class Finder:
             raise InputError(text) from None
 
     def _plain(self, role: str) -> np.ndarray:
-        """Return the column as numbers or text, one value a row."""
+        """Return the column as numbers or text, one value per row."""
         self._check_shape(role)
         name = self.name_of(role)
         return to_plain(self.table[name], f"column {name!r} ({role})")
@@ -190,7 +190,7 @@ class Finder:
             raise InputError(f"column {name!r} ({role}) must have one value per row, got {sizes} values per row")
 
     def texts(self, role: str) -> np.ndarray:
-        """Return the column as text, empty where there is no value."""
+        """Return the column as text, empty where a value is missing."""
         texts = self.labels(role)
         return np.where(np.isin(np.char.lower(texts), NOTHING), "", texts)
 
@@ -210,7 +210,7 @@ class Finder:
         return np.where(np.isnan(values), float(self.fill[role]), values) if role in self.fill else values
 
     def complete(self, role: str) -> np.ndarray | None:
-        """Return the column as float64, of which every row must have a value."""
+        """Return the column as float64; raise an error if a row has no value."""
         values = self.numbers(role)
         if values is not None and (lacking := np.isnan(values)).any():
             raise InputError(
@@ -220,7 +220,7 @@ class Finder:
         return values
 
     def labels(self, role: str) -> np.ndarray | None:
-        """Return the column as integers or text, masked text as ''."""
+        """Return the column as integers or text; masked text becomes empty."""
         name = self.name_of(role)
         if self.columns.get(role, "").startswith("-"):
             raise InputError(f"columns: a leading minus is for numbers, not for {role} ({self.columns[role]})")
@@ -231,7 +231,7 @@ class Finder:
         return np.where(labels == "", str(self.fill[role]), labels) if role in self.fill else labels
 
     def missing(self, what: str) -> InputError:
-        """Return the error for a column that is needed and not there."""
+        """Return the error for a required column that is missing."""
         text = f"there is no column for {what}; {self.listing()}"
         if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
             return InputError(f"{text}; give the frame of these coordinates, as frame='galactic' or --frame galactic")
@@ -240,12 +240,12 @@ class Finder:
         return InputError(text + remedy)
 
     def listing(self) -> str:
-        """Return a phrase that names the columns."""
+        """Return a phrase that lists the columns of the table."""
         return f"the columns are: {', '.join(self.table.colnames) or 'none'}"
 
 
 def _unit(given: object, role: str) -> u.UnitBase:
-    """Return a unit, also from such text as ``Degrees``; hours of right ascension are hour angles."""
+    """Return a unit from a unit or from text, such as ``Degrees``; hours of right ascension are hour angles."""
     unit = u.Unit(given, parse_strict="silent")
     if isinstance(unit, u.UnrecognizedUnit):
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")

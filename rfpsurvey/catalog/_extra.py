@@ -1,4 +1,4 @@
-"""Columns of a catalog that no allocator reads, but that results carry along."""
+"""Columns of a catalog that allocators do not read, but that results include."""
 
 from collections.abc import Mapping
 
@@ -19,13 +19,13 @@ RESERVED = frozenset(
         *("x", "y", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y", "arm_x", "arm_y"),
     )
 )
-"""Columns of results."""
+"""Names of the columns of results."""
 MOST_EXACT = 2**53
 KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
 def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
-    """Return the columns of a table that are to be kept, without ``others``, None for none."""
+    """Return the columns of a table to keep, except ``others``; None if there are none."""
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):
@@ -39,9 +39,9 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
 
 
 def extra_columns(columns: object, n: int) -> QTable | None:
-    """Return columns as plain numbers, quantities, truth values or text, a value for each of n targets.
+    """Return columns as plain numbers, quantities, booleans or text, with one value for each of n targets.
 
-    Missing numbers become NaN, missing text is empty.
+    Missing numbers become NaN, and missing text becomes empty.
     """
     if columns is None:
         return None
@@ -55,7 +55,7 @@ def extra_columns(columns: object, n: int) -> QTable | None:
 
 
 def result_name(name: str) -> str:
-    """Return the name of a column in results; FITS does not tell small and capital letters apart."""
+    """Return the name of a column in results; it is unique without regard to case, as FITS requires."""
     while name.lower() in RESERVED:
         name = f"target_{name}"
     return name

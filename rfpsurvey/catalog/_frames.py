@@ -1,4 +1,4 @@
-"""Tables of other packages: DataFrames of pandas and Polars, tables of Arrow, structured arrays of numpy."""
+"""Tables of other packages: DataFrames of pandas and Polars, Arrow tables, structured arrays of NumPy."""
 
 import numpy as np
 from astropy.table import Table
@@ -11,14 +11,15 @@ __all__ = ["as_table", "is_table"]
 
 
 def is_table(given: object) -> bool:
-    """Return whether an object is a table, of astropy or of another package."""
+    """Return whether an object is a table of astropy or of another package."""
     return isinstance(given, Table) or _is_records(given) or _is_pandas(given) or _is_arrow(given)
 
 
-def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
-    """Return a table of astropy, and whether it is of a kind that cannot carry units.
+def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
+    """Return an astropy table, and whether the given type of table cannot have units.
 
-    The index of a DataFrame is kept as columns if it has names; otherwise it is ``id`` where no other column is.
+    The index of a DataFrame is kept as columns if it has names. Otherwise it becomes ``id`` if no column has this role
+    and ``index_as_id`` is true.
     """
     if isinstance(given, Table):
         return given, False
@@ -28,13 +29,13 @@ def as_table(given: object, columns: dict | None = None) -> tuple[Table, bool]:
         if _is_records(given):
             return Table(given), True
         if _is_pandas(given):
-            return _of_pandas(given, columns), True
+            return _of_pandas(given, columns, index_as_id), True
         if _is_arrow(given):
             given = given.to_arrow() if hasattr(given, "to_arrow") else given
             return table_of_arrow(given), not (given.schema.metadata or {}).get(b"table_meta_yaml")
     except InputError:
         raise
-    except Exception as error:  # the packages raise what they like
+    except Exception as error:  # the packages can raise any exception
         raise InputError(f"{short(given)} cannot be used as a table: {error}") from error
     raise InputTypeError(f"table must be an astropy Table or QTable, or a DataFrame, got {short(given)}")
 
@@ -52,11 +53,11 @@ def _is_arrow(given) -> bool:
 
 
 def _has_type(given, package: str, name: str) -> bool:
-    """Return whether an object has a type of a package, which need not be installed."""
+    """Return whether an object has a certain type of a package, which need not be installed."""
     return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
 
 
-def _of_pandas(frame, columns) -> Table:
+def _of_pandas(frame, columns, index_as_id) -> Table:
     names = [str(name) for name in frame.columns]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -66,6 +67,7 @@ def _of_pandas(frame, columns) -> Table:
     frame = frame.reset_index() if has_names else frame.set_axis(names, axis=1)
     table = Table.from_pandas(frame)
     table.meta.update(meta)
-    if not has_names and index.nlevels == 1 and names and Finder(table, columns or {}).name_of("id") is None:
+    index_as_id = index_as_id and not has_names and index.nlevels == 1
+    if index_as_id and names and Finder(table, columns or {}).name_of("id") is None:
         table["id"] = index.to_numpy()
     return table

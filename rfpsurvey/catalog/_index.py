@@ -1,4 +1,4 @@
-"""Directions sorted on the sky, so that a field is found without looking at the rest."""
+"""Directions sorted on the sky, so that those inside a field are found without testing all others."""
 
 from functools import cached_property
 
@@ -8,7 +8,7 @@ from rfpsurvey._kernels import zones
 
 __all__ = ["SkyIndex", "half_chord_squared"]
 
-# Zones are at most so many, and on average as high as a square of so many directions.
+# Largest number of zones, and the number of directions in a square as high as an average zone.
 MOST_ZONES = 1800
 PER_SQUARE = 25.0
 
@@ -16,7 +16,7 @@ PER_SQUARE = 25.0
 class SkyIndex:
     """Unit vectors sorted by zones of declination.
 
-    What belongs to a direction is addressed by its *position* in the sorted list; ``order`` has the row of each.
+    Values of a direction are addressed by its *position* in the sorted list; ``order`` holds the row of each position.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class SkyIndex:
         self.n_zones = int(np.clip(np.sqrt(max(n, 1) / PER_SQUARE), 1, MOST_ZONES))
         key = np.empty(n)
         zones.make_keys(vectors, self.n_zones, key)
-        # int32 where it will do: the list of a large catalog is no small part of its memory
+        # int32 where it suffices, since the list is a considerable part of the memory of a large catalog
         self.order = np.argsort(key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
         self.key = key[self.order]
         self.vectors = vectors[self.order]
@@ -51,7 +51,7 @@ class SkyIndex:
         radius_rad : float
             Angular radius.
         left : ndarray, shape (n,), optional
-            By position: directions with 0 are left out.
+            Values by position; directions with the value 0 are omitted.
 
         Returns
         -------
@@ -78,5 +78,5 @@ class SkyIndex:
 
 
 def half_chord_squared(radius_rad: float) -> float:
-    """Return the squared half chord of an angle, with room for rounding."""
+    """Return the squared half chord of an angle, slightly enlarged to allow for rounding."""
     return np.sin(0.5 * min(radius_rad, np.pi)) ** 2 * (1 + 1e-15)

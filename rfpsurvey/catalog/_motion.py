@@ -1,4 +1,4 @@
-"""Motion of stars in straight lines, without parallax and radial velocity."""
+"""Motion of stars along straight lines, without parallax and radial velocity."""
 
 import astropy.units as u
 import numpy as np
@@ -10,7 +10,7 @@ __all__ = ["move", "move_coordinates"]
 
 
 def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
-    """Return coordinates (ICRS) after some years; those without a whole proper motion stay where they are."""
+    """Return coordinates (ICRS) after some years; those without a complete proper motion do not change."""
     icrs = coord.icrs
     lon, lat = icrs.ra.rad, icrs.dec.rad
     motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
@@ -23,9 +23,9 @@ def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
 
 
 def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:
-    """Return where stars are after some years, and how they move there.
+    """Return the positions and proper motions of stars after some years.
 
-    Unit vectors are moved, so that poles are places like any other. A star that does not move keeps its position.
+    Unit vectors are moved, so that the poles need no special treatment. A star that does not move keeps its position.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray
     Returns
     -------
     lon, lat : ndarray, shape (n,)
-        New position; longitudes from 0 to 2 pi.
+        New position, radians; longitudes are from 0 to 2 pi.
     motion : ndarray, shape (n, 2)
-        New proper motion.
+        New proper motion, radians per year.
     """
     place, east, north = _axes(lon, lat)
     velocity = motion[:, :1] * east + motion[:, 1:] * north

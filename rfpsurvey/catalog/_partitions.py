@@ -1,4 +1,4 @@
-"""Catalogs in many Parquet files, one for each HEALPix pixel, that are read where they are needed (HATS)."""
+"""Catalogs in many Parquet files, one for each HEALPix pixel (HATS), which are read as required."""
 
 import os
 from dataclasses import dataclass, field
@@ -28,17 +28,17 @@ MOST_PROPERTIES = 2**20
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class PartitionedCatalog:
-    """A catalog in a folder, laid out as HATS: Parquet files by HEALPix order and pixel (nested, ICRS).
+    """A catalog in a folder in the HATS layout: Parquet files by HEALPix order and pixel (nested, ICRS).
 
-    Of the files only the columns that a `Catalog` has are read, and only where a survey looks. Needs pyarrow
-    (``rfpsurvey[parquet]``).
+    A survey reads only the partitions around its fields, and only the columns that a `Catalog` has. This class
+    requires pyarrow (``rfpsurvey[parquet]``).
 
     Parameters
     ----------
     folder : str or path-like
-        With files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
+        Folder that contains files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
     columns, units : dict, optional
-        As in `Catalog.from_table`; positions are in degrees where nothing else is said.
+        As in `Catalog.from_table`; positions are in degrees unless specified otherwise.
     frame : str, optional
         As in `Catalog.from_table`.
     fill : dict, optional
@@ -46,16 +46,16 @@ class PartitionedCatalog:
     keep : list of str, optional
         As in `Catalog.from_table`.
     kept_rows : int, optional
-        Partitions that a survey read last stay in memory up to so many rows, of some 60 bytes each.
+        Largest number of rows, of about 60 bytes each, of recently read partitions that a survey keeps in memory.
 
     Raises
     ------
     InputError
-        If pyarrow or a column is missing, the folder has no such files, pixels overlap, or a file cannot be read.
+        If pyarrow or a column is missing, the folder contains no such files, pixels overlap, or a file cannot be read.
 
     See Also
     --------
-    partition_catalog : Makes such a folder.
+    partition_catalog : Write a catalog to such a folder.
 
     Examples
     --------
@@ -101,14 +101,14 @@ class PartitionedCatalog:
         object.__setattr__(self, "units", dict(self.units or {}))
         object.__setattr__(self, "fill", dict(self.fill or {}))
         self.parts.refuse_overlaps()
-        self.parts.names, self.parts.rows  # noqa: B018  (raise where columns are missing)
+        self.parts.names, self.parts.rows  # noqa: B018  (raises an error if columns are missing)
         if said is not None and said != str(len(self)):
             text = f"{self.folder}: the catalog must have {said} rows, as its properties say, but {len(self)} are there"
             warn(text)
 
     @cached_property
     def parts(self) -> Partitions:
-        """The partitions one by one (``Partitions``)."""
+        """The individual partitions (``Partitions``)."""
         return Partitions(self)
 
     def __len__(self):
@@ -119,11 +119,11 @@ class PartitionedCatalog:
 
     @property
     def meta(self) -> dict:
-        """Where the catalog comes from."""
+        """Information on the origin of the catalog."""
         return {"folder": self.folder.name, "n_partitions": len(self.parts.files)}
 
     def read(self) -> Catalog:
-        """Return the whole catalog, its rows in the order of the partitions; it must fit into memory.
+        """Return the whole catalog, with rows in the order of the partitions; it must fit into memory.
 
         Returns
         -------
@@ -133,7 +133,7 @@ class PartitionedCatalog:
         Raises
         ------
         InputError
-            If a file cannot be read, or holds values that no `Catalog` may have.
+            If a file cannot be read, or contains values that are not valid in a `Catalog`.
         """
         tables = [self.parts.table(k, self.parts.names) for k in range(len(self.parts.files))]
         try:
@@ -147,16 +147,17 @@ class PartitionedCatalog:
 def partition_catalog(
     catalog: Catalog | SkyCoord | Table, folder: str | os.PathLike, *, order: int | None = None
 ) -> PartitionedCatalog:
-    """Write a catalog as Parquet files by HEALPix pixel, in the layout of HATS.
+    """Write a catalog as Parquet files, one for each HEALPix pixel, in the HATS layout.
 
     Parameters
     ----------
     catalog : Catalog, SkyCoord, Table or DataFrame
-        The targets, at their epoch.
+        The targets at their epoch.
     folder : str or path-like
-        A folder that does not exist yet; it appears whole or not at all.
+        Folder to create; it must not exist. If writing fails, no incomplete folder remains.
     order : int, optional
-        HEALPix order of the partitions, 0 to 13; by default such that one holds about 20,000 targets.
+        HEALPix order of the partitions, 0 to 13; by default it is chosen such that a partition contains about 20,000
+        targets.
 
     Returns
     -------
@@ -166,7 +167,7 @@ def partition_catalog(
     Raises
     ------
     InputError
-        If the catalog is empty, the folder exists, the order is impossible, or pyarrow is missing.
+        If the catalog is empty, the folder exists, the order is out of range, or pyarrow is missing.
 
     Examples
     --------
@@ -214,7 +215,7 @@ def partition_catalog(
 
 
 def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Catalog:
-    """Return a catalog from itself, from coordinates, a table, a DataFrame or all partitions."""
+    """Return a catalog from a catalog, coordinates, a table, a DataFrame or all partitions."""
     if isinstance(catalog, PartitionedCatalog):
         return catalog.read()
     if isinstance(catalog, str | os.PathLike):
@@ -229,7 +230,7 @@ def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Cata
 
 
 def _joined(columns: list) -> np.ndarray:
-    """Return the values of columns one after the other, masked where one of them is."""
+    """Return the concatenated values of columns, masked where a column is masked."""
     masked = any(isinstance(column, MaskedColumn) for column in columns)
     kinds = {column.dtype.kind == "U" for column in columns}
     if len(kinds) > 1:
@@ -242,7 +243,7 @@ def _mean_rows(vectors, order) -> float:
 
 
 def _properties(folder: Path) -> dict[str, str]:
-    """Return the columns of positions that a HATS catalog names, and its number of rows."""
+    """Return the names of the coordinate columns and the number of rows from the properties of a HATS catalog."""
     found = {}
     for name in PROPERTIES:
         path = folder / name

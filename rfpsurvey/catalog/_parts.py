@@ -1,4 +1,4 @@
-"""The files of a partitioned catalog: one HEALPix pixel each."""
+"""The files of a partitioned catalog, one for each HEALPix pixel."""
 
 import hashlib
 import re
@@ -38,7 +38,7 @@ SLACK_RAD = 1e-9
 
 
 class Partitions:
-    """The partitions of a catalog one by one; row numbers count through all of them.
+    """The individual partitions of a catalog; row numbers run through all of them.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Partitions:
 
     @cached_property
     def files(self) -> list[tuple[int, int, Path]]:
-        """Order, pixel and file of each partition, as they follow each other on the sky."""
+        """Order, pixel and file of each partition, sorted along the HEALPix curve."""
         found = []
         for path in sorted(self.catalog.folder.rglob("*")):
             match = PART.search(path.relative_to(self.catalog.folder).as_posix())
@@ -62,11 +62,11 @@ class Partitions:
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
 
     def refuse_overlaps(self) -> None:
-        """Raise an error where a pixel lies inside another: its targets would be there twice."""
+        """Raise an error if a pixel lies inside another one, since its targets would occur twice."""
         orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self.files], strict=True))
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
-        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files of one pixel
+        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files for one pixel
         bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
         if len(bad):
             one, other = (self.files[k] for k in (bad[0], bad[0] + 1))
@@ -77,7 +77,7 @@ class Partitions:
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """First row of each partition, and the number of all rows."""
+        """First row of each partition, followed by the total number of rows."""
         parquet, counts, columns = import_parquet(), [], None
         for *_, path in self.files:
             about = read_or_name(path, lambda path=path: parquet.read_metadata(path))
@@ -91,7 +91,7 @@ class Partitions:
 
     @cached_property
     def names(self) -> list[str]:
-        """Columns to read."""
+        """Names of the columns to read."""
         path = self.files[0][2]
         schema = read_or_name(path, lambda: import_parquet().read_schema(path))
         find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.catalog.columns), {})
@@ -108,18 +108,18 @@ class Partitions:
 
     @cached_property
     def circles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Circles about the partitions: unit vectors and radii (radians)."""
+        """Circles around the partitions: unit vectors of the centers, and radii (radians)."""
         vectors = np.array([_healpix.centers(2**order, [pixel])[0] for order, pixel, _ in self.files])
         return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self.files])
 
     def near(self, center: np.ndarray, radius_rad: float) -> np.ndarray:
-        """Return the partitions that a circle may touch."""
+        """Return the partitions that a circle can touch."""
         vectors, radii = self.circles
         half_chord = 0.5 * np.linalg.norm(vectors - center, axis=1)
         return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
 
     def part(self, k: int) -> Catalog:
-        """Return the targets of a partition; without an id of their own, they are numbered by the rows of all."""
+        """Return the targets of a partition; without identifiers, they are numbered through all partitions."""
         path = self.files[k][2]
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])
@@ -138,20 +138,20 @@ class Partitions:
         return self.part(0).id.dtype.kind
 
     def column(self, name: str) -> np.ndarray | None:
-        """Return one column of all targets."""
+        """Return one column for the targets of all partitions."""
         if name != "id" and getattr(self.part(0), name) is None:
             return None
         return np.concatenate([getattr(self.part(k), name) for k in range(len(self.files))])
 
     def table(self, k: int, names: list[str]) -> Table:
-        """Return some columns of a partition."""
+        """Return a table of some columns of a partition."""
         table = read_parquet(self.files[k][2], names)
         if self._has_no_id:
             table["id"] = np.arange(self.rows[k], self.rows[k + 1])
         return table
 
     def digest(self) -> str:
-        """Return a digest of the files: of the stored bytes of the columns that are read, and of nothing else."""
+        """Return a digest of the files, computed from the stored bytes of the columns that are read."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
         about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
         found = hashlib.sha256(repr(about).encode())
@@ -166,7 +166,7 @@ class Partitions:
         return find.name_of("id") is None
 
     def to_catalog(self, table: Table, path: Path) -> Catalog:
-        """Return the targets of a table; errors name the file."""
+        """Return the targets of a table; error messages name the file."""
         try:
             asked = self.catalog
             return Catalog._from_table(
@@ -177,8 +177,8 @@ class Partitions:
 
 
 def read_or_name(path: Path, read):
-    """Read, or say which file cannot be read."""
+    """Call a function that reads a file; raise an error that names the file if it fails."""
     try:
         return read()
-    except Exception as error:  # pyarrow raises what it likes
+    except Exception as error:  # pyarrow can raise any exception
         raise InputError(f"{path} cannot be read: {sentence(error)}") from error

@@ -1,4 +1,4 @@
-"""Synthetic catalogs: random points in a circle on the sphere, true to area."""
+"""Synthetic catalogs: random points in a circle on the sphere, uniform in area."""
 
 from numbers import Number
 
@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
 __all__ = ["synthetic_catalog"]
 
-MOST = 1e9  # targets, beyond which memory is the limit
+MOST = 1e9  # largest number of targets; more would exceed the memory
 
 
 @check_keywords
@@ -34,27 +34,27 @@ def synthetic_catalog(
     Parameters
     ----------
     kind : {"uniform", "poisson", "poisson_disc", "clustered"}
-        ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, whose number
-        of points is random too. ``poisson_disc``: points no closer than ``min_separation`` (random
-        sequential addition), as many as asked or, without ``n_targets`` and ``density``, until fewer than
-        one dart in a thousand finds room. ``clustered``: a Thomas process, clusters with a Gaussian profile,
-        whose centers and members are Poisson distributed.
+        ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, in which the number
+        of points is also random. ``poisson_disc``: points no closer than ``min_separation``, by random sequential
+        addition; without ``n_targets`` and ``density``, points are added until fewer than one trial in a thousand is
+        accepted. ``clustered``: a Thomas process of clusters with a Gaussian profile, whose centers and members are
+        Poisson distributed.
     center : SkyCoord or str
-        Center of the circle; text as in `plan_tile`.
+        Center of the circle; text is read as in `plan_tile`.
     radius : Quantity
         Angular radius of the circle, at most 180 deg.
     n_targets : int, optional
         Number of targets (the expected number for ``poisson`` and ``clustered``).
     density : Quantity, optional
-        Targets per solid angle, instead of ``n_targets``.
+        Number of targets per solid angle, instead of ``n_targets``.
     min_separation : Quantity, optional
-        Smallest angular distance of two targets (``poisson_disc``).
+        Smallest angular distance between two targets (``poisson_disc``).
     cluster_size : float, optional
-        Expected members of a cluster (``clustered``).
+        Expected number of targets in a cluster (``clustered``).
     cluster_scale : Quantity, optional
         Angular standard deviation of a cluster along each axis (``clustered``).
     rng : int, Generator or None, optional
-        Seed or source of random numbers; None draws a new sky each time.
+        Seed or random number generator; with None, each call makes a different catalog.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def synthetic_catalog(
     Raises
     ------
     InputError
-        If a parameter is missing or impossible, or if the targets do not fit.
+        If a parameter is missing or out of range, or if the targets do not fit into the circle.
 
     References
     ----------
@@ -94,7 +94,7 @@ def synthetic_catalog(
 
 
 def _expected_number(kind, cap, n_targets, density):
-    """Return the number of targets asked for, None for as many as fit."""
+    """Return the requested number of targets, None for as many as fit."""
     if n_targets is not None and density is not None:
         raise InputError("give n_targets or density, not both")
     if density is not None:
@@ -115,12 +115,12 @@ def _expected_number(kind, cap, n_targets, density):
 
 
 def _area(cap):
-    """Solid angle of a circle, in steradian."""
+    """Return the solid angle of a circle in steradian."""
     return 4 * np.pi * np.sin(cap / 2) ** 2
 
 
 def _points(rng, cap, n):
-    """Independent uniform points around +z."""
+    """Return independent uniform points around +z."""
     # sin^2(theta / 2) is uniform over a cap
     half = np.sin(cap / 2) * np.sqrt(rng.random(n))
     azimuth = 2 * np.pi * rng.random(n)
@@ -143,7 +143,7 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     chord = 2 * np.sin(separation / 2)
     wanted = np.inf if expected is None else round(expected)
     points = np.empty((0, 3))
-    # as many darts a round as discs would cover the cap; random addition jams at 0.547 of the area
+    # trials per round: the area of the cap over that of a disc; random addition jams at 0.547 of the area
     batch = int(min(max(_area(cap) / (np.pi * (separation / 2) ** 2), 4096), 200_000))
     enough = batch / 1000 if expected is None else 0
     idle = 0
@@ -164,7 +164,7 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
 
 
 def _thin(points, chord):
-    """Drop every point nearer than ``chord`` to an earlier one that stays."""
+    """Drop every point closer than ``chord`` to an earlier point that is kept."""
     alive = np.ones(len(points), dtype=bool)
     if len(points):
         pairs = cKDTree(points).query_pairs(chord, output_type="ndarray")
@@ -180,13 +180,13 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
     if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
         raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
-    # clusters centered outside reach in: 6 sigma leaves out 1e-8 of them
+    # clusters centered outside contribute members: a margin of 6 sigma omits 1e-8 of these
     wide = min(cap + 6 * sigma, np.pi)
     parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))
     parents = np.repeat(parents, rng.poisson(cluster_size, len(parents)), axis=0)
     distance = sigma * np.sqrt(-2 * np.log1p(-rng.random(len(parents))))
     azimuth = 2 * np.pi * rng.random(len(parents))
-    # any direction across the parent will do as the origin of a uniform azimuth
+    # the azimuth is uniform, so that any direction perpendicular to the parent can be its origin
     helper = np.where(np.abs(parents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     across = np.cross(parents, helper)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -198,7 +198,7 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
 
 
 def _basis(center):
-    """Rows: two directions across and the center itself, ICRS."""
+    """Return a basis (ICRS) with rows: two directions perpendicular to the center, and the center."""
     z = to_vectors(center)[0]
     helper = np.eye(3)[np.argmin(np.abs(z))]
     x = np.cross(helper, z)

@@ -1,4 +1,4 @@
-"""A catalog as a table: coordinates, epochs and kinds from the columns that people use."""
+"""Read coordinates, epochs and kinds of a catalog from the columns of a table."""
 
 import astropy.units as u
 import numpy as np
@@ -18,9 +18,10 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
-    """Return the arguments of a Catalog that a table describes.
+    """Return the arguments of a Catalog from a table.
 
-    Where units may be assumed, nothing is said; they are assumed with a warning for a table without any unit.
+    With ``assume_units``, missing units are assumed without a warning; otherwise, only for a table without any unit,
+    with a warning.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -52,7 +53,7 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns that are to be kept, without those that results have in any case, None for none."""
+    """Return the columns to keep, except those that results always have; None if there are none."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -60,7 +61,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of columns that results have in any case under the same name, with the same values."""
+    """Return the names of columns that results always have under the same name, with the same values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -71,7 +72,7 @@ def _names_in_results(table, columns, frame):
 
 
 def has_units(table: Table) -> bool:
-    """Return whether a column of a table has a unit."""
+    """Return whether any column of a table has a unit."""
     return any(getattr(column, "unit", None) is not None for column in table.columns.values())
 
 
@@ -106,7 +107,7 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
 
 
 def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
-    """Return the column with this role in degrees; ``unit`` is that of sexagesimal text without a unit of its own."""
+    """Return the column with this role in degrees; ``unit`` is the unit of sexagesimal text that has none."""
     if not find.is_text(role):
         return find.quantity(role)
     own, texts = find.unit_of(role), find.texts(role)
@@ -126,7 +127,7 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
 
 
 def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
-    """Return the first text that is no angle."""
+    """Return the first text that is not an angle."""
     for text in texts.tolist():
         try:
             Angle(text, unit)
@@ -136,7 +137,7 @@ def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
 
 
 def _motion(find: Finder, *, equatorial: bool) -> dict:
-    """Proper motions as arguments of SkyCoord, where the table has them."""
+    """Return the proper motions of a table, if it has them, as arguments of SkyCoord."""
     names = [find.name_of(role) for role in ("pmra", "pmdec")]
     if names == [None, None]:
         return {}
@@ -149,7 +150,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
 
 
 def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
-    """Epoch from a column, or from the table's meta where it says so; None where nothing moves by it."""
+    """Return the epoch from a column or from the meta of the table; None if no target has a proper motion."""
     name = find.name_of("epoch")
     if name is None:
         meta = {str(k).lower(): v for k, v in find.table.meta.items()}
@@ -184,7 +185,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:
-    """Return the kinds that categories such as sky_boss or standard_apogee speak of."""
+    """Return the kinds that follow from categories such as sky_boss or standard_apogee."""
     lower = np.char.lower(category)
     kind = np.full(len(lower), "science", dtype="U8")
     kind[np.char.startswith(lower, "standard") | np.char.startswith(lower, "std")] = "standard"
@@ -193,7 +194,7 @@ def _kind_of_category(category: np.ndarray) -> np.ndarray:
 
 
 def _plain_meta(meta: dict) -> dict:
-    """Keep what JSON can say of a table's meta, without the comments that readers leave."""
+    """Return the entries of a table's meta that JSON can represent, without the comments that readers add."""
     return {
         str(k): v for k, v in meta.items() if isinstance(v, str | int | float | bool) and not str(k).startswith("__")
     }

@@ -27,24 +27,24 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Poses of all positioners, in mm and radians; NaN for arms that are absent."""
+    """The poses of all positioners in mm and radians; NaN for arms that are absent."""
 
     theta: np.ndarray
     phi: np.ndarray
     elbow: np.ndarray
     tip: np.ndarray
     segments: np.ndarray
-    """Segments that can collide, rows (x0, y0, x1, y1)."""
+    """Colliding segments, rows (x0, y0, x1, y1)."""
     assigned: np.ndarray
-    """Positioners that have a target."""
+    """Whether each positioner has a target."""
     parked: np.ndarray
-    """Usable positioners without a target that are parked and count."""
+    """Whether each positioner is usable, has no target, and is parked as an obstacle that counts."""
     clipped: np.ndarray
-    """Positioners whose target is out of reach: stretched toward it, or bent as the joint limits forbid."""
+    """Whether the target of each positioner is out of reach: the arm stretches toward it or violates joint limits."""
 
     @property
     def present(self) -> np.ndarray:
-        """Positioners whose arm is not absent."""
+        """Whether each positioner has an arm in the plane (is not absent)."""
         return np.isfinite(self.segments[:, 0])
 
 
@@ -59,9 +59,9 @@ def place_arms(
     parked_obstacles: bool = True,
     clip: bool = False,
 ) -> Arms:
-    """Return the poses of all positioners; parameters as in `find_collisions`.
+    """Return the poses of all positioners; the parameters are those of `find_collisions`.
 
-    With ``clip``, arms whose tip is out of reach stretch toward it as far as they can.
+    With ``clip``, arms whose tip is out of reach are stretched toward it as far as possible.
     """
     check_plane(focal_plane)
     n, columns = len(focal_plane), focal_plane.arrays
@@ -91,7 +91,7 @@ def place_arms(
 
 
 def pose_tips(plane, points, side, parked_obstacles, *, clip=False):
-    """Return elbows and tips (4, n), those of idle arms too, with flags: assigned, and clipped short of the target."""
+    """Return elbows and tips (4, n) of all arms, and flags: assigned, and clipped short of the target."""
     assigned, clipped = check_tips(plane, points, side, clip=clip)
     segments = place_tips(plane, points, side, clipped)
     arms.fill_idle(assigned, plane.arrays.idle(parked_obstacles).segments, segments)
@@ -99,14 +99,14 @@ def pose_tips(plane, points, side, parked_obstacles, *, clip=False):
 
 
 def check_plane(focal_plane):
-    """Raise an error for anything but a focal plane."""
+    """Raise an error unless the argument is a focal plane."""
     if not isinstance(focal_plane, FocalPlane):
         hint = "; an Instrument has one, its focal_plane" if hasattr(focal_plane, "focal_plane") else ""
         raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
 
 
 def check_arms(plane, posed):
-    """Raise an error for arms that are not those of these positioners."""
+    """Raise an error unless the arms belong to these positioners."""
     if len(posed.segments) != len(plane):
         raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
     away = np.hypot(*(posed.elbow - plane.arrays.xy).T) > plane.arrays.central_arm * (1 + 1e-9) + arms.EQUAL_ARMS
@@ -118,7 +118,7 @@ def check_arms(plane, posed):
 
 
 def to_tips(tips, n):
-    """Return tips in mm, a row for each positioner."""
+    """Return tips in mm, one row for each positioner."""
     points = to_points_mm(tips, "tips")
     if len(points) != n:
         raise InputError(f"tips must have a row for each of the {n} positioners, got {len(points)}")
@@ -126,7 +126,7 @@ def to_tips(tips, n):
 
 
 def check_tips(plane, points, side, *, clip=False):
-    """Mark positioners that have a target, and those that cannot reach it; the latter are errors unless ``clip``."""
+    """Mark positioners that have a target, and those that cannot reach it; without ``clip`` the latter are errors."""
     n = len(plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
     if arms.check(points, plane.arrays.geometry, plane.arrays.bounds, assigned, far) and not clip:
@@ -150,12 +150,12 @@ def check_tips(plane, points, side, *, clip=False):
 
 
 def joints_free(plane, side):
-    """Return whether the joint limits leave the whole patrol areas in reach with these elbows."""
+    """Return whether the joint limits allow the whole patrol areas with these elbows."""
     return all(plane.positioner.numbers.joints_free_for(s) for s in {side.min(), side.max()})
 
 
 def place_tips(plane, points, side, clipped):
-    """Return elbows and tips, shape (4, n); arms whose point is out of reach stretch toward it."""
+    """Return elbows and tips, shape (4, n); arms whose point is out of reach are stretched toward it."""
     geometry, bounds = plane.arrays.geometry, plane.arrays.bounds
     segments = np.empty((4, len(plane)))
     arms.place(points, geometry, side, segments)
@@ -163,7 +163,7 @@ def place_tips(plane, points, side, clipped):
         angles, posed = np.empty((2, len(plane))), np.empty_like(segments)
         arms.solve(points, geometry, side, *angles)
         arms.pose(*angles, geometry, posed)
-        # a pose that only the joint limits forbid reaches its point
+        # poses that violate only the joint limits reach their points
         r2 = ((points - plane.arrays.xy) ** 2).sum(axis=1)
         far = clipped & ((r2 < bounds.low) | (r2 > bounds.high))
         segments[2:, far] = posed[2:, far]
@@ -171,7 +171,7 @@ def place_tips(plane, points, side, clipped):
 
 
 def to_sides(plane, points, handedness):
-    """Return +1 for the elbow name right and -1 for left; for None the elbows of the focal plane."""
+    """Return +1 for right and -1 for left elbows; None stands for the elbows of the focal plane."""
     if handedness is None:
         return plane.arrays.sides(points)
     n = len(plane)
@@ -185,7 +185,7 @@ def to_sides(plane, points, handedness):
 
 
 def arm_angles(plane, fiber_type):
-    """Return cosine and sine of the angle of each capsule; ``fiber_type`` None or "": the first of the positioner."""
+    """Return cosine and sine of each capsule's angle; without a fiber type, that of the positioner's first one."""
     if fiber_type is None:
         return plane.arrays.angles
     types = to_plain(fiber_type, "fiber_type").astype(str)
@@ -200,7 +200,7 @@ def arm_angles(plane, fiber_type):
 
 
 def nearest_distance(posed: Arms) -> np.ndarray:
-    """Return the distance (mm) of each arm to the nearest other one; NaN: absent, infinity: alone."""
+    """Return the distance (mm) from each arm to the nearest other arm: NaN if absent, infinity without another arm."""
     segments = np.ascontiguousarray(posed.segments.T)
     halves, out = np.empty_like(segments), np.empty(len(posed.segments))
     collisions.halve(segments, halves)

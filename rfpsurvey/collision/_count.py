@@ -17,28 +17,28 @@ from rfpsurvey.focal_plane import FocalPlane
 __all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
 
 CHUNK = 64
-"""Configurations per task. Draws depend on it, and do not depend on the number of workers."""
+"""Number of configurations per task. Random draws depend on it, but not on the number of workers."""
 GPU_CHUNK = 2048
-"""Configurations per task on a GPU: 256 MB for 4000 positioners."""
+"""Number of configurations per task on a GPU: 256 MB for 4000 positioners."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionCounts:
-    """Static collisions of m configurations, counted.
+    """Numbers of static collisions in m configurations.
 
     Parameters
     ----------
     n_pairs, n_obstacle_pairs : ndarray of int, shape (m,)
-        Colliding pairs of positioners, and of a positioner and an obstacle.
+        Number of colliding pairs of positioners, and of pairs of a positioner and an obstacle.
     n_in_collision, n_in_collision_assigned : ndarray of int, shape (m,)
-        Positioners in collision among those that count, and among the assigned ones.
+        Number of counted positioners in collision, and of assigned positioners in collision.
     n_counted, n_assigned : ndarray of int, shape (m,)
-        Positioners that count (assigned, and parked equal-arm ones), and assigned ones.
+        Number of counted positioners (assigned ones, and parked ones with equal arms), and of assigned positioners.
     n_borderline : ndarray of int, shape (m,)
-        Pairs so near to the minimum separation that rounding could put them on either side; here the computed
-        distance decides.
+        Number of pairs so close to the minimum separation that rounding could decide; they are classified by their
+        computed distance.
     per_positioner : ndarray of int, shape (n,)
-        Configurations in which each positioner is in collision.
+        Number of configurations in which each positioner is in collision.
 
     Examples
     --------
@@ -62,7 +62,7 @@ class CollisionCounts:
 
     @property
     def rate(self) -> np.ndarray:
-        """Fraction of the counted positioners in collision, for each configuration; NaN if none counts."""
+        """Fraction of the counted positioners in collision, for each configuration; NaN if none is counted."""
         return _ratio(self.n_in_collision, self.n_counted)
 
     @property
@@ -92,30 +92,32 @@ def count_collisions(
 ) -> CollisionCounts:
     """Count the collisions of many configurations of one focal plane.
 
-    Each configuration is scored as by `find_collisions`, without Python in between (unless joint limits bar tips that
-    are in reach); memory beyond the input and the counts is that of a few configurations, however many there are.
+    Each configuration is scored as by `find_collisions`, in compiled code (except for tips in reach that joint limits
+    forbid). Besides the input and the counts, the memory in use is that of a few configurations, independent of their
+    number.
 
     Parameters
     ----------
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (m, n, 2), or Allocation
-        Where the fibers are in each of m configurations, NaN for those without a target. Or an allocation by
-        ``balanced``, from whose queues configurations are drawn: one target of each queue, uniformly.
+        Positions of the fibers in each of m configurations, NaN for positioners without a target. For an allocation
+        by ``balanced``, configurations are drawn from its queues: one target of each queue, uniformly.
     n_configurations : int, optional
-        How many to draw; belongs to an allocation.
+        Number of configurations to draw from an allocation.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
-        Elbow of each arm in all configurations, where it is not the positioner's own.
+        Handedness of each arm in all configurations, if it differs from that of the positioner.
     fiber_type : array_like of str, shape (n,), optional
-        Fiber in use in all configurations, for arm models that depend on it.
+        Fiber type in use in all configurations, for arm models that depend on it.
     parked_obstacles : bool, optional
         As in `find_collisions`.
     method : {"exact", "cuda"}, optional
-        ``exact``: on the processor. ``cuda``: on a GPU (``rfpsurvey[cuda]``).
+        ``exact`` runs on the CPU, and ``cuda`` on a GPU (requires ``rfpsurvey[cuda]``).
     executor : concurrent.futures.Executor, optional
-        Where chunks of configurations run; kernels release the GIL, so that threads work in parallel. None: here.
+        Executor that runs the chunks of configurations. Kernels release the GIL, so that threads run in parallel.
+        None: no parallel execution.
     rng : int, Generator or None, optional
-        Seed or source of the draws. They do not depend on the executor.
+        Seed or generator of the draws, which do not depend on the executor.
 
     Returns
     -------
@@ -126,11 +128,11 @@ def count_collisions(
     ------
     InputError
         If a tip lies outside its patrol area or beyond the joint limits, the allocation is for another focal plane or
-        has no queues, arguments exclude each other, the method cannot run here, or a shape does not fit.
+        has no queues, arguments exclude each other, the method cannot run on this machine, or a shape is wrong.
 
     See Also
     --------
-    find_collisions : The pairs and distances of one configuration.
+    find_collisions : Find the colliding pairs of one configuration, with their distances.
 
     Examples
     --------
@@ -172,7 +174,7 @@ def count_collisions(
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
-    """Return a function that scores a chunk of configurations given by their tips, and its arguments."""
+    """Return a function that scores a chunk of configurations given by tips, and the arguments of its calls."""
     shape = getattr(tips, "shape", ())
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
@@ -192,7 +194,7 @@ def _score_tips(plane, side, scorer, tips, start):
     side = _sides_of_chunk(plane, points, side, start)
     counts, times, far = scorer(points, side)
     if far:
-        for c, row in enumerate(points):  # say which
+        for c, row in enumerate(points):  # find the configuration for the error message
             _check(plane, row, side[min(c, len(side) - 1)], start + c)
     return counts, times
 
@@ -202,7 +204,7 @@ def _processor(plane, setup):
 
 
 def _on_processor(plane, setup, points, side):
-    """Return counts, times, and the number of tips that are out of reach."""
+    """Return counts, collisions per positioner, and the number of tips that are out of reach."""
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     columns = plane.arrays
     far = batch.count_tips(points, columns.geometry, columns.bounds, side, setup, make_workspace(plane), counts, times)
@@ -216,11 +218,11 @@ def _device(plane, setup):
 
 
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
-"""Name to the configurations of a chunk, and what makes a function (points, side) -> (counts, times, far)."""
+"""Name to chunk size, and a function that makes a function (points, side) -> (counts, times, far)."""
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
-    """Return a function that scores a chunk of configurations drawn from queues, and its arguments."""
+    """Return a function that scores a chunk of configurations drawn from queues, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.allocator!r}")
     if len(allocation.target_of_positioner) != len(plane):
@@ -247,7 +249,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return where the queues begin, and the segments of their entries, one queue after the other, shape (4, m)."""
+    """Return the start of each queue, and the colliding segments of all entries, queue after queue, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
@@ -283,7 +285,7 @@ def make_setup(plane, angles, parked_obstacles) -> batch.CollisionSetup:
 
 
 def make_workspace(plane) -> batch.Workspace:
-    """Return arrays that the count of one configuration writes to."""
+    """Return the work arrays for counting the collisions of one configuration."""
     n, size = len(plane), len(plane.arrays.neighbors)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
     pairs = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64), np.empty(size)
@@ -291,7 +293,7 @@ def make_workspace(plane) -> batch.Workspace:
 
 
 def _sides_of_chunk(plane, points, side, start):
-    """Return the elbows of a chunk: one row for all configurations, unless they depend on the joint limits."""
+    """Return the elbows of a chunk: one row for all configurations unless they depend on the joint limits."""
     if side is not None and joints_free(plane, side):
         return side
     rows = [plane.arrays.sides(p) if side is None else side[0] for p in points]

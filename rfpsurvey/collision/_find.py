@@ -1,4 +1,4 @@
-"""Which arms of one configuration are closer than the minimum separation."""
+"""Find the arms of one configuration that are closer than the minimum separation."""
 
 from fractions import Fraction
 
@@ -42,37 +42,38 @@ def find_collisions(
     method: str = "exact",
     n_points: int = 65,
 ) -> CollisionReport:
-    """Find the arms that are closer to each other than the minimum separation D.
+    """Find the pairs of arms that are closer to each other than the minimum separation D.
 
-    Two positioners collide if and only if the distance of the segments that can collide is below D (strictly);
-    crossing segments have the distance 0. An arm collides with an obstacle if it comes
-    nearer to the edge of the circle than its clearance d.
+    Two positioners collide if and only if the distance between their colliding segments is strictly less than D;
+    crossing segments have the distance 0. An arm collides with an obstacle if it is closer to the edge of the circle
+    than its clearance d.
 
     Parameters
     ----------
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (n, 2), or Allocation, or Arms, optional
-        Position of the fiber of each positioner, NaN for those without a target; or an allocation, whose elbows and
-        options are then used; or poses that are known already.
+        Position of the fiber of each positioner, NaN for positioners without a target. For an allocation, its
+        handedness and options are used. Known poses can be given as ``Arms``.
     theta, phi : Quantity, shape (n,), optional
-        Joint angles instead of ``tips``, within the joint limits or not; NaN for positioners without a target.
+        Joint angles instead of ``tips``; NaN for positioners without a target. They may exceed the joint limits.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
-        Elbow of each arm at its tip, where it is not the positioner's own; not with ``theta`` and ``phi``.
+        Handedness of each arm, if it differs from that of the positioner; not allowed with ``theta`` and ``phi``.
     fiber_type : array_like of str, shape (n,), optional
-        Fiber in use, for arm models that depend on it.
+        Fiber type in use, for arm models that depend on it.
     parked_obstacles : bool, optional
-        Whether equal-arm positioners without a target are parked, as obstacles that count. Those with unequal arms
-        avoid all other arms, and are ignored. An allocation has an option of its own, which is then used.
+        Whether positioners with equal arms and without a target are parked, and count as obstacles. Idle positioners
+        with unequal arms avoid all other arms and are ignored. For an allocation, its own option is used.
     method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
-        ``exact``: distances with a proven error, and rational arithmetic where that could matter.
-        ``sampled``: the least distance of ``n_points`` points on either arm; misses grazing pairs, and crossings
-        too if n_points <= 1 + length of the arm / (sqrt(2) D).
-        ``sweep``: the areas that the two arms sweep from their parked poses, both joints moving together in the
-        shorter direction (hard stops or not), as ``n_points`` poses each; no false negatives, many false positives.
-        ``scipy``: minimization by SciPy, slow. ``cuda``: the exact distances on a GPU (``rfpsurvey[cuda]``).
+        ``exact``: distances with a proven error limit, and rational arithmetic where the error could matter.
+        ``sampled``: the least distance between ``n_points`` points on either arm; it misses some pairs barely closer
+        than D, and also some crossings if n_points <= 1 + length of the arm / (sqrt(2) D). ``sweep``: the distance
+        between the areas that the two arms sweep from their parked poses, sampled by ``n_points`` poses each. Both
+        joints rotate at the same time, in the shorter direction (regardless of hard stops). There are no false
+        negatives, but many false positives. ``scipy``: minimization by SciPy, which is slow. ``cuda``: the distances
+        of ``exact`` on a GPU (requires ``rfpsurvey[cuda]``).
     n_points : int, optional
-        Points on an arm (sampled) or poses on its way (sweep), 2 to 10,000.
+        Number of points on an arm (``sampled``) or of poses on its path (``sweep``), 2 to 10,000.
 
     Returns
     -------
@@ -82,12 +83,12 @@ def find_collisions(
     Raises
     ------
     InputError
-        If a tip lies outside its patrol area or beyond the joint limits, an allocation or arms belong to another focal
-        plane, arguments exclude each other, the method cannot run here, or a shape does not fit.
+        If a tip lies outside its patrol area or beyond the joint limits, an allocation or arms belong to another
+        focal plane, arguments exclude each other, the method cannot run on this machine, or a shape is wrong.
 
     See Also
     --------
-    count_collisions : Many configurations at once.
+    count_collisions : Count the collisions of many configurations.
 
     References
     ----------
@@ -132,7 +133,7 @@ def find_collisions(
 
 
 def _posed_segments(plane, tips, given, parked_obstacles):
-    """Return segments (4, n), flags, and a function that returns all poses, which few methods need."""
+    """Return segments (4, n), flags, and a function that returns all poses, which only a few methods require."""
 
     def poses():
         return place_arms(plane, tips, **given, parked_obstacles=parked_obstacles)
@@ -148,13 +149,13 @@ def _posed_segments(plane, tips, given, parked_obstacles):
     if len(columns.runs) or len(plane.arrays.obstacle_pairs):
         segments, assigned, _ = pose_tips(plane, points, side, parked_obstacles)
         arms.shape(segments, columns.model, columns.length, *angles)
-    else:  # nothing can collide, whatever the poses are
+    else:  # no pose can collide with another one
         segments, (assigned, _) = None, check_tips(plane, points, side)
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 
 def touching(plane, segments, pairs):
-    """Return the pairs (segment, obstacle) that touch, distances to the edge, and how many were borderline."""
+    """Return the pairs (segment, obstacle) that touch, their distances, and the number of borderline pairs."""
     circles, clearance = plane.arrays.obstacles, plane.arrays.clearance
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:

@@ -18,7 +18,7 @@ __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return first, second and squared distance of the pairs closer than the limit or in the band about it."""
+    """Return first, second and squared distance of the pairs closer than the limit plus the rounding band."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
@@ -32,7 +32,7 @@ def find_pairs(segments, pairs, limits):
 
 
 def make_scorer(plane, setup):
-    """Return a function (points, side) -> (counts, times, tips out of reach); the device keeps the shared data."""
+    """Return a function (points, side) -> (counts, times, tips out of reach); the shared data stay on the GPU."""
     _require_device()
     n, limits, columns = len(plane), setup.limits, plane.arrays
     g, bounds = columns.geometry, columns.bounds

@@ -1,4 +1,4 @@
-"""Methods of finding colliding pairs: one fast and exact, and others for comparison."""
+"""Methods of finding colliding pairs: a fast exact one, and others for comparison."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ class Configuration:
 
     plane: FocalPlane
     segments: np.ndarray
-    """Segments that can collide, columns (4, n)."""
+    """Colliding segments, columns (4, n)."""
     n_points: int
     poses: Callable[[], Arms]
-    """Function that returns all poses, which few methods need."""
+    """Function that returns all poses, which only a few methods require."""
 
 
 class Found(NamedTuple):
-    """Colliding pairs, first < second, in any order, their distances (mm), and how many were borderline."""
+    """Colliding pairs, first < second, in any order, their distances (mm), and the number of borderline pairs."""
 
     first: np.ndarray
     second: np.ndarray
@@ -36,7 +36,7 @@ class Found(NamedTuple):
 
 
 def exact(case: Configuration) -> Found:
-    """Find pairs by distances with a proven error; pairs within it of the limit are decided in rational arithmetic."""
+    """Find pairs by distances with a proven error limit; borderline pairs are decided in rational arithmetic."""
     columns = case.plane.arrays
     halves, first, second = _scratch(case)
     squared = np.empty(len(first))
@@ -45,7 +45,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find pairs by the least distance of ``n_points`` points on either arm, never too small but for rounding."""
+    """Find pairs by the least distance between ``n_points`` points on either arm, never too small but for rounding."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -53,12 +53,12 @@ def sampled(case: Configuration) -> Found:
 
 
 def sweep(case: Configuration) -> Found:
-    """Find pairs by the least distance of the areas that arms sweep from their parked poses, joints moving together."""
+    """Find pairs by the least distance between the areas that two arms sweep from their parked poses."""
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
     first, second = pairs.T.copy()
     poses = np.empty((case.n_points, *case.segments.shape))
-    # the joints rotate in the shorter direction; idle arms remain parked
+    # both joints rotate at the same time, in the shorter direction; idle arms remain parked
     start = np.repeat(plane.positioner.numbers.home[:, None], len(plane), axis=1)
     move = np.array([posed.theta - start[0], posed.phi - start[1]])
     move -= 2 * np.pi * np.round(move / (2 * np.pi))
@@ -70,12 +70,12 @@ def sweep(case: Configuration) -> Found:
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
     limits = plane.arrays.limits
-    near = squared < limits.separation**2 + limits.band  # none is missed
+    near = squared < limits.separation**2 + limits.band  # no pair is missed
     return Found(first[near], second[near], np.sqrt(squared[near]))
 
 
 def scipy(case: Configuration) -> Found:
-    """Find pairs by bounded least squares over the positions along both arms, by SciPy."""
+    """Find pairs by bounded least squares over the positions along both arms, with SciPy."""
     from scipy.optimize import lsq_linear
 
     first, second = near_pairs(case)
@@ -89,14 +89,14 @@ def scipy(case: Configuration) -> Found:
 
 
 def cuda(case: Configuration) -> Found:
-    """Find pairs by the distances of ``exact``, computed by a GPU."""
+    """Find pairs by the distances of ``exact``, computed on a GPU."""
     from rfpsurvey.collision import _gpu
 
     return _settle(case, *_gpu.find_pairs(case.segments, case.plane.arrays.neighbors, case.plane.arrays.limits))
 
 
 METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
-"""Name to function `Configuration` -> `Found`."""
+"""Methods by name: functions from a `Configuration` to `Found`."""
 
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
@@ -113,7 +113,7 @@ def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, dist
 
 
 def _scratch(case):
-    """Return the halves of the segments, and arrays for all pairs."""
+    """Return the halves of the segments, and work arrays for all pairs."""
     size = len(case.plane.arrays.neighbors)
     halves = np.empty_like(case.segments)
     collisions.halve(case.segments, halves)
@@ -121,7 +121,7 @@ def _scratch(case):
 
 
 def _settle(case, first, second, squared):
-    """Return the pairs that collide; those within the band about the limit are decided in exact arithmetic."""
+    """Return the pairs that collide; pairs within the rounding band are decided in exact arithmetic."""
     limits = case.plane.arrays.limits
     edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
     if len(edge):

@@ -18,23 +18,23 @@ class CollisionReport:
     Parameters
     ----------
     pairs : ndarray of int, shape (k, 2)
-        Positioners i < j whose arms are closer than the minimum separation, sorted.
+        Pairs of positioners i < j whose arms are closer than the minimum separation, sorted.
     distances : Quantity, shape (k,)
-        Their distances.
+        Distances between the arms of these pairs.
     obstacle_pairs : ndarray of int, shape (m, 2)
-        Pairs (positioner, obstacle) closer than the clearance.
+        Pairs of rows (positioner, obstacle) closer than the clearance.
     obstacle_distances : Quantity, shape (m,)
-        Distances from the arm to the edge of the circle.
+        Distances from the arms to the edges of the obstacles.
     in_collision : ndarray of bool, shape (n,)
-        Positioners that occur in either list.
+        Whether each positioner occurs in either list.
     assigned : ndarray of bool, shape (n,)
-        Positioners that have a target.
+        Whether each positioner has a target.
     counted : ndarray of bool, shape (n,)
-        Positioners that the rate refers to: assigned ones and parked equal-arm ones.
+        Whether each positioner is counted in the rate: assigned positioners, and parked ones with equal arms.
     n_borderline : int or None, optional
-        Pairs so near to the minimum separation (or arms to the clearance from an obstacle) that rounding could put
-        them on either side; ``exact`` and ``cuda`` decide them in rational arithmetic, as obstacles always are.
-        None: the method has no proven error. 0 where no two arms can touch.
+        Number of pairs so close to the minimum separation (or arms so close to the clearance from an obstacle) that
+        rounding could decide. ``exact`` and ``cuda`` decide these pairs in rational arithmetic; for obstacles, all
+        methods do. None if the method has no proven error limit; 0 if no two arms can touch.
 
     Examples
     --------
@@ -58,7 +58,7 @@ class CollisionReport:
 
     @property
     def rate(self) -> float:
-        """Fraction of the counted positioners (assigned and parked) in collision; NaN if none counts."""
+        """Fraction of the counted positioners (assigned and parked) in collision; NaN if none is counted."""
         return _ratio(self.in_collision, self.counted)
 
     @property
@@ -68,7 +68,7 @@ class CollisionReport:
 
     @cached_property
     def colliding_with(self) -> list[list[int]]:
-        """For each positioner the others that it collides with, ascending."""
+        """For each positioner, the positioners with which it collides, ascending."""
         partners: list[list[int]] = [[] for _ in self.in_collision]
         for i, j in self.pairs.tolist():
             partners[i].append(j)

@@ -1,4 +1,4 @@
-"""Several methods of allocation on the same field."""
+"""Comparison of several allocators on the same field."""
 
 import logging
 import warnings
@@ -19,7 +19,7 @@ from rfpsurvey.tile import plan_tile
 
 __all__ = ["compare_allocators"]
 
-# No more priority classes than that have columns of their own.
+# Largest number of priority classes that have columns of their own.
 MOST_CLASSES = 8
 log = logging.getLogger("rfpsurvey")
 
@@ -33,34 +33,35 @@ def compare_allocators(
     options: AllocationOptions | None = None,
     **others: object,
 ) -> QTable:
-    """Plan the same field by several allocators, and return the fibers, collisions and times of each.
+    """Plan the same field with several allocators, and return the fibers, collisions and times of each plan.
 
     Parameters
     ----------
     catalog : Catalog, SkyCoord, Table or DataFrame
         The targets.
     instrument : Instrument or str
-        The instrument, the name of a preset, or the path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
         Field center, as in `plan_tile`.
     allocators : list of str or callable, optional
-        Allocators, see `AllocationOptions`; by default all built-in ones.
+        Allocators, see `AllocationOptions`; all built-in ones by default.
     options : AllocationOptions, optional
-        Options of every plan, such as requirements, required targets and circles that no arm may cover; its allocator
-        is replaced by each of ``allocators``.
+        Options of every plan, such as requirements, required targets and circles that no arm may cover. Their
+        allocator is replaced by each of ``allocators``.
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 
     Returns
     -------
     QTable
-        A row for each method. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (fibers on each kind); fibers
-        on each priority class, where there are from two to eight; ``missing`` (fibers missing for
-        requirements); ``colliding`` (positioners), ``pairs`` and ``at_obstacles``; ``usable`` (science fibers without a
-        collision); ``loss`` (fraction by which ``usable`` is smaller than the science fibers of the best plan that
-        ignores collisions; it can be negative for allocators that ignore requirements);
-        ``gap`` (NaN where nothing is proven); ``seconds`` (reach and allocation, once compiled). ``meta`` holds the
-        unmet requirements of each allocator, and the provenance.
+        Table with a row for each allocator. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (number of
+        fibers on each kind of target); the number of fibers on each priority class, if there are from two to eight
+        classes; ``missing`` (number of fibers missing for requirements); ``colliding`` (number of positioners in
+        collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles); ``usable`` (number
+        of science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller than the number of
+        science fibers of the best plan that ignores collisions; it can be negative for allocators that ignore
+        requirements); ``gap`` (NaN where nothing is proven); ``seconds`` (time of reach and allocation, without
+        compilation). ``meta`` contains the unmet requirements of each allocator, and the provenance.
 
     Raises
     ------
@@ -86,8 +87,8 @@ def compare_allocators(
             continue
         with warnings.catch_warnings():
             if tiles:
-                warnings.simplefilter("ignore", RfpsurveyWarning)  # a warning about the field is issued once
-            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
+                warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field once only
+            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # to compile
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)
         log.info("planned by %s: %s", method.name, tiles[method])
@@ -97,7 +98,7 @@ def compare_allocators(
     provenance = tiles[methods[0]].provenance
     software = {name: value for one in methods for name, value in tiles[one].provenance["software"].items()}
     parameters = {k: v for k, v in provenance["parameters"].items() if k != "allocator"}
-    asked = methods[0].record  # of which a tile records what its allocator uses
+    asked = methods[0].record  # a tile records only the options that its allocator uses
     parameters.update((name, asked[name]) for name in ("objective", "time_limit_s", "start"))
     table.meta.update(
         made_by="compare_allocators",
@@ -112,7 +113,7 @@ def compare_allocators(
 
 
 def _row(name, tile, blind):
-    """Return the row of one plan."""
+    """Return the row of the table for one plan."""
     summary, table = tile.summary, tile.table
     values = {level: value for level, value, _ in summary["objectives"]}
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))

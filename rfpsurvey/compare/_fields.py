@@ -1,4 +1,4 @@
-"""The fields of a comparison, and their plans by each allocator."""
+"""The fields of a comparison, and the plans of each allocator."""
 
 import warnings
 from collections.abc import Sequence
@@ -27,12 +27,12 @@ __all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind
 
 SAMPLE = 100_000
 BLIND = "sdss"
-"""The allocator that ignores collisions, and assigns the largest number of targets."""
+"""The allocator that ignores collisions and assigns the largest number of targets."""
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """One field of one instrument."""
+    """A field of an instrument."""
 
     instrument: Instrument
     catalog: Catalog
@@ -42,14 +42,14 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Numbers of one allocator's plan of a field."""
+    """Results of the plan of a field by an allocator."""
 
     n_targets: int
     n_science: int
     n_usable: int
     n_pairs: int
     probability: np.ndarray
-    """1 for each positioner in collision, 0 for others, NaN for those that do not count."""
+    """1 for each positioner in collision, 0 for other counted ones, NaN for those that are not counted."""
     gap: float
     seconds: float
 
@@ -70,7 +70,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
-    """Return random skies for each instrument: with a number of targets per positioner, or of one density."""
+    """Return random fields for each instrument, with a number of targets per positioner or with a common density."""
     check_whole(number, "n_realizations")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise refusal("targets_per_positioner must be a positive number", each, Number)
@@ -81,7 +81,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
         if density is None:
             expected = each * len(model.focal_plane) / _part_on_footprint(model, center)
             size = {"n_targets": round(expected) if kind == "uniform" else expected}
-        # by its name, so that an instrument has the same skies whatever it is compared with
+        # seeded by its name, so that an instrument has the same targets in each comparison
         own = np.random.default_rng([seed, crc32(model.name.encode())])
         for one in own.spawn(int(number)):
             sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)
@@ -90,7 +90,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
 
 
 def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
-    """Return the fraction of a uniform sky, as wide as the field, whose image is on the footprint."""
+    """Return the fraction of uniform targets in the field whose images are on the footprint."""
     sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
     xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
     return float(on_footprint(model.focal_plane, xy).mean())
@@ -112,14 +112,14 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
 def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
-    """Plan every field by the allocator that ignores collisions, then by each of ``allocators``."""
+    """Plan every field with the allocator that ignores collisions, then with each of ``allocators``."""
     options = _for_instruments((replace(allocators[0], allocator=BLIND), *allocators), fields)
     asked = [options[field.instrument.name] for field in fields]
     return map_with_progress(executor, progress, "fields", partial(plan_field, others=others), fields, asked)
 
 
 def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[AllocationOptions]]:
-    """Return the options for each instrument, and warn once of what holds for several of them."""
+    """Return the options for each instrument, and issue each warning once for all instruments."""
     models = {field.instrument.name: field.instrument for field in fields}
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", RfpsurveyWarning)
@@ -130,7 +130,7 @@ def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[Allocati
 
 
 def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:
-    """Plan one field by each allocator."""
+    """Plan a field with each allocator."""
     found = []
     for options in allocators:
         if options.name in ALLOCATORS:
@@ -166,7 +166,7 @@ def on_kind(tile, kind: str) -> int:
 
 @cache
 def _compile(allocator: str, start: str) -> None:
-    """Plan a small crowded field once in each process, so that compilation is not timed."""
+    """Plan a small, crowded field once in each process, so that compilation is not part of the measured time."""
     robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
     small = Instrument(
         "small", FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm), plate_scale=1 * u.mm / u.arcmin

@@ -1,4 +1,4 @@
-"""Several instruments on the same sky, or with as many targets for each of their positioners."""
+"""Comparison of several instruments, with the same targets or with the same number of targets per positioner."""
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
@@ -93,69 +93,75 @@ def compare_instruments(
     progress: bool | Callable = False,
     **others: object,
 ) -> QTable:
-    """Compare instruments on the same sky, or on skies with as many targets per positioner for each of them.
+    """Compare instruments with the same targets, or with the same number of targets per positioner.
 
     Parameters
     ----------
     catalog : Catalog, SkyCoord or {"poisson", "uniform"}, optional
-        The sky for all; or the kind of synthetic skies, see `synthetic_catalog`.
+        Targets for all instruments, or the kind of synthetic targets, see `synthetic_catalog`.
     instruments : list of Instrument or str, optional
-        Instruments, names of presets, or paths of TOML files; all that are known by default.
+        Instruments, names of presets, or paths of TOML files; by default all of `available_instruments`.
     center : SkyCoord, scalar or shape (n_fields,), optional
-        Field centers for a catalog; its mean direction by default.
+        Field centers for a catalog; by default its mean direction.
     allocators : list of str or callable, optional
         Allocators, see `AllocationOptions`.
     targets_per_positioner : float, optional
-        Synthetic targets for each positioner's share of the footprint (`FocalPlane.footprint`), on average over it, the
-        same for all instruments; one by default.
+        Mean number of synthetic targets per positioner on the footprint (`FocalPlane.footprint`), the same for all
+        instruments; one by default.
     density : Quantity, optional
-        Synthetic targets per solid angle instead, the same for all instruments.
+        Number of synthetic targets per solid angle, the same for all instruments, instead of
+        ``targets_per_positioner``.
     options : AllocationOptions, optional
-        Options of every plan, such as requirements, required targets of a catalog and circles that no arm may cover;
-        its allocator is replaced by each of ``allocators``.
+        Options of every plan, such as requirements, required targets of a catalog and circles that no arm may cover.
+        Their allocator is replaced by each of ``allocators``.
     n_realizations : int, optional
-        Synthetic skies of each instrument; 4 by default. A catalog is one for each center.
+        Number of synthetic fields of each instrument; 4 by default. A catalog has one field for each center.
     rng : int, Generator or None, optional
-        Seed or source of random numbers.
+        Seed or random number generator.
     executor : concurrent.futures.Executor, optional
-        Plans fields at the same time; only the column ``seconds`` depends on it.
+        Executor that plans fields in parallel; only the column ``seconds`` depends on it.
     progress : bool or callable, optional
-        Show a line on the standard error, or call a function with (fields done, all fields).
+        Show the progress on the standard error, or call a function with the number of finished fields and of all
+        fields.
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 
     Returns
     -------
     QTable
-        A row for each instrument and allocator. What the instrument is: ``instrument``; ``positioners`` (that can take
-        a target); ``field`` (diameter); ``footprint`` (area of the hull of the centers); ``type`` (1: no arms can
-        collide, 2: those of first neighbors, 3: further ones too); ``multiplicity`` (positioners that reach a point of
-        the footprint, on average); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of it in reach
-        of none, one, two, three or more). Of a field, on average over fields: ``allocator``; ``targets``
-        (science targets in reach); ``targets_per_positioner`` (of these, a positioner that can take one); ``assigned``
-        (fibers on science targets); ``assigned_part`` (of the positioners); ``probability``, ``low``, ``high`` (of a
-        positioner to be in collision, of those with a target and parked obstacles, with its 95 % interval);
-        ``pairs_per_positioner`` (colliding pairs over the number of the same); ``usable`` (fibers on science targets
-        without a collision); ``usable_per_area`` (of the footprint); ``usable_per_solid_angle`` (of the field);
-        ``loss`` (fraction by which ``usable`` is smaller than the fibers of the best plan that ignores collisions: for
-        ``optimal`` the targets that are lost to collisions; it can be negative for allocators that ignore
-        requirements); ``gap`` (the largest; NaN where nothing is proven); ``seconds`` (reach and allocation of a field,
-        median, once compiled). ``meta`` states which columns can be compared, and the provenance.
+        Table with a row for each instrument and allocator. Columns on the instrument: ``instrument``; ``positioners``
+        (number of positioners that can have a target); ``field`` (diameter); ``footprint`` (area of the convex hull
+        of the centers); ``type`` (1: no arms can collide, 2: those of first neighbors can, 3: further ones can too);
+        ``multiplicity`` (mean number of positioners that reach a point of the footprint); ``reach_0``, ``reach_1``,
+        ``reach_2``, ``reach_3`` (fraction of the footprint within reach of none, one, two, three or more). Columns on
+        the plans, averaged over the fields: ``allocator``; ``targets`` (number of science targets in reach);
+        ``targets_per_positioner`` (their number divided by ``positioners``); ``assigned`` (number of fibers on
+        science targets); ``assigned_part`` (fraction of the positioners assigned to science targets);
+        ``probability``, ``low``, ``high`` (collision probability of the positioners that have a target or are parked
+        obstacles, with its 95 % interval); ``pairs_per_positioner`` (number of colliding pairs divided by the number
+        of these positioners); ``usable`` (number of fibers on science targets without a collision);
+        ``usable_per_area`` (per area of the footprint); ``usable_per_solid_angle`` (per solid angle of the field);
+        ``loss`` (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that
+        ignores collisions; for ``optimal`` this is the fraction of targets lost to collisions; it can be negative for
+        allocators that ignore requirements); ``gap`` (the largest one; NaN where nothing is proven); ``seconds``
+        (median time of reach and allocation of a field, without compilation). ``meta`` states which columns can be
+        compared, and the provenance.
 
     Raises
     ------
     InputError
-        If a name is unknown or occurs twice, a field has no target, or as for `plan_tile`.
+        If a name is unknown or occurs twice, a field has no target, or `plan_tile` raises an error.
 
     See Also
     --------
-    compare_allocators : All methods on one field of one instrument.
-    rfpsurvey.plot.plot_instruments : The chart.
+    compare_allocators : Compare allocators on one field of one instrument.
+    rfpsurvey.plot.plot_instruments : Plot the table.
 
     Notes
     -----
-    The interval is Wilson's with the effective number of independent trials, from the scatter between positioners and
-    the correlation of neighbors: it states how far other fields of a sky of the same kind may differ.
+    The interval is a Wilson interval with the effective number of independent trials, which is estimated from the
+    scatter between positioners and the correlation of neighbors. It describes the scatter of other fields with
+    targets of the same kind.
 
     Examples
     --------
@@ -222,14 +228,14 @@ def compare_instruments(
 
 
 def parts_of(table: QTable) -> dict[str, QTable]:
-    """Return a comparison as tables that fit a page: the instruments, their fibers, their collisions."""
+    """Split a comparison into tables that fit on a page: the instruments, their fibers, their collisions."""
     parts = {title: table[["instrument", *columns]] for title, columns in PARTS.items()}
     rows = np.unique(np.asarray(table["instrument"]), return_index=True)[1]
     return parts | {"instruments": parts["instruments"][np.sort(rows)]}
 
 
 def _models(instruments) -> list[Instrument]:
-    """Return the instruments, each with a name of its own."""
+    """Return the instruments; raise an error if two have the same name."""
     if isinstance(instruments, str | Instrument):
         instruments = [instruments]
     if not isinstance(instruments, Iterable | None):
@@ -245,7 +251,7 @@ def _models(instruments) -> list[Instrument]:
 
 
 def _describe(model: Instrument) -> dict:
-    """Return the columns of an instrument that do not depend on the sky."""
+    """Return the columns of an instrument that do not depend on the targets."""
     plane = model.focal_plane
     try:
         parts = plane.coverage()
@@ -265,7 +271,7 @@ def _describe(model: Instrument) -> dict:
 
 
 def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
-    """Return the columns of an allocator's plans of the fields of an instrument, on average."""
+    """Return the columns of an allocator's plans, averaged over the fields of an instrument."""
     n, most = len(own), sum(plan.n_science for plan in blind)
     targets, science, usable, pairs = (
         sum(getattr(plan, name) for plan in own) for name in ("n_targets", "n_science", "n_usable", "n_pairs")

@@ -1,4 +1,4 @@
-"""A focal plane in plain numbers: read-only columns in mm and radians, and the input of the collision kernels."""
+"""A focal plane as plain numbers: read-only columns in mm and radians, and the input of the collision kernels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,20 +15,20 @@ __all__ = ["FocalPlaneArrays"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Arms without a target: NaN where they are no obstacle, because they avoid all others."""
+    """Poses of arms without a target; NaN for arms that avoid all others and are therefore no obstacles."""
 
     theta: np.ndarray
     phi: np.ndarray
     segments: np.ndarray
-    """Elbow and tip, shape (4, n)."""
+    """Elbows and tips, shape (4, n)."""
     parked: np.ndarray
-    """Usable positioners that are then parked, as obstacles."""
+    """Whether each positioner is usable and parked as an obstacle."""
 
 
 class FocalPlaneArrays:
-    """The columns of a focal plane as plain numbers in mm and radians, which cannot be written to.
+    """The columns of a focal plane as read-only plain numbers in mm and radians.
 
-    They are made on first use and kept. Row i is the positioner i.
+    The columns are computed on first use and kept. Row i belongs to positioner i.
 
     Parameters
     ----------
@@ -46,27 +46,28 @@ class FocalPlaneArrays:
     equal_arms : ndarray of bool, shape (n,)
         Whether both arms have the same length.
     arm_reach : ndarray of float, shape (n,)
-        Distance from the center that the colliding segment can reach, mm.
+        Largest distance of the colliding segment from the center, mm.
     usable : ndarray of bool, shape (n,)
-        Positioners that may take a target: neither disabled nor stuck.
+        Whether each positioner may have a target: it is neither disabled nor stuck.
     stuck : ndarray of float, shape (n, 2)
         theta and phi of stuck units, NaN for others.
     is_stuck : ndarray of bool, shape (n,)
-        Units that cannot move.
+        Whether each positioner cannot move.
     obstacles : ndarray of float, shape (m, 3)
         Circles (x, y, radius) that no arm may touch, mm.
     first_type : ndarray of str, shape (n,)
-        Fiber that each positioner uses by default.
+        Fiber type that each positioner uses by default.
     first_index : ndarray of int, shape (n,)
-        The same as an index of ``fiber_types``.
+        Index of ``first_type`` in ``fiber_types``.
     neighbors : ndarray of int, shape (k, 2)
-        Pairs to test, including those that collide only by rounding.
+        Pairs of positioners to test for collisions, including those that can collide only because of rounding.
     obstacle_pairs : ndarray of int, shape (k, 2)
-        Pairs (positioner, obstacle) that can touch.
+        Pairs of rows (positioner, obstacle) that can touch.
     n_sharing : ndarray of int, shape (n,)
-        How many others can share a target with each positioner, at most.
+        Largest number of other positioners that can share a target with each positioner.
     separation, clearance, length : float
-        Minimum separation of two arms, clearance of one, and length of the colliding segment (0: as the arm), mm.
+        Minimum separation of two arms, clearance of an arm, and length of the colliding segment (0: that of the arm),
+        mm.
 
     Examples
     --------
@@ -146,7 +147,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def offers(self) -> np.ndarray:
-        """Bit mask of the fiber types of each positioner; none for those that take no target."""
+        """Bit mask of the fiber types of each positioner; 0 for positioners that take no target."""
         plane = self.plane
         masks = dict.fromkeys(np.unique(plane.fiber_type).tolist(), 0)
         for row in masks:
@@ -156,7 +157,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def grid(self) -> tuple:
-        """Square cells with the positioners that reach into each."""
+        """Square cells, each with the positioners that reach into it."""
         return make_grid(self.xy, self.outer_radius)
 
     @cached_property
@@ -167,7 +168,7 @@ class FocalPlaneArrays:
         return locked(np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]))
 
     def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """Mark pairs whose arms, stretched toward each other, come closer than the separation plus ``slack``."""
+        """Mark pairs whose arms, stretched toward each other, are closer than the minimum separation plus ``slack``."""
         distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
         return distance < self.arm_reach[pairs].sum(axis=1) + self.separation + slack
 
@@ -187,16 +188,16 @@ class FocalPlaneArrays:
         return locked(np.ascontiguousarray(np.argwhere(apart < limit + self.touch_slack)))
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
-        """Return the reachable pairs of targets in mm."""
+        """Return the pairs of positioners and targets (mm) within reach."""
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
     def sides(self, points: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-        """Return the elbow of each positioner (or those in the rows ``own``) toward its point: +1 right, -1 left."""
+        """Return the elbow of each positioner (or of the rows ``own``) toward its point: +1 is right, -1 is left."""
         return sides(self.plane, points, own)
 
     @cached_property
     def geometry(self) -> arms.Geometry:
-        """Data on which poses depend."""
+        """Geometry of the positioners, as the kernels that compute poses expect it."""
         plane = self.plane
         cx, cy = self.xy.T.copy()
         home = plane.positioner.numbers.home[0]
@@ -204,32 +205,32 @@ class FocalPlaneArrays:
         return arms.Geometry(cx, cy, *lengths, float(np.cos(home)), float(np.sin(home)))
 
     def geometry_of(self, own: np.ndarray) -> arms.Geometry:
-        """Return the same for any list of positioners."""
+        """Return the same data for a list of positioners."""
         return arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
 
     @cached_property
     def bounds(self) -> arms.Bounds:
-        """Range of the tips in reach of each positioner."""
+        """Limits of the tips that each positioner can reach."""
         low = np.maximum(self.inner_radius - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (self.outer_radius + self.reach_slack) ** 2, self.usable.copy())
 
     def bounds_of(self, own: np.ndarray) -> arms.Bounds:
-        """Return the same for any list of positioners."""
+        """Return the same data for a list of positioners."""
         return arms.Bounds(*(c[own] for c in self.bounds))
 
     @cached_property
     def reach_slack(self) -> float:
-        """Largest error by rounding of the distance of a tip from its center."""
+        """Upper limit of the rounding error of the distance of a tip from its center."""
         return 1e-12 * float(self.outer_radius.max() + np.abs(self.xy).max())
 
     @cached_property
     def touch_slack(self) -> float:
-        """Largest error by rounding, and by arms that count as equal, of the gap of two arms stretched together."""
+        """Upper limit of the error of the gap between two arms stretched toward each other, also of almost equal ones."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
     def limits(self) -> collisions.Limits:
-        """Minimum separation and the slack for rounding."""
+        """Minimum separation and the allowance for rounding."""
         extent = np.hypot(*self.xy.T) + self.arm_reach
         return collisions.limits(
             self.separation, self.longest, float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS
@@ -237,24 +238,24 @@ class FocalPlaneArrays:
 
     @cached_property
     def longest(self) -> float:
-        """Upper limit of the length of a segment."""
+        """Upper limit of the length of a colliding segment."""
         length = {arms.ELBOW_TO_TIP: self.eccentric_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[
             self.model
         ]
-        # almost equal arms count as equal, which moves their elbow
+        # almost equal arms are treated as equal, which displaces their elbow
         return (1.0 + 1e-12) * (float(length) + 2 * self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
     def obstacle_slack(self) -> float:
-        """Largest error by rounding of the distance of an arm from an obstacle that it just touches."""
+        """Upper limit of the rounding error of the distance between an arm and an obstacle that it barely touches."""
         size = self.obstacles[:, 2].max(initial=0.0) + self.clearance + self.longest
         return 1.2 * collisions.DISTANCE_ERROR * float(size)
 
     @cached_property
     def runs(self) -> np.ndarray:
-        """Neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, in the order of the first.
+        """Neighbors as rows (i, j, n): i and j, i + 1 and j + 1, ..., n pairs in all, sorted by the first.
 
-        On a lattice that is numbered row by row, thousands of pairs are a few runs.
+        On a lattice that is numbered row by row, a few runs contain thousands of pairs.
         """
         pairs = self.neighbors
         if len(pairs) == 0:
@@ -267,7 +268,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
-        """All neighbors of each positioner: where its row begins, and the neighbors, never empty."""
+        """All neighbors of each positioner: the start of each row, and the neighbors (an array that is never empty)."""
         pairs = self.neighbors
         both = np.vstack([pairs, pairs[:, ::-1]])
         both = both[np.lexsort((both[:, 1], both[:, 0]))]
@@ -275,11 +276,11 @@ class FocalPlaneArrays:
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine and sine of the capsule's angle where every positioner uses its first fiber."""
+        """Cosine and sine of the capsule's angle if every positioner uses its first fiber type."""
         return self.angles_of(self.first_type)
 
     def angles_of(self, fiber_type: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosine and sine of the capsule's angle for given fibers."""
+        """Return cosine and sine of the capsule's angle for given fiber types."""
         names = self.plane.fiber_types
         values = self.plane.positioner.numbers.arm_angles(names)
         angle = np.empty(len(fiber_type))
@@ -306,5 +307,5 @@ class FocalPlaneArrays:
         return states
 
     def idle(self, parked_obstacles: bool) -> Idle:
-        """Return the arms without a target: those that cannot move, and idle equal arms if they are obstacles."""
+        """Return the arms without a target: those that cannot move, and idle equal arms if these are obstacles."""
         return self._idle[bool(parked_obstacles)]

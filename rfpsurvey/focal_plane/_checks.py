@@ -10,7 +10,7 @@ __all__ = ["check_columns"]
 
 
 def check_columns(plane) -> None:
-    """Check the columns of a focal plane, and convert them to plain arrays."""
+    """Check the columns of a focal plane and convert them to plain arrays."""
     if not isinstance(plane.positioner, Positioner):
         raise InputTypeError(f"positioner must be a Positioner, got {type(plane.positioner).__name__}")
     xy = to_points_mm(plane.xy, "xy")

@@ -24,34 +24,34 @@ __all__ = ["FocalPlane"]
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
-    """The positioners of an instrument, a row each, and the fixed obstacles between them.
+    """The positioners of an instrument, one per row, and the fixed obstacles between them.
 
     Parameters
     ----------
     xy : Quantity, shape (n, 2)
         Centers of the positioners.
     positioner : Positioner
-        Geometry common to all.
+        Geometry common to all positioners.
     id : array_like of int or str, shape (n,), optional
-        Names, text without blanks; the row number by default.
+        Identifiers, text without blanks; the row numbers by default.
     spectrograph : array_like of int, shape (n,) or (n, n_types), optional
-        Spectrograph of each fiber, one column for each fiber type where they differ; 0 by default.
+        Spectrograph of each fiber, with one column for each fiber type if these differ; 0 by default.
     fiber_type : array_like of str, shape (n,), optional
-        Types of fiber that a positioner carries, joined by ``+``, such as ``"BOSS+APOGEE"``.
+        Fiber types of each positioner, joined by ``+``, such as ``"BOSS+APOGEE"``.
     central_arm, eccentric_arm : Quantity, shape (n,), optional
-        Arm lengths of each unit, where they differ from the common ones.
+        Arm lengths of each positioner, if they differ from those of ``positioner``.
     disabled : array_like of bool, shape (n,), optional
-        Units that take no target and are parked.
+        Positioners that take no target and are parked.
     stuck : Quantity, shape (n, 2), optional
-        theta and phi of units that cannot move; NaN for those that can.
+        theta and phi of positioners that cannot move; NaN for the others.
     obstacles : Quantity, shape (m, 3), optional
         Circles (x, y, radius) that no arm may touch, such as fiducials.
 
     Raises
     ------
     InputError
-        If a column has another length than ``xy``, a name occurs twice or has blanks, or two positioners share a
-        center.
+        If the length of a column differs from that of ``xy``, an identifier occurs twice or contains blanks, or two
+        positioners have the same center.
 
     Examples
     --------
@@ -84,7 +84,7 @@ class FocalPlane:
         return f"<FocalPlane of {len(self)} positioners, {len(self.arrays.obstacles)} obstacles>"
 
     def __getstate__(self):
-        # a copy for another process makes the plain arrays again
+        # a copy for another process computes the plain arrays again
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @cached_property
@@ -94,12 +94,12 @@ class FocalPlane:
 
     @cached_property
     def arrays(self) -> FocalPlaneArrays:
-        """The columns as plain numbers in mm and radians that cannot be written to (``FocalPlaneArrays``)."""
+        """The columns as read-only plain numbers in mm and radians (``FocalPlaneArrays``)."""
         return FocalPlaneArrays(self)
 
     @cached_property
     def collision_type(self) -> int:
-        """1: no two arms can touch; 2: only those of first neighbors; 3: further ones too."""
+        """Collision type. 1: no two arms can touch; 2: only those of first neighbors can; 3: further ones can too."""
         pairs = self.neighbor_pairs()
         if len(pairs) == 0:
             return 1
@@ -120,32 +120,32 @@ class FocalPlane:
     def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
         """Return the pairs of positioners and targets within reach as a sparse matrix.
 
-        A target on the edge of a patrol area is in reach: patrol areas are closed, and ties are settled in
-        exact arithmetic.
+        Patrol areas are closed: a target on the edge is within reach. Borderline cases are decided in exact
+        arithmetic.
 
         Parameters
         ----------
         xy : Quantity, shape (n_targets, 2)
             Targets on the focal plane; NaN is out of reach.
         fiber_type : array_like of str, shape (n_targets,), optional
-            Fiber type that each target needs; ``""`` means any.
+            Fiber type that each target requires; ``""`` means any.
 
         Returns
         -------
         scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
-            Its ``indptr`` and ``indices`` list the targets of each positioner, ascending.
+            Sparse matrix whose ``indptr`` and ``indices`` list the targets of each positioner, ascending.
 
         Raises
         ------
         InputError
-            If the targets are not lengths of this shape, or there are fiber types and these are others.
+            If the targets are not lengths of this shape, or a fiber type is not one of those of the focal plane.
         """
         return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
     def multiplicity(self, xy: u.Quantity) -> np.ndarray:
-        """Return how many positioners reach each point.
+        """Return the number of positioners that reach each point.
 
-        Units that are disabled or stuck reach nothing.
+        Positioners that are disabled or stuck reach nothing.
 
         Parameters
         ----------
@@ -170,15 +170,15 @@ class FocalPlane:
         return footprint_of(self).volume * u.mm**2
 
     def coverage(self, *, n_points: int = 2**20, rng: int | np.random.Generator | None = 0) -> np.ndarray:
-        """Return the fractions of the footprint that no positioner, one, two and more reach.
+        """Return the fractions of the footprint within reach of no positioner, of one, of two, and so on.
 
         Parameters
         ----------
         n_points : int, optional
-            Points in the rectangle around the footprint: a random one in each cell of a square grid.
-            With 2**20 of them the standard error is below 0.0005.
+            Number of points in the rectangle around the footprint; there is a random one in each cell of a square grid.
+            With 2**20 points the standard error is below 0.0005.
         rng : int or Generator, optional
-            Seed of the points.
+            Seed or generator of the points.
 
         Returns
         -------
@@ -213,7 +213,7 @@ class FocalPlane:
         rows_along: str = "x",
         **columns,
     ) -> "FocalPlane":
-        """Return a focal plane of positioners on a hexagonal lattice about the origin.
+        """Make a focal plane of positioners on a hexagonal lattice around the origin.
 
         Cell (q, k) has its center at pitch (q + k / 2, sqrt(3) k / 2), with x and y exchanged for
         ``rows_along="y"``. Cells are ordered by k, then q.
@@ -221,13 +221,13 @@ class FocalPlane:
         Parameters
         ----------
         positioner : Positioner
-            Geometry common to all.
+            Geometry common to all positioners.
         pitch : Quantity
-            Distance of neighboring centers.
+            Distance between neighboring centers.
         rings : int, optional
-            Rings around the central cell: 3 rings (rings + 1) + 1 cells.
+            Number of rings around the central cell: 3 rings (rings + 1) + 1 cells.
         count : int, optional
-            Number of cells, those nearest the origin (ties by angle from +x, counter-clockwise).
+            Number of cells; those nearest the origin are used (ties by angle from +x, counter-clockwise).
         radius : Quantity, optional
             Keep centers at most this far from the origin.
         inner_radius : Quantity, optional
@@ -247,7 +247,8 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If none or several of ``rings``, ``count`` and ``radius`` alone leave the size open or impossible.
+            If the size is not determined by either ``rings``, ``count`` or ``radius`` alone, or a value is out of
+            range.
         """
         xy, _ = hexagonal_cells(
             pitch,
@@ -262,18 +263,18 @@ class FocalPlane:
 
     @classmethod
     def from_table(cls, table: Table, positioner: Positioner | None = None) -> "FocalPlane":
-        """Return a focal plane from a table, such as an instrument team has.
+        """Make a focal plane from a table of positioners.
 
         Parameters
         ----------
         table : Table or QTable
-            A row for each positioner, columns ``x`` and ``y`` (with units) and, where wanted, ``id``,
+            Table with a row for each positioner, columns ``x`` and ``y`` (with units) and, optionally, ``id``,
             ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``stuck_theta`` and
-            ``stuck_phi`` (pose of a stuck unit, NaN for others). Rows with a finite ``obstacle_radius`` are fixed
-            circles, not positioners.
+            ``stuck_phi`` (pose of a stuck positioner, NaN for others). Rows with a finite ``obstacle_radius`` are
+            fixed circles, not positioners.
         positioner : Positioner, optional
-            Geometry common to all. Without it ``table.meta["positioner"]`` must hold the arguments of a `Positioner`,
-            quantities as text such as ``{"central_arm": "8.25 mm", ...}``.
+            Geometry common to all positioners. Without it, ``table.meta["positioner"]`` must contain the arguments of
+            a `Positioner`, with quantities as text, such as ``{"central_arm": "8.25 mm", ...}``.
 
         Returns
         -------
@@ -288,11 +289,11 @@ class FocalPlane:
         return cls(**_tables.read_columns(table, positioner))
 
     def to_table(self) -> QTable:
-        """Return the columns as a table that `from_table` reads back.
+        """Return the columns as a table that `from_table` can read.
 
         Returns
         -------
         QTable
-            A row for each positioner, then one for each obstacle.
+            Table with a row for each positioner, followed by a row for each obstacle.
         """
         return _tables.to_table(self)

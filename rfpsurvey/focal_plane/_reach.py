@@ -1,4 +1,4 @@
-"""Reachable pairs of targets and positioners, exact at the edges, within the joint limits."""
+"""Reachable pairs of targets and positioners, exact at the edges of patrol areas, within the joint limits."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,22 +13,22 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "joints_allow", "make_grid", "sides"]
 
-# Targets that are tested together, so that little memory is used besides the pairs.
+# Number of targets that are tested together, so that little memory is used besides that of the pairs.
 BLOCK = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Reachable pairs, a row of positioners for each target (CSR); no array can be written to.
+    """Pairs of targets and positioners within reach: a row of positioners for each target (CSR), read-only.
 
     Parameters
     ----------
     indptr : ndarray of int, shape (n_targets + 1,)
-        Where the pairs of each target begin, and after the last one where they end.
+        Start of the pairs of each target, followed by the total number of pairs.
     owner : ndarray of int, shape (n_pairs,)
-        Positioner of each pair, ascending within a target.
+        Row of the positioner of each pair, ascending within a target.
     r2 : ndarray of float, shape (n_pairs,)
-        Squared distance of target and center, mm^2.
+        Squared distance between target and center of the positioner, mm^2.
     n_positioners : int
         Number of positioners.
 
@@ -55,19 +55,19 @@ class Reach:
 
     @cached_property
     def target(self) -> np.ndarray:
-        """Target of each pair."""
+        """Row of the target of each pair."""
         return locked(np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr)))
 
     @property
     def covered(self) -> np.ndarray:
-        """Whether any positioner reaches each target."""
+        """Whether at least one positioner reaches each target."""
         return np.diff(self.indptr) > 0
 
     @property
     def matrix(self) -> csr_array:
-        """The same pairs as a sparse matrix, a row for each positioner, a column for each target."""
+        """The pairs as a sparse matrix with a row for each positioner and a column for each target."""
         indptr, target, _ = self.by_positioner
-        if len(target) < 2**31:  # graph routines of older versions of SciPy take short indices only
+        if len(target) < 2**31:  # graph routines of older versions of SciPy accept 32-bit indices only
             indptr, target = indptr.astype(np.int32), target.astype(np.int32)
         return csr_array((np.ones(len(target), bool), target, indptr), shape=(self.n_positioners, len(self.indptr) - 1))
 
@@ -77,12 +77,12 @@ class Reach:
         Parameters
         ----------
         keep : ndarray of bool, shape (n_pairs,)
-            Pairs to keep.
+            Whether to keep each pair.
 
         Returns
         -------
         Reach
-            These pairs.
+            The marked pairs.
         """
         n = int(np.count_nonzero(keep))
         indptr, owner, r2 = np.empty_like(self.indptr), np.empty(n, dtype=np.int64), np.empty(n)
@@ -91,7 +91,7 @@ class Reach:
 
     @cached_property
     def by_positioner(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same pairs as rows of targets, ascending: indptr, target, r2."""
+        """The pairs sorted by positioner, with a row of targets for each: indptr, target, r2."""
         indptr = np.empty(self.n_positioners + 1, dtype=np.int64)
         target, source = np.empty_like(self.owner), np.empty_like(self.owner)
         reach.transpose(self.indptr, self.owner, self.n_positioners, indptr, target, source)
@@ -102,7 +102,7 @@ def make_grid(xy, outer):
     """Return square cells with the positioners that reach into each: x0, y0, size, nx, ny, start, order."""
     reaches = outer * (1 + 1e-6)
     low, high = (xy - reaches[:, None]).min(axis=0), (xy + reaches[:, None]).max(axis=0)
-    # no more than a few cells per positioner, however far apart they are
+    # limit the grid to a few cells per positioner, however far apart the positioners are
     size = max(outer.max() / 2, np.sqrt(np.prod(high - low) / (16 * len(xy))), (high - low).max() / 4096)
     nx, ny = (int(n) for n in (high - low) // size + 1)
     grid = float(low[0]), float(low[1]), float(size), nx, ny, np.zeros(nx * ny + 1, dtype=np.int64)
@@ -166,9 +166,10 @@ def find_reach(plane, points, accepts) -> Reach:
 
 
 def sides(plane, points, own=None) -> np.ndarray:
-    """Return the elbow of each positioner (or those in the rows ``own``) toward its own point (mm): +1 right, -1 left.
+    """Return the elbow of each positioner (or of the rows ``own``) toward its point (mm): +1 is right, -1 is left.
 
-    Where both are allowed by the handedness, the right one unless the joint limits forbid it and not the left.
+    If the handedness allows both, the elbow is right, unless the joint limits forbid the right one and allow the left
+    one.
     """
     side = np.full(len(points), -1.0 if plane.positioner.handedness == "left" else 1.0)
     if plane.positioner.handedness == "both" and not plane.positioner.numbers.joints_free:
@@ -180,12 +181,12 @@ def sides(plane, points, own=None) -> np.ndarray:
 
 
 def elbow_names(side: np.ndarray) -> np.ndarray:
-    """Return elbows as names: +1 is right, -1 left."""
+    """Return the names of elbows: right for +1, left for -1."""
     return np.where(side < 0, "left", "right")
 
 
 def _in_annulus_exactly(plane, i, point):
-    """Return whether a point is in a patrol area, by rational arithmetic."""
+    """Return whether a point is in a patrol area, decided in rational arithmetic."""
     r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, plane.arrays.xy[i], strict=True))
     l1, l2 = Fraction(plane.arrays.central_arm[i]), Fraction(plane.arrays.eccentric_arm[i])
     inner = 0 if plane.arrays.equal_arms[i] else abs(l1 - l2)

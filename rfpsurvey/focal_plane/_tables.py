@@ -14,7 +14,7 @@ __all__ = ["read_columns", "to_table"]
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
-    """Return the arguments of a FocalPlane that a table describes."""
+    """Return the arguments of a FocalPlane from a table."""
     if not isinstance(table, Table):
         raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
@@ -44,7 +44,7 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
 
 
 def to_table(plane) -> QTable:
-    """Return the columns of a focal plane, and its positioner in the meta."""
+    """Return a table with the columns of a focal plane, and the positioner in the meta."""
     n, m = len(plane), len(plane.arrays.obstacles)
     circles = plane.arrays.obstacles
     table = QTable({"id": np.concatenate([plane.id, _spare_names(plane.id, m)])})

@@ -1,4 +1,4 @@
-"""An instrument: focal plane, optics and where every figure comes from. Presets are data files."""
+"""Instruments: focal plane, optics and the source of every value; presets are data files."""
 
 from rfpsurvey.instrument._facts import arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (

@@ -1,4 +1,4 @@
-"""Descriptions of instruments: TOML files in which every figure has a status and a source."""
+"""Descriptions of instruments: TOML files in which every value has a status and a source."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -19,9 +19,9 @@ PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Return a description with its defaults filled in; ``inherits`` names another one whose values it starts from.
+    """Return a description with its defaults and with the values of the description that ``inherits`` names.
 
-    The other one is a file beside it, or a preset.
+    That description is a file in the same folder, or a preset.
     """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
@@ -43,7 +43,7 @@ def load(path: Path, heirs: tuple = ()) -> dict:
 
 
 def build(content: dict, folder: Path) -> dict:
-    """Return the arguments of the Instrument that a description describes; tables are looked for in ``folder``."""
+    """Return the arguments of the Instrument for a description; tables are read from ``folder``."""
     check_description(content)
     if "positioner" not in content:
         raise InputError("the section [positioner] must be there, got none")
@@ -96,7 +96,7 @@ def build(content: dict, folder: Path) -> dict:
 
 
 def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
-    """Build the table or lattice of positioners that the section ``layout`` describes."""
+    """Make the focal plane from the table or lattice in the section ``layout``."""
     if get("layout.table") is not None:
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
     if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
@@ -133,7 +133,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Names such as R+10C1 and R0C3: row with its sign, column from the left, counted from 1."""
+    """Return names such as R+10C1 and R0C3: signed row number, and column number from the left, counted from 1."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"

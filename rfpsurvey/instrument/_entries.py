@@ -1,4 +1,4 @@
-"""What each entry of an instrument's description must be: a table of kinds, and one function that reads it."""
+"""Validation of the entries of an instrument's description: a table of kinds of values, and a function that uses it."""
 
 import re
 from collections.abc import Callable
@@ -21,10 +21,10 @@ MOST_NUMBER = 1e12
 
 @dataclass(frozen=True)
 class Kind:
-    """What a value may be."""
+    """A kind of value that an entry may have."""
 
     what: str
-    """Goes on after "must be"."""
+    """Text that follows "must be" in error messages."""
     fits: Callable[[object], bool]
     unit: u.UnitBase | None = None
 
@@ -70,7 +70,7 @@ def _is_map(value) -> bool:
     )
 
 
-TINY = 1e-300  # numbers above zero
+TINY = 1e-300  # lower limit of positive numbers
 LENGTH = _number("a length above 0", TINY, unit=u.mm)
 CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
 ANGLES = Kind("two angles", lambda value: _is_list(value, _is_number, 2), u.rad)
@@ -128,7 +128,7 @@ ENTRIES = {
 OBSERVING = _whole(0, 1_000_000)
 NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
 DEFAULTS = ("status", "source")
-"""Parts of an entry that the top of a description may give for all of its entries."""
+"""Keys of an entry for which the top of a description may set a default for all entries."""
 SECTIONS = ("positioner", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
@@ -150,7 +150,7 @@ TOP = {
 
 
 def with_defaults(content: dict) -> dict:
-    """Return a description whose entries without a status or a source have those of the top of the description."""
+    """Return a description in which entries without a status or a source have those from the top of the description."""
     defaults = {part: content[part] for part in DEFAULTS if part in content}
     for part, value in defaults.items():
         if not TOP[part].fits(value):
@@ -166,7 +166,7 @@ def with_defaults(content: dict) -> dict:
 
 
 def check_description(content: dict) -> None:
-    """Raise an error for the first entry of a description that is not what it must be."""
+    """Raise an error for the first entry of a description that is not valid."""
     if "name" not in content:
         raise InputError("name must be text, got no such entry")
     for name, value in content.items():
@@ -203,7 +203,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 
 
 def _refuse_name(section: str, name: str) -> None:
-    """Raise an error for a name that no entry of a section has, with the nearest name or the section that has it."""
+    """Raise an error for an unknown name in a section, with the most similar name or the section to which it belongs."""
     home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
     if name in TOP:
         raise InputError(
@@ -216,7 +216,7 @@ def _refuse_name(section: str, name: str) -> None:
 
 
 def _example(kind: Kind, value: object) -> str:
-    """Return an entry as it is written in a file; status and source at the top of the file are enough."""
+    """Return the text of an entry as written in a file."""
     plain = isinstance(value, int | float if kind.unit else int | float | str) and not isinstance(value, bool)
     shown = _short(value) if plain else "..."
     unit = "" if kind.unit is None else f', unit = "{kind.unit}"'
@@ -224,7 +224,7 @@ def _example(kind: Kind, value: object) -> str:
 
 
 def _unit(full: str, kind: Kind, entry: dict) -> object:
-    """Return the unit of an entry as it is written, if it has the one that it must have."""
+    """Return the unit of an entry as it is written; raise an error if it cannot be converted to the required unit."""
     given = entry.get("unit")
     if kind.unit is None:
         if given is not None:

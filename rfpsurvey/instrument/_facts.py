@@ -1,4 +1,4 @@
-"""Facts that follow from the description of an instrument: its field, its patrol areas, and how they overlap."""
+"""Facts derived from the description of an instrument: its field, its patrol areas and their overlap."""
 
 from collections import Counter
 
@@ -12,13 +12,13 @@ from rfpsurvey.instrument._entries import STATUSES
 __all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
 
 N_POINTS = 2**18
-"""Points that coverage and multiplicity are found from: their standard error is below 0.001."""
+"""Number of points for coverage and multiplicity, whose standard errors are then below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
-"""Pieces of each edge of the field, since edges that are straight on the focal plane are not straight on the sky."""
+"""Number of pieces of each edge of the field, since edges that are straight on the focal plane are curved on the sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""A field has a shape if its radius differs by less than this fraction from that of the shape, on average."""
+"""A field has a shape if its radius differs from that of the shape by less than this fraction on average."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",
@@ -31,7 +31,7 @@ FORMATS = {
 
 
 def find_facts(instrument) -> dict:
-    """Return the facts of an instrument by name, see `Instrument.facts`."""
+    """Return the facts of an instrument by name; see `Instrument.facts`."""
     plane = instrument.focal_plane
     arrays = plane.arrays
     outline = _outline(arrays.xy, arrays.outer_radius)
@@ -68,7 +68,7 @@ def find_facts(instrument) -> dict:
 
 
 def arm_facts(instrument) -> dict[str, u.Quantity]:
-    """Return the lengths that describe the lattice and the arms, medians where positioners differ."""
+    """Return the lengths that describe the lattice and the arms; they are medians over the positioners."""
     arrays = instrument.focal_plane.arrays
     columns = {
         "central_arm": arrays.central_arm,
@@ -84,9 +84,9 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the angles to the axis, in radians, of distances from it in mm; the largest where fiber types differ.
+    """Return the field angles (radians) of distances from the axis (mm); the largest one if fiber types differ.
 
-    Beyond a radial map the angle is the largest one of the map.
+    Beyond the range of a radial map, the angle is the largest one of the map.
     """
     if instrument.distortion is None:
         return np.arctan(radius / instrument.plate_scale.to_value(u.mm / u.rad))
@@ -97,7 +97,7 @@ def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
 
 
 def fact_texts(facts: dict) -> dict[str, str]:
-    """Return facts as short texts by their labels, for people."""
+    """Return labels and short texts of facts, for display."""
     texts = {}
     for name, value in facts.items():
         label, number, unit = name.replace("_", " "), getattr(value, "value", value), getattr(value, "unit", None)
@@ -116,7 +116,7 @@ def fact_texts(facts: dict) -> dict[str, str]:
 
 
 def _fibers(plane) -> dict[str, int]:
-    """Return the number of positioners that carry each fiber type."""
+    """Return the number of positioners that have each fiber type."""
     counts = Counter()
     for row, number in zip(*np.unique(plane.fiber_type, return_counts=True), strict=True):
         counts.update(dict.fromkeys(str(row).split("+"), int(number)))
@@ -124,12 +124,12 @@ def _fibers(plane) -> dict[str, int]:
 
 
 def _pitch(xy: np.ndarray) -> float:
-    """Return the median distance of a center to the nearest other one in mm, to 1e-9; NaN for one positioner."""
+    """Return the median distance (mm) between nearest centers, rounded to 1e-9; NaN for a single positioner."""
     return round(float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1])), 9) if len(xy) > 1 else np.nan
 
 
 def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return corners, counter-clockwise, of the convex hull of discs about centers in mm."""
+    """Return the corners, counter-clockwise, of the convex hull of discs around centers in mm."""
     angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
     outward = np.column_stack([np.cos(angle), np.sin(angle)])
     far = np.argmax(xy @ outward.T + radius[:, None], axis=0)
@@ -141,16 +141,16 @@ def _solid_angle(instrument, outline: np.ndarray) -> float:
     along = (np.arange(N_PIECES) / N_PIECES)[:, None]
     points = (outline[:, None] + along * (np.roll(outline, -1, axis=0) - outline)[:, None]).reshape(-1, 2)
     radius = np.maximum(np.hypot(*points.T), 1e-6)
-    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # of the disc within a point
+    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # of the disc inside a point
     after = np.roll(points, -1, axis=0)
     triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2
     return float(triangles @ (dilation + np.roll(dilation, -1)) / 2)
 
 
 def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
-    """Return the name of the shape that the convex hull of the centers is like, or ``irregular``.
+    """Return the name of the shape that is similar to the convex hull of the centers, or ``irregular``.
 
-    Without a hull of the centers the outline of the patrol areas takes its place.
+    If the centers have no convex hull, the outline of the patrol areas is used.
     """
     try:
         hull = ConvexHull(xy)
@@ -170,7 +170,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
-    """Return the mean difference of a radius from that of a regular shape of any orientation, both with the mean 1."""
+    """Return the mean difference between a radius and that of a regular shape of any orientation, both with the mean 1."""
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())
     period = N_DIRECTIONS // n_corners

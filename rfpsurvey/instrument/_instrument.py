@@ -1,4 +1,4 @@
-"""An instrument: focal plane, optics and where every figure comes from. Presets are data files."""
+"""Instruments: focal plane, optics and the source of every value; presets are data files."""
 
 import hashlib
 import os
@@ -38,7 +38,7 @@ LAYOUTS = ("nominal", "as built")
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """A fiber positioner instrument at its telescope.
+    """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
     ----------
@@ -47,20 +47,20 @@ class Instrument:
     focal_plane : FocalPlane
         The positioners.
     plate_scale : Quantity, optional
-        Length per angle at the field center; needed without ``distortion``.
+        Length per angle at the field center; required without ``distortion``.
     distortion : RadialMap or dict of str to RadialMap, optional
         Radial map of the field, or one for each fiber type.
     title : str, optional
         Full name.
     layout : {"nominal", "as built"}, optional
-        Are the centers a nominal lattice, or those of the instrument as it was built?
+        Whether the centers are a nominal lattice or those of the instrument as built.
     targets_per_fiber : float, optional
-        Usual density of a target list, for synthetic catalogs.
+        Usual number of targets per positioner, for synthetic catalogs.
     values : dict, optional
-        Every figure behind the instrument: dotted name to a dict of ``value``, ``unit``, ``status`` (published,
-        derived or assumed) and ``source``.
+        All values that describe the instrument: dotted name to a dict with ``value``, ``unit``, ``status``
+        (published, derived or assumed) and ``source``.
     notes : str, optional
-        What a user must know.
+        Notes for users of the instrument.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class Instrument:
         number = self.targets_per_fiber
         if not isinstance(number, int | float) or not 0 < number < np.inf:
             raise refusal("targets_per_fiber must be a positive number", self.targets_per_fiber, Number)
-        plane = self.projection(SkyCoord(0 * u.deg, 0 * u.deg))  # raises where the optics are incomplete
+        plane = self.projection(SkyCoord(0 * u.deg, 0 * u.deg))  # raises an error if the optics are incomplete
         object.__setattr__(self, "plate_scale", plane.plate_scale)
 
     def __repr__(self):
@@ -146,7 +146,7 @@ class Instrument:
         Returns
         -------
         FieldProjection
-            The same as ``projection(...).plain``, sooner.
+            The projection; it equals ``projection(...).plain`` and is computed faster.
         """
         focal_length = self.plate_scale.to_value(u.mm / u.rad)
         return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
@@ -160,13 +160,13 @@ class Instrument:
 
     @property
     def target_density(self) -> u.Quantity:
-        """``targets_per_fiber`` targets for every positioner's share of the field, per solid angle."""
+        """Number of targets per solid angle for which the field contains ``targets_per_fiber`` targets per positioner."""
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """Sky fibers and standards that a tile needs, as `allocate` reads them, such as ``sky=20/spectrograph``."""
+        """Required sky fibers and standards of a tile, in the form that `allocate` reads, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
             match = NEED.fullmatch(name)
@@ -178,7 +178,7 @@ class Instrument:
 
     @classmethod
     def preset(cls, name: str) -> "Instrument":
-        """Return an instrument by name.
+        """Return the instrument with a given name.
 
         Parameters
         ----------
@@ -188,12 +188,12 @@ class Instrument:
         Returns
         -------
         Instrument
-            The instrument, made anew.
+            A new object for the instrument.
 
         Raises
         ------
         InputError
-            If the name is unknown, or what a package adds by it is no instrument; the choices are listed.
+            If the name is unknown (the message lists the known names), or a package provides an invalid instrument.
         """
         shipped = _shipped()
         if isinstance(name, str) and name in shipped:
@@ -205,12 +205,12 @@ class Instrument:
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Instrument":
-        """Read an instrument from a TOML file, laid out as the shipped presets are.
+        """Read an instrument from a TOML file with the layout of the included presets.
 
         Parameters
         ----------
         path : str or path-like
-            The file.
+            Path of the file.
 
         Returns
         -------
@@ -220,7 +220,7 @@ class Instrument:
         Raises
         ------
         InputError
-            If the file is not there or is not a description of an instrument.
+            If the file does not exist or is not a valid description of an instrument.
         """
         path = to_path(path)
         try:
@@ -234,24 +234,25 @@ class Instrument:
             ) from error
 
     def facts(self) -> dict:
-        """Return what follows from the description: numbers of fibers, field, patrol areas and their overlap.
+        """Return facts derived from the description: numbers of fibers, field, patrol areas and their overlap.
 
         Returns
         -------
         dict
-            Name to number, text or Quantity. ``positioners`` (all), ``usable_positioners`` (neither disabled nor
-            stuck), ``fibers`` (dict of fiber type to the number of positioners that carry it; the type is ``""``
-            where positioners are all alike), ``spectrographs``, ``obstacles``; ``field_shape`` (circle, hexagon,
-            square, triangle or irregular: the shape that the convex hull of the centers is like), ``field_radius``
-            and ``focal_plane_radius`` (of the outermost point in reach, on the sky and on the focal plane),
-            ``field_of_view`` (area on the sky of the convex hull of all patrol areas), ``footprint`` (area of the
-            convex hull of the centers), ``plate_scale`` (at the field center); ``pitch`` (distance to the nearest
-            center), ``central_arm``, ``eccentric_arm``, ``inner_patrol_radius``, ``patrol_radius`` (medians of all
-            positioners); ``min_separation``, ``collision_type``; ``coverage`` (fraction of the footprint that at
-            least one positioner reaches), ``multiplicity`` and ``max_multiplicity`` (mean and largest number of
-            positioners that reach a point of the footprint), from 2**18 points with standard errors below 0.001,
-            NaN without a footprint; ``positioner_density`` (per area of the field of view); ``layout``;
-            ``published``, ``derived`` and ``assumed`` (names of the values with this status, see `to_table`).
+            Name to number, text or Quantity: ``positioners`` (number of all positioners), ``usable_positioners``
+            (number of those neither disabled nor stuck), ``fibers`` (dict of fiber type to the number of positioners
+            that have it; the type is ``""`` if fiber types are not distinguished), ``spectrographs``, ``obstacles``;
+            ``field_shape`` (circle, hexagon, square, triangle or irregular: the shape of the convex hull of the
+            centers), ``field_radius`` and ``focal_plane_radius`` (distance of the outermost point in reach from the
+            center, on the sky and on the focal plane), ``field_of_view`` (solid angle of the convex hull of all
+            patrol areas), ``footprint`` (area of the convex hull of the centers), ``plate_scale`` (at the field
+            center); ``pitch`` (distance to the nearest center), ``central_arm``, ``eccentric_arm``,
+            ``inner_patrol_radius``, ``patrol_radius`` (medians over all positioners); ``min_separation``,
+            ``collision_type``; ``coverage`` (fraction of the footprint that at least one positioner reaches),
+            ``multiplicity`` and ``max_multiplicity`` (mean and largest number of positioners that reach a point of
+            the footprint), computed from 2**18 points with standard errors below 0.001, NaN without a footprint;
+            ``positioner_density`` (number of positioners per area of the field of view); ``layout``; ``published``,
+            ``derived`` and ``assumed`` (names of the values with this status, see `to_table`).
 
         Examples
         --------
@@ -263,12 +264,12 @@ class Instrument:
         return find_facts(self)
 
     def to_table(self) -> Table:
-        """Return the figures behind the instrument with their sources.
+        """Return the values that describe the instrument, with their sources.
 
         Returns
         -------
         Table
-            Columns name, value, unit, status, source.
+            Table with the columns name, value, unit, status and source.
         """
         rows = [
             (name, _short(v["value"]), v.get("unit", ""), v["status"], v["source"]) for name, v in self.values.items()
@@ -277,7 +278,7 @@ class Instrument:
 
     @property
     def provenance(self) -> dict:
-        """Return what a result records about the instrument."""
+        """Return the information on the instrument that results record."""
         plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
         plane = self.focal_plane
         parts = (self.values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
@@ -291,7 +292,7 @@ class Instrument:
 
 
 def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return an instrument from itself, from the name of a preset or from the path of a TOML file."""
+    """Return an instrument from an instrument, the name of a preset or the path of a TOML file."""
     if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and instrument.endswith(".toml")):
         return Instrument.read(instrument)
     if isinstance(instrument, str):
@@ -303,7 +304,7 @@ def as_instrument(instrument: Instrument | str) -> Instrument:
 
 
 def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
-    """Return the focal plane of an instrument, of a preset, or itself."""
+    """Return a focal plane from a focal plane, an instrument or the name of a preset."""
     if isinstance(instrument, FocalPlane):
         return instrument
     if not isinstance(instrument, str | Instrument):
@@ -314,15 +315,15 @@ def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
 
 
 def available_instruments() -> list[str]:
-    """Return the names that `Instrument.preset` knows: shipped ones, and those of installed packages.
+    """Return the names of all presets: those of this package, and those of other installed packages.
 
-    Packages add instruments by the entry-point group ``rfpsurvey.instruments``; the object is an `Instrument`, a
-    function that returns one, or the path of a TOML file.
+    Other packages add instruments by the entry-point group ``rfpsurvey.instruments``. Each entry point refers to an
+    `Instrument`, a function that returns one, or the path of a TOML file.
 
     Returns
     -------
     list of str
-        Sorted names.
+        The names, sorted. `Instrument.preset` accepts each of them.
 
     Examples
     --------
@@ -334,7 +335,7 @@ def available_instruments() -> list[str]:
 
 
 def every_instrument() -> dict[str, Instrument]:
-    """Return all that are known by their names, and warn of those that packages add and that cannot be made."""
+    """Return all presets by name; issue a warning for each invalid one of another package."""
     found = {}
     for name in available_instruments():
         try:
@@ -349,7 +350,7 @@ def _shipped() -> dict[str, Path]:
 
 
 def _text(value) -> str:
-    """Say everything about a value, in full."""
+    """Return the full text of a value."""
     if is_dataclass(value):
         return _text({f.name: getattr(value, f.name) for f in fields(value)})
     if isinstance(value, dict):

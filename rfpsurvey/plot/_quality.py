@@ -1,4 +1,4 @@
-"""How good a tile is: targets by class, fibers by spectrograph, a column of the catalog, and the field."""
+"""The quality of a tile (targets by class, fibers by spectrograph, a column, the field) or of a survey."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -6,12 +6,15 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.allocation import Requirement
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, number_of
 from rfpsurvey.pipeline import Outcome
 from rfpsurvey.plot._axes import PAD, labeled, legend_below, values_of
+from rfpsurvey.plot._bars import stacked_bars
 from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, MARKERS, OUTLINE, PATROL, SERIES
+from rfpsurvey.plot._survey_quality import class_rows, draw_survey_quality
 from rfpsurvey.plot._targets import codes_of, outcomes_of
+from rfpsurvey.survey import Survey
 from rfpsurvey.tile import OUTCOMES_COLUMNS, Tile
 
 if TYPE_CHECKING:
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_quality"]
 
-FEWEST, MOST_BARS, MOST_CATEGORIES = 4, 16, 8
+MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
@@ -31,17 +34,17 @@ FIBER_COLORS = (SERIES[3], SERIES[2], SERIES[5], SERIES[4], SERIES[1], SERIES[6]
 
 
 def plot_quality(
-    tile: Tile, *, column: str | None = None, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
+    result: Tile | Survey, *, column: str | None = None, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
 ) -> "tuple[Axes, ...]":
-    """Draw how many targets of a tile are available, in reach, assigned and observed, in four panels.
+    """Draw how many targets of a tile or of a survey are observed, and what the fibers are used for, in four panels.
 
     Parameters
     ----------
-    tile : Tile
-        What to draw. It must have `outcomes <rfpsurvey.Tile.outcomes>`.
+    result : Tile or Survey
+        What to draw. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     column : str, optional
-        Column of the outcomes, of numbers, for the histogram; by default the priority, else the first further column
-        of the catalog that holds numbers.
+        Column of the outcomes of a tile, of numbers, for the histogram; by default the priority, else the first further
+        column of the catalog that holds numbers.
     axes : tuple of matplotlib.axes.Axes, optional
         Where to draw the four panels; a new figure by default.
     **kwargs
@@ -50,24 +53,32 @@ def plot_quality(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        The axes of four panels. The first shows the fraction of each class, a row of
+        The axes of four panels.
+
+        Of a tile, the first shows the fraction of each class, a row of
         `Tile.completeness <rfpsurvey.Tile.completeness>`, with each outcome, and to the right how many targets are
-        assigned, of all. The second shows the fibers on sky and standard stars in each spectrograph, or those of each
+        observed, of all. The second shows the fibers on sky and standard stars in each spectrograph, or those of each
         requirement, whose minimum is a dashed line; without any, it shows fibers on science targets. The third is a
         histogram of ``column`` for all science targets and for those that are assigned; it is empty where there is no
         column of numbers. The fourth is the fraction of science targets in reach and assigned against the distance
         from the center of the focal plane, in rings of equal area, with intervals of 68 %.
 
+        Of a survey, the first shows the fraction of the visits of each class, a row of ``Survey.completeness``, that
+        each pass observed, and to the right how many visits are observed, of those wanted. The second shows the number
+        of targets with each outcome. The third shows the fibers of each pass on science targets, standard stars and
+        sky. The fourth shows which fraction of its fibers each tile uses, and its collision rate.
+
     Raises
     ------
     InputError
-        If the tile has no outcomes, no such column of numbers, or there are not four axes.
+        If a tile has no outcomes or no such column of numbers, a column is given for a survey, or there are not four
+        axes.
 
     See Also
     --------
     plot_focal_plane : Where the targets of each outcome are, with ``targets="outcome"``.
     plot_targets : Where they are on the sky.
-    plot_completeness : The completeness of a survey.
+    plot_completeness : The completeness of a survey, tile by tile.
 
     Examples
     --------
@@ -80,27 +91,38 @@ def plot_quality(
     >>> axes[0].get_xlabel()
     'fraction of the targets in the field'
     """
-    if not isinstance(tile, Tile):
-        raise InputTypeError(f"tile must be a Tile, got {type(tile).__name__}")
-    table = outcomes_of(tile)
+    if not isinstance(result, Tile | Survey):
+        raise InputTypeError(f"result must be a Tile or a Survey, got {type(result).__name__}")
+    if isinstance(result, Survey):
+        if column is not None:
+            raise InputError(f"column must be None for a survey, which draws no histogram, got {column!r}")
+        axes = _four_axes(axes, len(class_rows(result)))
+        draw_survey_quality(result, axes, kwargs)
+        return axes
+    table = outcomes_of(result)
     column = _column_of(table, column)
-    if axes is None:
-        axes = _new_axes(len(_shown(tile.completeness)))
-    elif len(axes) != 4:
-        raise InputError(f"axes must be four Axes, got {len(axes)}")
-    classes, fibers, histogram, field = axes
-    _draw_classes(classes, tile.completeness, kwargs)
-    _draw_fibers(fibers, tile)
+    axes = classes, fibers, histogram, field = _four_axes(axes, len(_shown(result.completeness)))
+    _draw_classes(classes, result.completeness, kwargs)
+    _draw_fibers(fibers, result)
     outcome = codes_of(table)
     if "kind" in table.colnames:
         science = np.asarray(table["kind"]) == "science"
         table, outcome = table[science], outcome[science]
     _draw_histogram(histogram, table, column, np.isin(outcome, ASSIGNED))
     _draw_radius(field, table, outcome)
-    s = tile.summary
-    title = f"{tile.instrument}: {s['n_assigned']} of {s['n_positioners']} positioners assigned"
+    s = result.summary
+    title = f"{result.instrument}: {s['n_assigned']} of {s['n_positioners']} positioners assigned"
     classes.set_title(f"{title}, {s['n_colliding']} in collision", loc="left", fontsize="medium")
-    return tuple(axes)
+    return axes
+
+
+def _four_axes(given, n_rows):
+    """Return the axes that were given, if there are four, or four axes in a figure of their own."""
+    if given is None:
+        return _new_axes(n_rows)
+    if len(given) != 4:
+        raise InputError(f"axes must be four Axes, got {len(given)}")
+    return tuple(given)
 
 
 def _new_axes(n_rows):
@@ -145,25 +167,13 @@ def _draw_classes(ax, completeness, kwargs):
         (reach - assigned, "in reach not assigned", {"color": PATROL}),
         (total - reach, "out of reach, or not requested", {"color": FADED, "alpha": 0.5}),
     )
-    left, handles = np.zeros(len(rows)), []
-    style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}
-    for number, label, look in pieces:
-        part = number / np.maximum(total, 1)
-        bars = ax.barh(y, part, left=left, label=label, **{**style, **look, **kwargs})
-        handles += [bars] if number.any() else []
-        left = left + part
-    for place, done, of in zip(y, assigned, total, strict=True):
-        text = {"textcoords": "offset points", "va": "center", "fontsize": "small"}
-        ax.annotate(f"{done:.0f} of {of:.0f}", (1, place), (4, 0), xycoords=("axes fraction", "data"), **text)
-    ax.set_yticks(y, [_label_of(row) for row in _by_name(rows)], fontsize="small")
-    around = 0.6 + max(FEWEST - len(rows), 0) / 2  # a single bar is not as high as the panel
-    ax.set_ylim(y.min() - around, around)
-    ax.set_xlim(0, 1)
+    labels = [_label_of(row) for row in _by_name(rows)]
+    stacked_bars(ax, y, total, pieces, labels, observed, kwargs)
     label = "fraction of the targets in the field"
     if len(rows) < len(completeness):
-        label += f"; {len(completeness) - len(rows)} more classes are not shown"
+        left_out = number_of(len(completeness) - len(rows), "more class", "more classes")
+        label += f"; {left_out} not shown"
     ax.set_xlabel(label, fontsize="small" if len(rows) < len(completeness) else None)
-    legend_below(ax, handles, columns=2)
 
 
 GROUPS = ("category", "priority")

@@ -1,4 +1,4 @@
-"""One theta-phi positioner: two arms, their joints, and the shape that can collide."""
+"""A theta-phi positioner: its two arms, their joints, and the part that can collide."""
 
 from rfpsurvey.positioner._numbers import PositionerNumbers
 from rfpsurvey.positioner._positioner import ARM_MODELS, HANDEDNESS, Positioner

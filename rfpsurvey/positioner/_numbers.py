@@ -32,11 +32,11 @@ class PositionerNumbers:
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
-        Length of the colliding segment, if it is not that from elbow to fiber, mm.
+        Length of the colliding segment, mm; None if the segment is that from the elbow to the fiber.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner.
     joints_free : bool
-        Whether the joint limits leave the whole patrol area in reach with the usual elbow.
+        Whether the joint limits allow the whole patrol area with the default elbow.
 
     Examples
     --------
@@ -72,7 +72,7 @@ class PositionerNumbers:
         return locked(home)
 
     def joints_allowed(self, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """Mark joint angles inside the joint limits."""
+        """Return whether joint angles are within the joint limits."""
         limits, positioner = [], self.positioner
         for value, name in ((positioner.theta_range, "theta_range"), (positioner.phi_range, "phi_range")):
             limits += [-np.inf, np.inf] if value is None else list(to_radian(value, name))
@@ -83,7 +83,7 @@ class PositionerNumbers:
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether the joint limits leave the whole patrol area in reach with an elbow, +1 right or -1 left."""
+        """Return whether the joint limits allow the whole patrol area with an elbow: +1 is right, -1 is left."""
         theta, phi = self.positioner.theta_range, self.positioner.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
             return False
@@ -91,7 +91,7 @@ class PositionerNumbers:
         return phi is None or bool(phi[0] <= low and phi[1] >= high)
 
     def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
-        """Return the angle of the colliding segment from the fiber, for each fiber type."""
+        """Return the angle between the colliding segment and the direction of the fiber, for each fiber type."""
         given = self.positioner.arm_angle
         if isinstance(given, dict):
             for name in given:
@@ -101,7 +101,7 @@ class PositionerNumbers:
 
 
 def _allowed(angle, low, high):
-    """Mark angles that lie in [low, high] up to whole turns."""
+    """Return whether angles lie in [low, high], modulo 360 deg."""
     if np.isinf(low) or high - low >= 2 * np.pi:
         return ~np.isnan(angle)
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""One theta-phi positioner: two arms, their joints, and the shape that can collide."""
+"""A theta-phi positioner: its two arms, their joints, and the part that can collide."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,45 +20,47 @@ ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class Positioner:
-    """A two-arm fiber positioner.
+    """A theta-phi fiber positioner with two arms.
 
-    The central arm rotates by theta about the center, counter-clockwise from +x; the eccentric arm rotates by phi
-    about the elbow, relative to the central arm: phi = 0 is extended, 180 deg folded. The fiber
-    reaches the closed annulus between ``inner_radius`` and ``outer_radius``.
+    The central arm rotates by theta around the center, counter-clockwise from +x. The eccentric arm rotates by phi
+    around the elbow, relative to the central arm: it is extended at phi = 0 and folded at phi = 180 deg. The fiber
+    reaches all points of the closed annulus between ``inner_radius`` and ``outer_radius``.
 
     Parameters
     ----------
     central_arm : Quantity
-        Length l1, center to elbow.
+        Length l1 of the central arm, from the center to the elbow.
     eccentric_arm : Quantity
-        Length l2, elbow to fiber.
+        Length l2 of the eccentric arm, from the elbow to the fiber.
     clearance : Quantity
         Radius d around the eccentric arm that must be free of other arms.
     step : Quantity, optional
-        Angle of one step of the motors, for the displacement within a step.
+        Angle of one motor step, which determines the displacement within a step.
     handedness : {"right", "left", "both"}, optional
         ``right``: phi in [0, 180] deg; ``left``: its mirror image; ``both``: right, or left where the
         joint limits forbid right.
     theta_range, phi_range : Quantity, shape (2,), optional
-        Joint limits, up to whole turns. None: unlimited.
+        Joint limits, modulo 360 deg. None: no limits.
     home : Quantity, shape (2,), optional
-        theta and phi of a positioner without a target, within the joint limits. None: theta = 0 and phi = 180 deg
-        (folded), or the nearest angles that the limits allow.
+        theta and phi of a parked positioner, within the joint limits. None: theta = 0 and phi = 180 deg (folded), or
+        the nearest angles that the joint limits allow.
     displacement : Quantity, optional
-        Largest displacement of the arm in one step, instead of (l1 + l2) sin(2 step); ``step`` then does not matter.
+        Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If it is given, ``step``
+        is ignored.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip"}, optional
-        Part that can collide: the segment from the elbow to the fiber; another segment from the elbow; or the fiber
-        alone, so that only two targets closer than the minimum separation collide.
+        Part of the positioner that can collide: ``elbow_to_tip``, the segment from the elbow to the fiber;
+        ``capsule``, another segment that starts at the elbow; or ``fiber_tip``, the fiber only, so that two
+        positioners collide only if their targets are closer than the minimum separation.
     arm_length : Quantity, optional
-        Length of the capsule's segment, from the elbow.
+        Length of the segment of the arm model ``capsule``, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
-        Angle of the capsule's segment, counter-clockwise from the direction of the fiber; one value for each
-        fiber type where they differ.
+        Angle of the segment of the arm model ``capsule``, counter-clockwise from the direction of the fiber; one
+        value for each fiber type if they differ.
 
     Raises
     ------
     InputError
-        If a length, an angle or a name is impossible.
+        If a length or an angle is out of range, or a name is unknown.
 
     References
     ----------
@@ -132,7 +134,7 @@ class Positioner:
         return PositionerNumbers(self)
 
     def _geometry(self, n: int) -> arms.Geometry:
-        """Columns of n positioners about the origin, for the kernels."""
+        """Return the geometry of n positioners at the origin as columns, for the kernels."""
         zero, l1, l2 = np.zeros(n), np.full(n, self.numbers.central_arm), np.full(n, self.numbers.eccentric_arm)
         home = self.numbers.home[0]
         return arms.Geometry(zero, zero, l1, l2, float(np.cos(home)), float(np.sin(home)))
@@ -144,36 +146,36 @@ class Positioner:
 
     @property
     def inner_radius(self) -> u.Quantity:
-        """Inner radius of the patrol area, the difference of the arm lengths."""
+        """Inner radius of the patrol area: the absolute difference of the arm lengths."""
         return (0.0 if self.equal_arms else abs(self.numbers.central_arm - self.numbers.eccentric_arm)) * u.mm
 
     @property
     def outer_radius(self) -> u.Quantity:
-        """Outer radius of the patrol area, the sum of the arm lengths."""
+        """Outer radius of the patrol area: the sum of the arm lengths."""
         return (self.numbers.central_arm + self.numbers.eccentric_arm) * u.mm
 
     @property
     def min_separation(self) -> u.Quantity:
-        """Distance D below which two arms collide: displacement within a step plus twice the clearance."""
+        """Minimum separation D, below which two arms collide: displacement within a step plus twice the clearance."""
         return self.numbers.separation * u.mm
 
     def inverse(self, xy: u.Quantity, handedness: str | None = None) -> tuple[u.Quantity, u.Quantity]:
-        """Return the joint angles that bring the fiber to points relative to the center.
+        """Return the joint angles that place the fiber at points relative to the center.
 
         Parameters
         ----------
         xy : Quantity, shape (n, 2)
             Points relative to the positioner's center.
         handedness : {"right", "left", "both"}, optional
-            Instead of the positioner's own. With ``both``, the left solution is returned where the joint limits
-            forbid the right one.
+            Handedness, in place of that of the positioner. With ``both``, the left solution is returned if the joint
+            limits forbid the right one.
 
         Returns
         -------
         theta : Quantity, shape (n,)
-            In deg, in [-180, 180]; that of the parked pose at the center, NaN out of reach.
+            Angle in deg, in [-180, 180]; at the center it is that of the parked pose, and out of reach it is NaN.
         phi : Quantity, shape (n,)
-            In deg, in [0, 180] ("right") or [-180, 0]; NaN out of reach.
+            Angle in deg, in [0, 180] ("right") or [-180, 0] ("left"); NaN out of reach.
 
         Raises
         ------
@@ -202,7 +204,7 @@ class Positioner:
         Returns
         -------
         Quantity, shape (n, 2)
-            Points relative to the center, in mm.
+            Positions relative to the center, in mm.
 
         Raises
         ------
@@ -219,12 +221,12 @@ class Positioner:
         return segments[2:].T.copy() * u.mm
 
     def _solve(self, points, side):
-        """Return joint angles in radians, and whether annulus and joint limits allow them."""
+        """Return joint angles in radians, and whether the points are in reach within the joint limits."""
         n = len(points)
         theta, phi = np.empty(n), np.empty(n)
         arms.solve(points, self._geometry(n), np.full(n, side), theta, phi)
         r = np.hypot(*points.T)
-        # rounding: a point made from the joint angles at full stretch is in reach
+        # allow for rounding: a point computed from the joint angles of a fully extended arm is in reach
         slack = 1e-12 * (self.numbers.central_arm + self.numbers.eccentric_arm)
         inner, outer = self.inner_radius.value, self.outer_radius.value
         ok = (r >= inner - slack) & (r <= outer + slack)

@@ -1,4 +1,4 @@
-"""Sky to focal plane and back."""
+"""Projection of the sky onto the focal plane, and its inverse."""
 
 from rfpsurvey.projection._field import FieldProjection, field_basis
 from rfpsurvey.projection._radial_map import RadialMap

@@ -1,4 +1,4 @@
-"""The projection of one field on plain arrays: unit vectors to mm, and back."""
+"""The projection of one field on plain arrays: from unit vectors to mm, and from mm to unit vectors."""
 
 import numpy as np
 
@@ -10,21 +10,21 @@ __all__ = ["FieldProjection", "field_basis"]
 
 
 class FieldProjection:
-    """A tangent plane without units.
+    """The projection of a field onto the focal plane, on plain arrays without units.
 
     Parameters
     ----------
     basis : ndarray, shape (3, 3)
-        Rows: ICRS unit vectors of +x and +y across the field center, and of the center.
+        ICRS unit vectors as rows: the directions of +x and +y at the field center, and the center.
     focal_length : float
-        mm per radian at the center, for a projection without a radial map.
+        Plate scale at the center, mm per radian, for a projection without a radial map.
     distortion : RadialMap, dict of str to RadialMap, or None
         Radial map, or one for each fiber type.
 
     Attributes
     ----------
     basis, focal_length, distortion
-        As given.
+        The parameters.
 
     Examples
     --------
@@ -45,15 +45,15 @@ class FieldProjection:
         self.basis, self.focal_length, self.distortion = basis, focal_length, distortion
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return where unit vectors (n, 3) fall on the focal plane, mm (n, 2); NaN where there is no image."""
+        """Return the images of unit vectors (n, 3) on the focal plane, mm (n, 2); NaN if there is no image."""
         return self._apply(sky.project, sky.project_radial, vectors, fiber_type, 2)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the unit vectors (n, 3) of points in mm (n, 2); NaN outside the distortion map."""
+        """Return the unit vectors (n, 3) of points (n, 2) in mm; NaN outside the radial map."""
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
     def _apply(self, gnomonic, radial, values, fiber_type, width):
-        """Return the images of rows of values by one of two kernels: without, or with a radial map."""
+        """Apply one of two kernels, without or with a radial map, to rows of values."""
         out = np.empty((len(values), width))
         for rows, distortion in self._map_of(fiber_type, len(values)):
             part = values[rows]
@@ -68,7 +68,7 @@ class FieldProjection:
         return out
 
     def _map_of(self, fiber_type, n):
-        """Return (rows, map or None) for each map in use."""
+        """Return (rows, radial map or None) for each map in use."""
         if not isinstance(self.distortion, dict):
             return [(slice(None), self.distortion)]
         names = list(self.distortion)
@@ -85,9 +85,9 @@ class FieldProjection:
 
 
 def field_basis(ra: float, dec: float, angle: float) -> np.ndarray:
-    """Return the directions of +x and +y across a field center, and the center: ICRS unit vectors, shape (3, 3).
+    """Return the directions of +x and +y at a field center, and the center: ICRS unit vectors, shape (3, 3).
 
-    The center is at ``ra`` and ``dec`` (rad); +y is turned by ``angle`` (rad) from north toward east.
+    The center is at ``ra`` and ``dec`` (rad); ``angle`` (rad) is the position angle of +y, from north toward east.
     """
     east = np.array([-np.sin(ra), np.cos(ra), 0.0])
     north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])

@@ -31,24 +31,24 @@ class RadialMap:
     Parameters
     ----------
     form : {"theta", "tan_theta", "sine"}
-        The form.
+        Form of the map.
     coefficients : sequence of float
-        c0, c1, c2, ...
+        Coefficients c0, c1, c2, ... of the polynomial.
     max_angle : Quantity
-        Largest field angle for which the map holds, below 90 deg; beyond it nothing has an image.
+        Largest field angle for which the map is valid, below 90 deg. Directions beyond it have no image.
     unit_angle : Quantity, optional
-        Angle that counts as 1 in the polynomial.
+        Angle for which the argument of the polynomial is 1.
     unit_tangent : float, optional
-        Tangent that counts as 1 in the polynomial.
+        Tangent for which the argument of the polynomial is 1.
     radius : Quantity, optional
-        R of the form ``sine``.
+        Radius R of the focal surface, for the form ``sine``.
     factor : float, optional
         Scale factor applied to every radius.
 
     Raises
     ------
     InputError
-        If the map does not rise from 0 to ``max_angle``.
+        If the map does not increase from 0 to ``max_angle``.
 
     Examples
     --------
@@ -94,7 +94,7 @@ class RadialMap:
             to_scalar(self.radius, u.mm, "radius", low=0)
         _, _, argument, inner, _, _ = self.arguments
         edge = argument * (np.tan(limit) if self.form == "tan_theta" else limit)
-        # dp/dt has its zeros where a polynomial in t^2 has: none may lie inside
+        # dp/dt is a polynomial in t^2, which must have no zeros inside
         roots = np.roots((c * (2 * np.arange(c.size) + 1))[::-1])
         real = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
         quarter = self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2
@@ -103,13 +103,13 @@ class RadialMap:
 
     @cached_property
     def arguments(self) -> tuple:
-        """What the kernels take: form, coefficients, argument, inner, output, limit; plain numbers."""
+        """Arguments of the kernels as plain numbers: form, coefficients, argument, inner, output, limit."""
         unit = float(to_radian(self.unit_angle, "unit_angle"))
         argument = 1 / self.unit_tangent if self.form == "tan_theta" else 1 / unit
         output = float(self.factor)
         if self.form == "sine":
             output *= float(to_mm(self.radius, "radius"))
-        # a direction made to lie just at max_angle is inside, whatever its rounding
+        # a direction at max_angle must be inside in spite of rounding
         limit = float(to_radian(self.max_angle, "max_angle")) * (1 + 1e-12)
         return _FORMS[self.form], np.array(self.coefficients), argument, unit, output, limit
 
@@ -120,7 +120,7 @@ class RadialMap:
         return sky.radius_and_slope(0.0, form, c, argument, inner, output)[1] * _SCALE.to(u.mm / u.deg) * (u.mm / u.deg)
 
     def to_radius(self, angle: u.Quantity) -> u.Quantity:
-        """Return the distance from the field center of field angles.
+        """Return the distances from the field center for field angles.
 
         Parameters
         ----------
@@ -130,12 +130,12 @@ class RadialMap:
         Returns
         -------
         Quantity
-            In mm; NaN beyond ``max_angle``.
+            Distances in mm; NaN beyond ``max_angle``.
 
         Raises
         ------
         InputError
-            If what is given is not an angle.
+            If ``angle`` is not an angle.
         """
         theta = to_radian(angle, "angle")
         out = np.empty(theta.size)
@@ -143,7 +143,7 @@ class RadialMap:
         return out.reshape(theta.shape) * u.mm
 
     def to_angle(self, radius: u.Quantity) -> u.Quantity:
-        """Return the field angle of distances from the field center.
+        """Return the field angles for distances from the field center.
 
         Parameters
         ----------
@@ -153,12 +153,12 @@ class RadialMap:
         Returns
         -------
         Quantity
-            In deg; NaN beyond the map.
+            Field angles in deg; NaN beyond the range of the map.
 
         Raises
         ------
         InputError
-            If what is given is not a length.
+            If ``radius`` is not a length.
         """
         r = to_mm(radius, "radius")
         out = np.empty(r.size)

@@ -1,4 +1,4 @@
-"""Sky to focal plane and back: a tangent plane, with an optional radial map."""
+"""Projection between sky and focal plane: a tangent plane, with an optional radial map."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,26 +22,26 @@ _SCALE = u.mm / u.rad
 class TangentPlane:
     """Projection of the sky around a field center onto the focal plane.
 
-    +x points east and +y north; the rotation turns +y from north toward east. Without distortion the
-    projection is gnomonic. What has no image (90 deg or more from the center, or outside the distortion map)
-    becomes NaN. Refraction and color are not part of the model.
+    Without rotation, +x points east and +y points north; the rotation turns +y from north toward east. Without
+    distortion the projection is gnomonic. Directions without an image (90 deg or more from the center, or outside the
+    radial map) become NaN. Refraction and chromatic effects are not modeled.
 
     Parameters
     ----------
     center : SkyCoord
-        Field center, in any frame; north is that of its frame, so that a center in
-        ``FK5(equinox="J2026")`` has its position angle measured from the north of that date.
+        Field center in any frame, which also defines north: for a center in ``FK5(equinox="J2026")``, position angles
+        are measured from north at that equinox.
     plate_scale : Quantity, optional
-        Length per angle at the field center. May be left out where ``distortion`` is given, which has one.
+        Length per angle at the field center. It is optional if ``distortion`` is given, which determines it.
     rotation : Quantity, optional
-        Position angle of +y, from north toward east.
+        Position angle of +y, measured from north toward east.
     distortion : RadialMap or dict of str to RadialMap, optional
         Radial map, or one for each fiber type.
 
     Raises
     ------
     InputError
-        If neither plate scale nor distortion is given, or if they do not agree.
+        If neither plate scale nor distortion is given, or if both are given and do not agree.
 
     Examples
     --------
@@ -96,7 +96,7 @@ class TangentPlane:
         Returns
         -------
         TangentPlane
-            With the plate scale focal_length / rad.
+            The projection, with the plate scale focal_length / rad.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class TangentPlane:
 
     @cached_property
     def plain(self) -> FieldProjection:
-        """The same projection on plain arrays (``FieldProjection``)."""
+        """The projection on plain arrays (``FieldProjection``)."""
         center = to_direction(self.center, "center").icrs
         ra, dec = center.ra.rad, center.dec.rad
         angle = to_scalar(self.rotation, u.rad, "rotation")
@@ -119,49 +119,49 @@ class TangentPlane:
         return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
 
     def to_focal_plane(self, coord: SkyCoord, fiber_type: str | np.ndarray | None = None) -> u.Quantity:
-        """Return where directions fall on the focal plane.
+        """Return the positions of directions on the focal plane.
 
         Parameters
         ----------
         coord : SkyCoord or Catalog
-            Directions, shape (n,) or scalar. A `Catalog` keeps its unit vectors, so that many fields of one
-            catalog cost little.
+            Directions, shape (n,) or scalar. A `Catalog` keeps its unit vectors, so that projecting it for many
+            fields is fast.
         fiber_type : str or array_like of str, optional
-            Fiber type of each direction, where each type has a map of its own; ``""`` (and None) is the first.
+            Fiber type of each direction, if each type has a map of its own; ``""`` and None stand for the first type.
 
         Returns
         -------
         Quantity, shape (n, 2)
-            Columns x and y in mm; NaN where there is no image.
+            Columns x and y in mm; NaN for directions without an image.
 
         Raises
         ------
         InputError
-            If what is given are not directions on the sky, or types of fibers that have maps are others.
+            If ``coord`` is not a direction on the sky, or a fiber type has no map.
         """
         vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # of a catalog
         vectors = to_vectors(coord) if vectors is None else vectors
         return u.Quantity(self.plain.project(vectors, fiber_type), u.mm, copy=False)
 
     def to_sky(self, xy: u.Quantity, fiber_type: str | np.ndarray | None = None) -> SkyCoord:
-        """Return the directions that fall on points of the focal plane.
+        """Return the directions of points on the focal plane.
 
         Parameters
         ----------
         xy : Quantity, shape (n, 2)
             Points on the focal plane.
         fiber_type : str or array_like of str, optional
-            Fiber type of each point, where each type has a map of its own.
+            Fiber type of each point, if each type has a map of its own.
 
         Returns
         -------
         SkyCoord, shape (n,)
-            ICRS directions; NaN outside the distortion map.
+            ICRS directions; NaN outside the radial map.
 
         Raises
         ------
         InputError
-            If the points are not lengths of this shape, or types of fibers that have maps are others.
+            If the points are not lengths of this shape, or a fiber type has no map.
         """
         lon, lat = to_lonlat(self.plain.unproject(to_points_mm(xy, "xy"), fiber_type))
         return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")

@@ -25,17 +25,18 @@ FORMS = {
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A part of the sky; made by ``cap``, ``box``, ``polygon``, ``healpix``, ``whole_sky`` or ``parse``.
+    """A region of the sky, made by ``cap``, ``box``, ``polygon``, ``healpix``, ``whole_sky`` or ``parse``.
 
     Parameters
     ----------
     kind : {"cap", "box", "polygon", "healpix"}
-        What it is.
+        Kind of the region.
     values : ndarray
-        Cap: unit vector of the center and the radius. Box: first right ascension, width, lower and upper declination.
-        Polygon: unit vectors of the vertices, shape (n, 3). HEALPix: nested pixels. Radians, ICRS.
+        Values that define the region, in radians and ICRS. Cap: unit vector of the center, and the radius. Box: first
+        right ascension, width, lower and upper declination. Polygon: unit vectors of the vertices, shape (n, 3).
+        HEALPix: pixel numbers in the nested order.
     nside : int, optional
-        Resolution of the pixels.
+        Resolution of the HEALPix pixels.
 
     Examples
     --------
@@ -55,14 +56,14 @@ class Region:
 
     @classmethod
     def cap(cls, center: SkyCoord | str, radius: u.Quantity) -> "Region":
-        """Make a circle.
+        """Make a circular region.
 
         Parameters
         ----------
         center : SkyCoord or str
-            Its center; text as in `plan_tile`.
+            Center of the circle; text is read as in `plan_tile`.
         radius : Quantity
-            Its angular radius, at most 180 deg.
+            Angular radius of the circle, at most 180 deg.
 
         Returns
         -------
@@ -72,7 +73,7 @@ class Region:
         Raises
         ------
         InputError
-            If the center is not one direction or the radius is impossible.
+            If ``center`` is not a single direction, or ``radius`` is out of range.
         """
         radius_rad = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
         vector = to_vectors(to_center(center))[0]
@@ -80,12 +81,12 @@ class Region:
 
     @classmethod
     def box(cls, ra: tuple[u.Quantity, u.Quantity], dec: tuple[u.Quantity, u.Quantity]) -> "Region":
-        """Make a part of the sky between two meridians and two parallels.
+        """Make a region between two meridians and two parallels.
 
         Parameters
         ----------
         ra : tuple of Quantity
-            First and last right ascension, going east; the first may be the larger, and the box then holds RA = 0.
+            First and last right ascension, going east. The first may be the larger one; the box then contains RA = 0.
             A difference of 360 deg is the full circle.
         dec : tuple of Quantity
             Lower and upper declination.
@@ -93,12 +94,12 @@ class Region:
         Returns
         -------
         Region
-            The box, ICRS.
+            The box, in ICRS.
 
         Raises
         ------
         InputError
-            If there are not two of each, or if they are out of range or the same.
+            If ``ra`` or ``dec`` does not have two values, or the values are out of range or equal.
         """
         first, last = _two(ra, "ra", -360, 720)
         low, high = _two(dec, "dec", -90, 90)
@@ -112,12 +113,12 @@ class Region:
 
     @classmethod
     def polygon(cls, vertices: SkyCoord) -> "Region":
-        """Make a polygon with great-circle edges, convex or not; inside is the smaller of its two sides.
+        """Make a polygon with great-circle edges, convex or not; its inside is the smaller of the two sides.
 
         Parameters
         ----------
         vertices : SkyCoord, shape (n,)
-            At least three vertices in order, either way round.
+            At least three vertices, clockwise or counter-clockwise.
 
         Returns
         -------
@@ -127,7 +128,7 @@ class Region:
         Raises
         ------
         InputError
-            If there are fewer than three vertices, if two that follow each other are the same or opposite, or if edges
+            If there are fewer than three vertices, if two consecutive vertices are equal or opposite, or if edges
             cross.
         """
         vectors = to_vectors(vertices, "vertices")
@@ -151,16 +152,16 @@ class Region:
 
     @classmethod
     def healpix(cls, pixels: np.ndarray, nside: int, order: str = "nested") -> "Region":
-        """Make a region of HEALPix pixels.
+        """Make a region from HEALPix pixels.
 
         Parameters
         ----------
         pixels : array_like of int
-            Pixels, ICRS.
+            Pixel numbers, in ICRS.
         nside : int
             Resolution, a power of two.
         order : {"nested", "ring"}, optional
-            How they are numbered.
+            Order of the pixel numbers.
 
         Returns
         -------
@@ -170,7 +171,7 @@ class Region:
         Raises
         ------
         InputError
-            If there are none, or if they do not exist.
+            If there are no pixels, or if a pixel does not exist.
         """
         nside = _healpix.check_nside(nside)
         check_choice(order, ("nested", "ring"), "order of pixels")
@@ -186,18 +187,18 @@ class Region:
 
     @classmethod
     def whole_sky(cls) -> "Region":
-        """Make a region of everything.
+        """Make a region that is the whole sky.
 
         Returns
         -------
         Region
-            The sphere.
+            The whole sky.
         """
         return cls("cap", np.array([0.0, 0.0, 1.0, np.pi]))
 
     @classmethod
     def parse(cls, text: str) -> "Region":
-        """Make a region from text, all numbers in degrees, ICRS.
+        """Make a region from text, with all numbers in degrees and ICRS.
 
         Parameters
         ----------
@@ -242,7 +243,7 @@ class Region:
 
     @property
     def area(self) -> u.Quantity:
-        """Solid angle."""
+        """Solid angle of the region."""
         if self.kind == "cap":
             size = 4 * np.pi * np.sin(self.values[3] / 2) ** 2
         elif self.kind == "healpix":
@@ -252,7 +253,7 @@ class Region:
         return (size * u.sr).to(u.deg**2)
 
     def contains(self, coord: SkyCoord) -> np.ndarray:
-        """Return whether directions are inside.
+        """Return whether directions are inside the region.
 
         Parameters
         ----------
@@ -262,12 +263,12 @@ class Region:
         Returns
         -------
         ndarray of bool, shape (n,)
-            True inside; the border of caps and boxes belongs to them.
+            True inside the region. The borders of caps and boxes belong to them.
 
         Raises
         ------
         InputError
-            If ``coord`` is no SkyCoord.
+            If ``coord`` is not a SkyCoord.
         """
         return is_inside(self, to_vectors(coord))
 

@@ -1,6 +1,6 @@
-"""Geometry of regions: unit vectors and radians in, numbers out.
+"""Geometry of regions on plain arrays of unit vectors and radians.
 
-Distances are from a direction to the nearest point of the region, 0 inside.
+Distances are those of a direction from the nearest point of the region; they are 0 inside.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ __all__ = [
     "polygon_distance",
 ]
 
-# Rows times edges that are computed together.
+# Number of rows times edges that are computed together.
 CHUNK = 2_000_000
 
 
@@ -30,12 +30,12 @@ def from_lonlat(lon, lat) -> np.ndarray:
 
 
 def angle(a, b):
-    """Return angles between unit vectors, good also where they are small or near pi."""
+    """Return angles between unit vectors, accurate also if they are small or close to pi."""
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
 def arc(a, b, n):
-    """Return n points of the great circle from a to b, both included."""
+    """Return n points on the great circle from a to b, both included."""
     t = np.linspace(0, 1, n)[:, None] * angle(a, b)
     side = b - (a @ b) * a
     length = np.linalg.norm(side)
@@ -54,17 +54,17 @@ def _east_of(begin, vectors):
 
 
 def box_contains(box, vectors):
-    """Return whether directions are inside; the border belongs to the box, and a pole to every box that ends there."""
+    """Return whether directions are inside; the border belongs to the box, as does a pole at which it ends."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
-    # a margin for rounding at either end
+    # allow for rounding at either end
     inside = (east <= width + 1e-13) | (east >= 2 * np.pi - 1e-13)
     pole = np.abs(dec) >= np.pi / 2 - 1e-15
     return (dec >= low - 1e-15) & (dec <= high + 1e-15) & (inside | pole)
 
 
 def box_distance(box, vectors):
-    """Return distances: along the meridian where the right ascension fits, else to the nearer side."""
+    """Return distances, along the meridian if the right ascension is inside the box, otherwise to the nearer side."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
     along = np.maximum(np.maximum(low - dec, dec - high), 0.0)
@@ -76,7 +76,7 @@ def box_distance(box, vectors):
 
 
 def _to_arc(vectors, a, b):
-    """Return distances to the shorter great circle from a to b."""
+    """Return distances to the shorter great-circle arc from a to b."""
     normal = np.cross(a, b)
     length = np.linalg.norm(normal)
     ends = np.minimum(angle(vectors, a), angle(vectors, b))
@@ -89,14 +89,14 @@ def _to_arc(vectors, a, b):
 
 
 def edges_cross(vertices):
-    """Return the first two edges that touch each other without being neighbors, or None."""
+    """Return the first two edges that are not adjacent but touch each other, or None."""
     a, b = vertices, np.roll(vertices, -1, axis=0)
     normal, n = np.cross(a, b), len(vertices)
     for i in range(n):
         j = np.arange(i + 2, n if i else n - 1)
         other = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
         own = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
-        # great circles meet twice: the edges must be on the same side of the sphere
+        # great circles intersect twice: the edges must be on the same side of the sphere
         meet = np.cross(normal[i], normal[j])
         side = np.sign(np.sum(meet * (a[i] + b[i]), axis=1)) == np.sign(np.sum(meet * (a[j] + b[j]), axis=1))
         hit = j[other & own & side]
@@ -114,7 +114,7 @@ def _left_area(vertices):
     before, after = np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0)
     come, go = np.cross(before, vertices), np.cross(vertices, after)
     turning = np.arctan2(np.sum(np.cross(come, go) * vertices, axis=1), np.sum(come * go, axis=1))
-    rough = 2 * np.pi - turning.sum()  # Gauss and Bonnet; the sum of triangles is better, but known up to 4 pi only
+    rough = 2 * np.pi - turning.sum()  # Gauss-Bonnet; the sum of triangles is more accurate, but modulo 4 pi
     a, b, c = vertices[0], vertices[1:-1], vertices[2:]
     volume = np.sum(np.cross(b, c) * a, axis=1)
     fan = 2 * np.sum(np.arctan2(volume, 1 + b @ a + c @ a + np.sum(b * c, axis=1)))
@@ -122,13 +122,13 @@ def _left_area(vertices):
 
 
 def polygon_area(vertices):
-    """Return the solid angle of the smaller side."""
+    """Return the solid angle of the smaller side of a polygon."""
     left = _left_area(vertices)
     return min(left, 4 * np.pi - left)
 
 
 def polygon_contains(vertices, vectors):
-    """Return whether directions are on the smaller side, by the parity of crossings on the way from an edge."""
+    """Return whether directions are on the smaller side, by the parity of the crossings on a path from an edge."""
     a, b = vertices, np.roll(vertices, -1, axis=0)
     start = int(np.argmax(angle(a, b)))
     middle = a[start] + b[start]
@@ -142,7 +142,7 @@ def polygon_contains(vertices, vectors):
     for k in range(0, len(vectors), step):
         p = vectors[k : k + step]
         height = p @ normal
-        # a direction on the great circle of that edge has its path along the edge: move it by 2 micro-arcseconds
+        # the path of a direction on the great circle of that edge runs along the edge: move it by 2 micro-arcseconds
         p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
         left = p @ normal > 0
         plane = np.cross(middle, p)
@@ -160,7 +160,7 @@ def polygon_contains(vertices, vectors):
 
 
 def polygon_distance(vertices, vectors):
-    """Return distances to the smaller side."""
+    """Return distances to the smaller side of a polygon."""
     out = np.full(len(vectors), np.pi)
     for a, b in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
         np.minimum(out, _to_arc(vectors, a, b), out=out)

@@ -1,4 +1,4 @@
-"""Regions on the unit sphere: directions inside, distances, the border, and a circle around."""
+"""Functions of regions on the unit sphere: which directions are inside, distances, borders, enclosing circles."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ __all__ = ["border_of", "circle_around", "distance_to", "is_inside"]
 
 
 def is_inside(region, vectors: np.ndarray) -> np.ndarray:
-    """Mark the unit vectors, shape (n, 3), inside a `Region`."""
+    """Return whether unit vectors, shape (n, 3), are inside a `Region`."""
     if region.kind == "healpix":
         return np.isin(_healpix.pixels_of(region.nside, vectors), region.values)
     if region.kind == "cap":
@@ -18,7 +18,7 @@ def is_inside(region, vectors: np.ndarray) -> np.ndarray:
 
 
 def distance_to(region, vectors: np.ndarray) -> np.ndarray:
-    """Return angles (radians) to the region, 0 inside; for pixels, at most so much and at least a pixel less."""
+    """Return distances (radians) to the region, 0 inside; for pixels they are too small, by a pixel at most."""
     if region.kind == "cap":
         return np.maximum(_shapes.angle(vectors, region.values[:3]) - region.values[3], 0.0)
     if region.kind == "healpix":
@@ -30,7 +30,7 @@ def distance_to(region, vectors: np.ndarray) -> np.ndarray:
 
 
 def circle_around(region) -> tuple[np.ndarray, float]:
-    """Return center and radius (radians) of a circle around the region."""
+    """Return center and radius (radians) of a circle that encloses the region."""
     if region.kind == "cap":
         return region.values[:3], float(region.values[3])
     pixels = region.kind == "healpix"
@@ -45,13 +45,13 @@ def circle_around(region) -> tuple[np.ndarray, float]:
     if not pixels and is_inside(region, -center[None])[0]:
         return center, np.pi
     radius = _shapes.angle(border, center).max()
-    # a border has 100 points per edge: between two of them it is farther out by less than a thousandth
+    # a border has 100 points per edge: between two points it lies farther out by less than a thousandth
     margin = _healpix.pixel_radius(region.nside) if pixels else radius * 1e-3
     return center, float(min(radius + margin, np.pi))
 
 
 def border_of(region) -> np.ndarray:
-    """Return points of the border of a box or polygon."""
+    """Return points on the border of a box or polygon."""
     if region.kind == "polygon":
         after = np.roll(region.values, -1, axis=0)
         return np.vstack([_shapes.arc(a, b, 101)[:-1] for a, b in zip(region.values, after, strict=True)])

@@ -50,6 +50,7 @@ TILING = {
     "completeness_isolated": "  completeness",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
+LEVELS = {"requirements": "missing of the requirements", "required targets": "required targets assigned"}
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
 
 
@@ -58,8 +59,6 @@ ZERO_IS_LEFT_OUT = (
     "  to standard stars",
     "  to sky",
     "requirements not met, all tiles",
-    "required targets",
-    "  never observed",
 )
 
 
@@ -67,6 +66,7 @@ def tile_facts(tile: Tile) -> dict:
     """Return the counts and rates of a tile, without most zeros."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
+    facts |= _required(tile.summary)
     kinds = tile.summary.get("kinds", {})
     if len(kinds) < 2:
         return facts
@@ -76,6 +76,12 @@ def tile_facts(tile: Tile) -> dict:
         if label == TILE["n_assigned"]:
             found.update((f"    {KINDS[kind]}", counts["n_assigned"]) for kind, counts in kinds.items())
     return found
+
+
+def _required(summary: dict) -> dict:
+    """Return how many of the required targets are observed, if any are required."""
+    n = summary.get("n_required", 0)
+    return {"required targets observed": f"{summary['n_required_observed']} of {n}"} if n else {}
 
 
 def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
@@ -88,7 +94,7 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
         return []
     found = []
     for name, value, bound in objectives[: most if len(objectives) <= most else most - 1]:
-        label, limit = ("missing of the requirements", "at least") if name == "requirements" else (name, "at most")
+        label, limit = LEVELS.get(name, name), "at least" if name == "requirements" else "at most"
         proof = "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
         found.append((label, round(abs(value)), proof))
     rest = objectives[len(found) :]
@@ -120,11 +126,9 @@ def survey_facts(survey: Survey) -> dict:
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
         "requirements not met, all tiles": s["n_unmet"],
-        "required targets": s.get("n_required", 0),
-        "  never observed": s.get("n_required", 0) - s.get("n_required_observed", 0),
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
-    return facts | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
+    return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
 
 
 def tiling_facts(tiling: Tiling) -> dict:

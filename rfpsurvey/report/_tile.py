@@ -132,7 +132,7 @@ def _completeness(tile) -> list:
     axes = plot_quality(tile)
     axes[0].set_title("", loc="left")
     about = (
-        "Outcomes of the targets in the field, with the number of assigned targets of all to the right; fibers by what "
+        "Outcomes of the targets in the field, with the number of observed targets of all to the right; fibers by what "
         "they observe; a column of the catalog; and fractions in rings of equal area about the center of the field, "
         "with intervals of 68\N{NO-BREAK SPACE}%."
     )

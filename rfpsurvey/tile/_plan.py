@@ -24,7 +24,15 @@ from rfpsurvey.allocation import (
 from rfpsurvey.catalog import Catalog, as_catalog, to_time
 from rfpsurvey.errors import InputError, check_keywords, warn
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.pipeline import FieldTargets, are_among, blank_ids, field_radius_rad, mark_required, plan_field
+from rfpsurvey.pipeline import (
+    FieldPlan,
+    FieldTargets,
+    are_among,
+    blank_ids,
+    field_radius_rad,
+    mark_required,
+    plan_field,
+)
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, where
 from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
@@ -109,6 +117,7 @@ def plan_tile(
     everything, radius = catalog, field_radius_rad(instrument)
     _warn_of_unknown_categories(asked, catalog)
     is_required = mark_required(options.required, [catalog.id])
+    n_required = 0 if is_required is None else int(is_required.sum())
     if epoch is not None:
         to_time(epoch, "epoch")
         if not catalog.has_proper_motion:
@@ -159,6 +168,8 @@ def plan_tile(
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
         "kinds": counts_by_kind(catalog, rows, plan),
+        "n_required": n_required,
+        "n_required_observed": _n_required_observed(plan, columns["is_required"]),
         "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
         "search": allocation.meta,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
@@ -190,6 +201,12 @@ def plan_tile(
         targets=targets_of_field(catalog, rows, given, plan),
         software=packages(options),
     )
+
+
+def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:
+    """Return how many of the required targets, by row of the field, are assigned and not in collision."""
+    observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
+    return 0 if is_required is None else int(is_required[observed].sum())
 
 
 def _outside(required: tuple, ids: np.ndarray) -> list[str]:

@@ -9,11 +9,10 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_center, to_flags, to_plain
-from rfpsurvey.catalog import Catalog, Finder
+from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import (
     InputError,
-    InputTypeError,
     check_choice,
     check_keywords,
     check_switch,
@@ -48,7 +47,7 @@ def score_tile(
 
     Parameters
     ----------
-    table : Table or QTable
+    table : Table, QTable or DataFrame
         A row for each assigned fiber: the positioner's id (``positioner``, ``hole_id``, ``robot_id``, ...) and
         either its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows
         without a positioner, and those whose column ``assigned`` is 0, are not looked at.
@@ -67,7 +66,8 @@ def score_tile(
     positions : {"focal_plane", "sky"}, optional
         Which positions to use; by default those on the focal plane, where there are any.
     columns, units : dict, optional
-        Names and units of columns, as in `Catalog.from_table`; roles here are also ``positioner``, ``x``, ``y``.
+        Names and units of columns, as in `Catalog.from_table`; roles here are also ``positioner``, ``x``, ``y``. The
+        columns of a DataFrame are in mm and deg unless ``units`` says otherwise.
     parked_obstacles : bool, optional
         Whether idle equal-arm positioners are obstacles.
 
@@ -95,8 +95,9 @@ def score_tile(
     """
     start = perf_counter()
     instrument = as_instrument(instrument)
-    if not isinstance(table, Table):
-        raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+    table, is_plain = as_table(table, index_as_id=False)
+    if is_plain:
+        units = {**{role: str(unit) for role, unit in UNITS.items()}, **(units or {})}
     if center is not None and equinox is not None:
         raise InputError(
             "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("

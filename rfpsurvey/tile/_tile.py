@@ -92,7 +92,11 @@ class Tile:
 
     @property
     def summary(self) -> dict:
-        """Counts, rates, the model that was used and why it suffices, and seconds of each stage."""
+        """Counts, rates, the model that was used and why it suffices, and seconds of each stage.
+
+        Of planned tiles, ``n_required`` and ``n_required_observed`` count required targets and those that are assigned
+        and not in collision.
+        """
         return self.table.meta["summary"]
 
     @property
@@ -183,7 +187,8 @@ class Tile:
         """Write the tile as FITS or ECSV; the file appears whole or not at all.
 
         The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
-        where there are any. ECSV holds ``table`` only.
+        where there are any. An ECSV file holds ``table`` only, and a tile that is read from it has no outcomes and no
+        completeness: write FITS, or ``tile.outcomes`` to a file of its own.
 
         Parameters
         ----------

@@ -9,6 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._units import to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey.catalog import is_table
 from rfpsurvey.errors import InputError, InputTypeError, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
 
@@ -72,7 +73,7 @@ class Centers:
         if self.coord is None:
             return None
         given = self.coord
-        if not isinstance(given, SkyCoord | Tiling | Table):
+        if not (isinstance(given, SkyCoord | Tiling) or is_table(given)):
             raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {short(given)}")
         if isinstance(given, SkyCoord):
             vectors = to_vectors(given, "centers")

@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
-from rfpsurvey.catalog import Finder, SkyIndex
+from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
@@ -117,10 +117,12 @@ class Tiling:
 
         Parameters
         ----------
-        table : Table or QTable
+        table : Table, QTable or DataFrame
             With centers (``ra`` and ``dec``, ``racen`` and ``deccen``, ``tile_ra`` and ``tile_dec``, ...). Found too:
             the id (``tile``, ``tileid``, ``field``, ...; else the row number), ``pass`` (else 1) and the position
             angle (``position_angle``, ``pa``, ``field_pa``, ``posang``; else 0). Other columns are kept.
+            A DataFrame is one of pandas or Polars, or a table of Arrow; its angles are in degrees unless ``units``
+            says otherwise.
         columns : dict, optional
             Role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name where the usual names do
             not serve.
@@ -141,8 +143,8 @@ class Tiling:
 
     @classmethod
     def _from_table(cls, table, columns, units, *, assume_units):
-        if not isinstance(table, Table):
-            raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
+        table, is_plain = as_table(table, index_as_id=False)
+        assume_units = assume_units or is_plain
         names = _find(table, columns)
         units = {} if units is None else units
         if not isinstance(units, dict):
@@ -249,10 +251,10 @@ class Tiling:
 
 
 def as_tiling(tiles: Tiling | Table | SkyCoord) -> Tiling:
-    """Return a tiling from itself, a table or centers."""
+    """Return a tiling from itself, a table, a DataFrame or centers."""
     if isinstance(tiles, Tiling):
         return tiles
-    if isinstance(tiles, Table):
+    if is_table(tiles):
         return Tiling.from_table(tiles)
     if not isinstance(tiles, SkyCoord):
         raise InputTypeError(f"tiles must be a Tiling, a Table or a SkyCoord, got {type(tiles).__name__}")

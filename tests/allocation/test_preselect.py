@@ -51,7 +51,7 @@ def both_ways(monkeypatch, case, method, kept=(1, 1)):
     return found
 
 
-@pytest.mark.parametrize("chunk", [*range(4), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(4, 8))])
+@pytest.mark.parametrize("chunk", [*range(2), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, 8))])
 def test_optimum_of_few_candidates_is_that_of_all_or_its_bound_says_so(monkeypatch, chunk):
     n_left_out = n_lost = 0
     for seed in range(40 * chunk, 40 * chunk + 40):

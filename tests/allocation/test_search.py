@@ -16,6 +16,7 @@ from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels.reduce import reduce_candidates
 
 MM = u.mm
+EXHAUSTIVE = pytest.mark.exhaustive
 
 
 def dense_plane(rings=16):
@@ -47,9 +48,16 @@ def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
     assert len(rs.find_collisions(plane, found).pairs) == 0
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
-@pytest.mark.parametrize("objective", ["priority", "count"])
-@pytest.mark.parametrize("n_classes", [3, 40])
+@pytest.mark.parametrize(
+    ("n_classes", "objective", "seed"),
+    [
+        (3, "priority", 0),
+        (3, "count", 0),
+        (40, "count", 0),
+        pytest.param(40, "priority", 0, marks=EXHAUSTIVE),
+        *(pytest.param(n, objective, 1, marks=EXHAUSTIVE) for n in (3, 40) for objective in ("priority", "count")),
+    ],
+)
 def test_unproven_plans_are_honest(n_classes, objective, seed):
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5391 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=9, pitch=22.4 * MM)

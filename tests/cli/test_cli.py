@@ -1,4 +1,3 @@
-import os
 import re
 import subprocess
 import sys
@@ -43,6 +42,17 @@ def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
     if instrument == "lamost":
         assert 1900 < tile.summary["n_in_field"] < 2700
     assert tile.provenance["parameters"]["epoch"] == "J2026.500"
+
+
+@pytest.mark.parametrize("name", ["tile.ecsv", "tile.ecsv.gz", "tile.fits", "tile.fits.gz"])
+def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
+    path = tmp_path / name
+    code, out, err = run("plan", "--instrument", "sdss_apo", "--output", path)
+    assert (code, err) == (0, "")
+    told = f"{path} has no outcomes of targets, since ECSV holds one table: write .fits to keep them"
+    assert (told in out.splitlines()) == (rs.Tile.read(path).outcomes is None) == (".ecsv" in name)
+    _, again, _ = run("score", path, "--output", tmp_path / "scored.ecsv")  # a scored tile has no outcomes at all
+    assert "no outcomes" not in again
 
 
 def test_the_embedded_default(run):
@@ -236,63 +246,6 @@ def test_a_spreadsheets_csv(run, tmp_path):
     code, out, _ = run("plan", tmp_path / "s.csv", "--center", "10 20", "--instrument", "lamost")
     assert code == 0
     assert "targets in the catalog                    10" in out
-
-
-def test_a_closed_pipe_loses_no_file(tmp_path):
-    command = f"{sys.executable} -u -m rfpsurvey plan --instrument moons --output {tmp_path / 'a.fits'} | head -n 1"
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
-    assert rs.Tile.read(tmp_path / "a.fits").summary["n_positioners"] == 1001
-    assert "Traceback" not in done.stderr
-
-
-FORKED = """
-import os, runpy, sys
-import rfpsurvey._cli  # once, and not once a command
-for command in sys.argv[2:]:
-    child = os.fork()
-    if child == 0:
-        os.dup2(int(sys.argv[1]), 1)
-        sys.argv = ["rfpsurvey", *command.split()]
-        runpy.run_module("rfpsurvey", run_name="__main__", alter_sys=True)
-        sys.exit()
-    print(command, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr, flush=True)
-"""
-
-
-@pytest.mark.parametrize(
-    ("unbuffered", "commands"),
-    [
-        ("", ["instruments", "--help", "--version", "plan --help", "plan --instrument moons"]),
-        ("1", ["instruments", "--help"]),  # text of the library, and of its command line
-    ],
-)
-def test_a_reader_that_has_gone_is_told_as_any_shell_does(unbuffered, commands):
-    """With 1, after which a script with pipefail could not tell a broken pipe from bad input."""
-    receive, send = os.pipe()
-    os.close(receive)
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FORKED, str(send), *commands],
-        pass_fds=[send],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
-    )
-    os.close(send)
-    assert done.stderr.splitlines() == [f"{command} 141" for command in commands]
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
-def test_a_full_device_is_a_sentence():
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "rfpsurvey", "instruments"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert "No space left on device" in sentence(done.returncode, done.stderr)
 
 
 @pytest.mark.parametrize(

@@ -29,12 +29,17 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
     code, out, _ = run(*command.split(), "--report", "page.html")
     assert code == 0
     assert out.endswith("wrote page.html\n")
-    page = Reader((tmp_path / "page.html").read_text())
+    text = (tmp_path / "page.html").read_text()
+    page = Reader(text)
     assert len(page.all("svg")) == {"plan": 3, "survey": 2}.get(command.split()[0], 1)
     if command.startswith("plan"):
         assert run("score", "t.ecsv", "--report", "score.html")[0] == 0
         scored = Reader((tmp_path / "score.html").read_text()).facts()
         assert scored["in collision"] == page.facts()["in collision"]
+        # the figure of the quality
+        assert "Targets that are available, in reach and assigned." in text
+        assert "fraction of science targets" in text
+        assert "positioners assigned, " not in text.partition("Completeness")[2].partition("Focal plane")[0]
     elif command.startswith("tile"):
         assert re.search(r"Shown: 1000 of \d+ rows; all are in t.ecsv", "".join(t["caption"] for t in page.tables))
     elif command.startswith("reproduce"):
@@ -70,12 +75,3 @@ def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path,
         assert code == 2
         assert message in err
     assert [p.name for p in tmp_path.iterdir()] == ["old.html"]
-
-
-def test_the_page_of_a_tile_has_the_figure_of_its_quality(run, tmp_path):
-    page = tmp_path / "page.html"
-    assert run("plan", "--instrument", "sdss_apo", "--report", page)[0] == 0
-    text = page.read_text()
-    assert "Targets that are available, in reach and assigned." in text
-    assert "fraction of science targets" in text
-    assert "positioners assigned, " not in text.partition("Completeness")[2].partition("Focal plane")[0]

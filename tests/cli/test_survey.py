@@ -1,5 +1,7 @@
 """The command ``survey``, as a user types it."""
 
+from pathlib import Path
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     folder, sky, tiling = files
     picture = tmp_path / "plan.png"
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", "--workers", 2)
-    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture)
+    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture, "--quality", tmp_path / "quality.svg")
     expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["visits wanted"] == [str(sky.visits.sum())]
@@ -48,6 +50,8 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "3 of 3 tiles" in err
     assert "not met" not in out  # nothing was required
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {tmp_path / 'quality.svg'}" in out
+    assert "fraction of the visits wanted" in (tmp_path / "quality.svg").read_text()
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]
     call(*words, "--folder", tmp_path / "plan", "--resume")
@@ -106,9 +110,52 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     assert found.targets["target_id"].tolist() == expected.targets["target_id"].tolist()
     assert found.provenance["parameters"]["keep_out"] == expected.provenance["parameters"]["keep_out"]
     assert all(f"warning: {sentence}" in err for sentence in expected.summary["unmet"])
-    assert "required targets                             3" in out
+    n_observed = expected.summary["n_required_observed"]
+    assert f"required targets observed               {n_observed} of 3" in out
     call(*words, "--folder", tmp_path / "plan", "--resume")  # by the same words
     assert "holds another survey: keep_out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
+
+
+def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, tmp_path):
+    """A required target that is assigned, and whose arm collides, is not observed."""
+    folder, sky, _ = files
+    tile = rs.plan_tile(sky, "moons", CENTER)
+    names = tile.outcomes["target_id"][np.isin(tile.outcomes["outcome"], ["lost to a collision", "out of reach"])]
+    QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg}).write(tmp_path / "one.ecsv")
+    words = [folder / "stars.fits", "--instrument", "moons"]
+    words += [word for name in (*names[:4], *np.flatnonzero(sky.visits > 0)[:2]) for word in ("--required", name)]
+    lines = []
+    for command in (
+        ("plan", *words, "--center", "95 23"),
+        ("survey", *words, "--tiles", tmp_path / "one.ecsv", "--visits", 1),
+    ):
+        out, _ = call(*command)
+        lines += [line.split() for line in out.splitlines() if line.startswith("required targets observed")]
+    required = [int(word) for word in words if not isinstance(word, str | Path)]
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions(required=required))
+    outcome = tile.outcomes["outcome"][np.isin(tile.outcomes["target_id"], required)]
+    n = int((outcome == "observed").sum())
+    assert 0 < n == tile.summary["n_required_observed"] < tile.summary["n_required"] == len(required)
+    assert lines == 2 * [["required", "targets", "observed", str(n), "of", str(len(required))]]
+
+
+def test_instruments_are_compared_with_required_targets_and_circles(call, files, tmp_path):
+    folder, sky, _ = files
+    words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]
+    words += ["--allocator", "lamost", "--required", 9, "--keep-out", "95,23.05,0.02", "--output", tmp_path / "c.ecsv"]
+    call(*words)
+    options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    expected = rs.compare_instruments(
+        sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"], options=options, progress=False
+    )
+    found, plain = (
+        QTable.read(tmp_path / "c.ecsv"),
+        rs.compare_instruments(sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"]),
+    )
+    assert found["probability"].tolist() == expected["probability"].tolist() != plain["probability"].tolist()
+    assert found.meta["parameters"]["required"] == ["9"]
+    _, err = call("compare", "moons", "--required", 9, code=2)
+    assert "required targets need a catalog" in err
 
 
 @pytest.mark.parametrize("command", ["plan", "compare-allocators"])

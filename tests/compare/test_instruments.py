@@ -139,7 +139,8 @@ def test_synthetic_skies_are_as_crowded_as_asked():
 
 def test_workers_change_nothing_but_the_seconds():
     def table(**options):
-        found = rs.compare_instruments("poisson", [design(), design("wide", 8.25, 8.25)], n_realizations=2, **options)
+        two = [design(rings=2), design("wide", 8.25, 8.25, rings=2)]
+        found = rs.compare_instruments("poisson", two, n_realizations=2, **options)
         found.remove_column("seconds")
         return found
 
@@ -211,7 +212,7 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
     "compare",
     [
         lambda options: rs.compare_instruments(
-            "poisson", ["moons", "sdss_apo"], options=options, n_realizations=2, allocators=["lamost", "nearest"]
+            "poisson", [design(), design("wide")], options=options, n_realizations=2, allocators=["lamost", "nearest"]
         ),
         lambda options: rs.compare_allocators(
             rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1),
@@ -291,7 +292,7 @@ def test_bad_input_is_named(arguments, message):
 
 
 def test_names_are_told_apart_by_the_user():
-    one = design()
+    one = design(rings=2)
     found = rs.compare_instruments("poisson", [one, replace(one, name="other")], n_realizations=1, allocators="nearest")
     assert list(found["instrument"]) == ["mine", "other"]
 

@@ -78,7 +78,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
         assert row["usable"] == 1 - row["loss"]
 
 
-@pytest.mark.parametrize("each", [0.5, 4])
+@pytest.mark.parametrize("each", [pytest.param(0.5, marks=pytest.mark.exhaustive), 4])
 def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
     """One configuration of each sky; parked arms stand in the way, but lose no target."""
     row = explore(central_arm=11 * MM, estimand="allocated", n_skies=200, targets_per_positioner=each)[0]
@@ -200,7 +200,7 @@ def test_each_design_has_random_numbers_of_its_own():
 
 
 def test_nothing_depends_on_the_executor():
-    options = {**GRID, "n_designs": 20, "estimand": "allocated", "n_skies": 2}
+    options = {**GRID, "n_designs": 12, "estimand": "allocated", "n_skies": 2}
     alone = flat.explore_designs(**options)
     for pool in (ThreadPoolExecutor(2), ProcessPoolExecutor(1, get_context("spawn"))):
         with pool:

@@ -246,3 +246,27 @@ def closest_pairs_first(xy, centers, can, priority):
             _, i, t = min(left)
             target_of[i] = t
     return target_of
+
+
+def fewest_circles(catalog, radius):
+    """Fewest circles that hold all targets: exhaustive over circles through two targets, and those about one."""
+    vectors = catalog.arrays.vectors
+    centers = [*vectors]
+    for a, b in itertools.combinations(vectors, 2):
+        middle = (a + b) / np.linalg.norm(a + b)
+        half = np.arccos(np.clip(a @ middle, -1, 1))
+        if half <= radius:
+            side = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
+            h = np.arccos(np.cos(radius) / np.cos(half)) * (1 - 1e-9)
+            centers += [np.cos(h) * middle + np.sin(h) * side, np.cos(h) * middle - np.sin(h) * side]
+    inside = np.array(centers) @ vectors.T >= np.cos(radius) - 1e-12
+    sets = {int(sum(1 << int(k) for k in np.flatnonzero(row))) for row in inside}
+    sets = [s for s in sets if not any(s != t and s & t == s for t in sets)]
+    for n in range(1, 7):
+        for some in itertools.combinations(sets, n):
+            union = 0
+            for one in some:
+                union |= one
+            if union == (1 << len(catalog)) - 1:
+                return n
+    raise AssertionError

@@ -22,8 +22,11 @@ def lattice(rings=4, l1=8.25, l2=8.25, pitch=25.6, scale=200 * u.mm / u.deg, **c
 
 
 def hull_of(plane):
-    discs = [shapely.Point(c).buffer(r, 512) for c, r in zip(plane.arrays.xy, plane.arrays.outer_radius, strict=True)]
-    return shapely.unary_union(discs).convex_hull
+    centers, radius = shapely.points(plane.arrays.xy), plane.arrays.outer_radius
+    # a disc inside the hull of all centers adds nothing
+    outer = shapely.distance(centers, shapely.convex_hull(shapely.multipoints(centers)).boundary) <= radius
+    discs = shapely.buffer(centers[outer], radius[outer], quad_segs=512)
+    return shapely.convex_hull(shapely.multipoints(shapely.get_coordinates(discs)))
 
 
 def test_a_hexagonal_grid_has_the_facts_of_the_closed_forms():

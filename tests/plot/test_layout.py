@@ -116,6 +116,7 @@ PLOTS = {
     "targets of a survey": lambda r: rs.plot.plot_targets(r["survey"], r["targets"]),
     "quality": lambda r: rs.plot.plot_quality(r["tile"])[0],
     "quality of many classes": lambda r: rs.plot.plot_quality(r["tile with classes"])[0],
+    "quality of a survey": lambda r: rs.plot.plot_quality(r["survey"])[0],
     "instrument": lambda r: rs.plot.plot_focal_plane("lamost"),
     "fiber types": lambda r: rs.plot.plot_focal_plane("sdss_apo", color="fiber_type"),
     "spectrographs": lambda r: rs.plot.plot_focal_plane("lamost", color="spectrograph"),
@@ -144,7 +145,21 @@ PLOTS = {
 }
 
 
-@pytest.mark.parametrize("name", PLOTS)
+# the same functions with other options or results
+VARIANTS = {
+    "focal plane with x to the right",
+    "part of a tile",
+    "quality of many classes",
+    "fiber types",
+    "map of a tile",
+    "tower of tiles",
+    "tiles about a pole",
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.exhaustive if name in VARIANTS else ()) for name in PLOTS]
+)
 def test_all_that_is_drawn_is_inside_the_figure(results, name):
     """The label of the comparison's last panel and the right edge of a survey's figure were cut."""
     figure = PLOTS[name](results).figure

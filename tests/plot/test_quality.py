@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
@@ -53,7 +54,11 @@ def test_bars_are_the_fractions_of_each_class(tile):
     ):
         widths = [bar.get_width() for bar in bars(ax, label)]
         np.testing.assert_allclose(widths, number / rows["n_in_field"], atol=1e-12)
-    assert [text.get_text() for text in ax.texts] == [f"{r['n_assigned']} of {r['n_in_field']}" for r in rows]
+    assert [text.get_text() for text in ax.texts] == [
+        *(f"{r['n_observed']} of {r['n_in_field']}" for r in rows),
+        "observed",
+    ]
+    assert (rows["n_observed"] < rows["n_assigned"]).any()
     labels = [text.get_text() for text in ax.get_yticklabels()]
     assert labels == ["science", "standard", "qso", "lrg", "priority 3", "priority 2", "priority 1"]
 
@@ -136,13 +141,13 @@ def test_many_classes_are_cut(presets, sky):
     labels = [text.get_text() for text in ax.get_yticklabels()]
     assert len(labels) == 16
     assert "priority 19" in labels
-    assert f"{len(tile.completeness) - 16} more classes are not shown" in ax.get_xlabel()
+    assert f"{len(tile.completeness) - 16} more classes not shown" in ax.get_xlabel()
 
 
 def test_what_cannot_be_drawn_is_refused(tile, presets):
     scored = rs.score_tile(tile.table, presets["lamost"])
     for arguments, message in (
-        (("lamost", {}), "tile must be a Tile, got str"),
+        (("lamost", {}), "result must be a Tile or a Survey, got str"),
         ((scored, {}), "the tile must have outcomes of targets, got none"),
         ((tile, {"column": "name"}), "column must be one of the columns of numbers priority, g, got 'name'"),
         ((tile, {"column": "mag"}), "got 'mag'"),
@@ -150,6 +155,69 @@ def test_what_cannot_be_drawn_is_refused(tile, presets):
     ):
         with pytest.raises(rs.InputError, match=message):
             rs.plot.plot_quality(arguments[0], **arguments[1])
+
+
+@pytest.fixture(scope="module")
+def survey(presets, sky):
+    tiles = QTable({"ra": [94.5, 95.5, 95.0] * u.deg, "dec": [23.0, 23.0, 23.4] * u.deg, "pass": [4, 4, 2]})
+    asked = rs.AllocationOptions("lamost", requirements="standard=20")
+    return rs.plan_survey(sky, presets["sdss_apo"], tiles, allocator=asked, passes=[4, 2])
+
+
+def test_the_bars_of_a_survey_are_the_visits_of_each_class_and_pass(survey):
+    """Passes in the order of planning; the number beside a bar is the length of its colored part."""
+    ax, after = rs.plot.plot_quality(survey)[0], survey.completeness
+    first, last = after[after["pass"] == 4], after[after["pass"] == 2]
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    assert labels == ["all", "qso", "lrg", "priority 3", "priority 2", "priority 1"]
+    order = [0, 4, 5, 1, 2, 3]
+    assert last["category"][order].tolist() == ["all", "qso", "lrg", "all", "all", "all"]
+    wanted, one, two = last["n_wanted"][order], first["n_observed"][order], last["n_observed"][order]
+    for label, expected in (("in pass 4", one), ("in pass 2", two - one), ("not observed", wanted - two)):
+        np.testing.assert_allclose([bar.get_width() for bar in bars(ax, label)], expected / wanted, atol=1e-12)
+    assert (two > one).all()
+    numbers = [f"{n} of {of}" for n, of in zip(two, wanted, strict=True)]
+    assert [text.get_text() for text in ax.texts] == [*numbers, "observed"]
+
+
+def test_the_other_panels_of_a_survey_show_its_own_counts(survey):
+    _, outcomes, fibers, tiles = rs.plot.plot_quality(survey)
+    counts, s, t = survey.summary["outcomes"], survey.summary, survey.tiles
+    assert {int(bar.get_width()) for bar in outcomes.patches} == set(counts.values())
+    assert {text.get_text() for text in outcomes.get_yticklabels()} == set(counts)
+    for label, name in (("science", "n_science"), ("standard stars", "n_standard")):
+        heights = [bar.get_height() for bar in bars(fibers, label)]
+        assert heights == [t[name][t["pass"] == k].sum() for k in (2, 4)]
+    assert sum(bar.get_height() for bar in fibers.patches) == s["n_fibers"]
+    use, rate = tiles.lines
+    order = np.argsort(t["round"], kind="stable")
+    assert use.get_ydata().tolist() == t["fiber_use"][order].tolist()
+    assert rate.get_ydata().tolist() == t["collision_rate"][order].tolist()
+    assert f"collision rate; of all tiles: {s['collision_rate']:.3f}" in words(tiles)
+
+
+def test_a_survey_of_one_pass_and_no_class_is_drawn(presets, sky):
+    one = rs.plan_survey(rs.Catalog(sky.coord), presets["sdss_apo"], CENTER.reshape(1))
+    axes = rs.plot.plot_quality(one)
+    axes[0].figure.draw_without_rendering()
+    assert axes[0].get_title(loc="left").endswith("observed on 1 tile")
+    assert words(axes[0]) == ["observed", "not observed"]
+    with pytest.raises(rs.InputError, match="column must be None for a survey"):
+        rs.plot.plot_quality(one, column="priority")
+
+
+def test_many_classes_and_passes_of_a_survey_share_bars_and_colors(presets, sky):
+    many = rs.Catalog(sky.coord, priority=np.arange(N) % 20, category=np.array([f"c{k % 12}" for k in range(N)]))
+    tiles = QTable({"ra": np.full(7, 95.0) * u.deg, "dec": np.full(7, 23.0) * u.deg, "pass": np.arange(7)})
+    survey = rs.plan_survey(many, presets["sdss_apo"], tiles)
+    ax = rs.plot.plot_quality(survey)[0]
+    assert words(ax) == ["in pass 0", "in pass 1", "in pass 2", "in pass 3", "in passes 4 to 6", "not observed"]
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    assert len([label for label in labels if label.startswith("c")]) == 8
+    assert labels[-1] == "priority 13"
+    assert ax.get_xlabel().endswith("; 17 more classes not shown")
+    last = [sum(bar.get_width() for bar in row) for row in zip(*ax.containers, strict=True)]
+    np.testing.assert_allclose(last, 1)
 
 
 @pytest.mark.parametrize("kind", ["science", "sky"])

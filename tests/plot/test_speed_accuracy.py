@@ -108,7 +108,7 @@ def test_the_chart_states_machine_and_better_corner(chart):
         assert words in above.get_title()
 
 
-@pytest.mark.parametrize("size", [(7.5, 7), (6, 6)])
+@pytest.mark.parametrize("size", [pytest.param((7.5, 7), marks=pytest.mark.exhaustive), (6, 6)])
 def test_labels_of_collisions_can_be_read(size):
     assert_readable(
         rs.plot.plot_speed_accuracy(collisions(), axes=tuple(Figure(size, layout="constrained").subplots(2)))

@@ -82,7 +82,7 @@ def test_alike_neighbors_make_the_variance_larger():
     assert degrees == pytest.approx(7.6, abs=0.1)
 
 
-@pytest.mark.parametrize(("rings", "each"), [(2, 4), (3, 4), (4, 1)])
+@pytest.mark.parametrize(("rings", "each"), [(2, 4), pytest.param(3, 4, marks=pytest.mark.exhaustive), (4, 1)])
 def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
     """Normal quantiles and residuals that were not corrected held it in 84 and 88 of 100 skies."""
     plane, n = lamost_like(rings), 400

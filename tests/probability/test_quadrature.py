@@ -134,7 +134,10 @@ def test_a_factor_of_the_density_does_not_matter():
     assert with_unit.value == pytest.approx(one.value, abs=1e-12)
 
 
-@pytest.mark.parametrize("plane", [lamost_like(), sdss_like(2), sdss_like(arm_model="fiber_tip")])
+@pytest.mark.parametrize(
+    "plane",
+    [lamost_like(), sdss_like(2), pytest.param(sdss_like(arm_model="fiber_tip"), marks=pytest.mark.exhaustive)],
+)
 def test_environments_change_nothing(plane):
     """A function as density switches them off, and every positioner is computed by itself."""
     few = flat.collision_probability(plane, method="quadrature", max_iterations=512)

@@ -188,6 +188,7 @@ def test_votables_of_each_form(tmp_path, form):
         ("[" * 100_000, "must be nested at most 32 deep, got more"),
         (json.dumps({"a": [0] * 100_001}), "at most 100000 values"),
     ],
+    ids=["number", "number in JSON", "list", "text", "nested", "long"],
 )
 def test_the_meta_of_a_table_must_be_an_object(tmp_path, value, message):
     table = Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value})

@@ -19,6 +19,7 @@ import rfpsurvey as rs
 from pages import Reader
 
 CENTER = SkyCoord(95, 23, unit="deg")
+EXHAUSTIVE = pytest.mark.exhaustive
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",
@@ -142,7 +143,9 @@ def write_page(kind, folder, small):
     return path
 
 
-@pytest.mark.parametrize("kind", ["tile", "survey", "tiling", "allocators", "estimate"])
+@pytest.mark.parametrize(
+    "kind", ["tile", "allocators", "estimate", *(pytest.param(k, marks=EXHAUSTIVE) for k in ("survey", "tiling"))]
+)
 def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, kind):
     path = page_of(kind)
     tables = [t for t in Reader(path.read_text()).tables if t["class"].split()[0] == "rows" and len(t["rows"]) > 2]
@@ -162,7 +165,7 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, k
                 assert numbers == [sorted(numbers[0]), sorted(numbers[0], reverse=True)]
 
 
-@pytest.mark.parametrize("width", [400, 1200])
+@pytest.mark.parametrize("width", [400, pytest.param(1200, marks=EXHAUSTIVE)])
 def test_a_table_says_how_many_columns_are_hidden(browse, page_of, width):
     """Wide tables ended at the edge of the page, as if that were all."""
     hidden = tried(browse, page_of("tile"), width)["hidden"]

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from functools import cache
 
 import astropy.units as u
@@ -13,8 +12,6 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable
 from astropy.time import Time
-from hypothesis import given
-from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
@@ -23,10 +20,8 @@ import rfpsurvey as rs
 from pages import LOADING, Reader, full
 from rfpsurvey import reproduction
 from rfpsurvey.plot._reproduction import FIGURES as DRAWN
-from rfpsurvey.report import _svg, _tile, estimate_facts
-from rfpsurvey.report._numbers import column_texts
+from rfpsurvey.report import _svg, _tile
 from rfpsurvey.report._tables import FIGURES as CAPTIONS
-from rfpsurvey.report._text import text_of
 
 CENTER = SkyCoord(95, 23, unit="deg")
 NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
@@ -174,19 +169,6 @@ def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
     assert rows[1][4]["text"].startswith("2026-02-01")
 
 
-@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))
-def test_numbers_keep_four_digits(values):
-    for value, text in zip(values, column_texts(np.array(values)), strict=True):
-        assert abs(float(text) - value) <= 0.5001e-3 * abs(value)
-
-
-def test_numbers_of_a_column_have_the_same_decimals():
-    assert column_texts(np.array([1.5, 12.25, 3.0])) == ["1.50", "12.25", "3.00"]
-    assert column_texts(np.array([0.1234567, 1.0])) == ["0.1235", "1.0000"]
-    assert column_texts(np.array([1e-7, 12345678.0, 12345.6])) == ["1.000e-07", "1.235e+07", "12346"]
-    assert column_texts(np.array([True, False])) == ["yes", "no"]
-
-
 def test_a_tile_has_its_own_numbers(tile, tmp_path):
     page = Reader(written(tile, tmp_path, data="/some/where/tile.fits"))
     t, facts = tile.table, page.facts()
@@ -325,7 +307,9 @@ def test_no_row_is_left_out_in_silence(tmp_path):
     assert "no rows" in written(QTable({"k": []}), tmp_path)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=() if kind in ("tile", "table") else pytest.mark.exhaustive) for kind in KINDS]
+)
 def test_the_same_result_gives_the_same_bytes(results, plain_page, tmp_path, kind):
     assert written(results[kind], tmp_path) == plain_page(kind)
 
@@ -414,15 +398,6 @@ def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message
     assert (tmp_path / "there.html").read_text() == "old"
 
 
-def test_text_of_any_language_stays_as_it_is():
-    """No-break and ideographic spaces and joiners are text; what turns the direction of a page is not."""
-    words = ["a\u00a0b", "\u65e5\u672c\u3000\u8a9e", "x\u200dy", "1\u202f000"]
-    for word in words:
-        assert text_of(word) == word
-    assert text_of("a\r\nb\tc") == "a\nb\tc"
-    assert text_of("a\x00b\u202ec\ud800") == "a\ufffdb\ufffdc\ufffd"
-
-
 @pytest.mark.parametrize("made_by", [None, 3, ["x"], "compare_instruments", "compare_allocators", "reproduce"])
 def test_tables_that_are_not_what_they_seem(tmp_path, made_by):
     table = QTable({"n": [1]}, meta={"made_by": made_by, 5: 1, "deep": {6: {7: "x"}}})
@@ -441,11 +416,3 @@ def test_nothing_of_the_provenance_is_lost(tmp_path):
     rs.write_report(QTable({"n": [1]}, meta={**meta, "none here": {}}), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert all(word in text for word in ("first", "second", "third", "fourth", "fifth", "none here"))
-
-
-def test_small_probabilities_keep_their_digits(presets):
-    estimate = rs.collision_probability(presets["desi"], method="closed_form")
-    rare = replace(estimate, value=3.2e-7, low=2.8e-7, high=3.6e-7, standard_error=2e-8)
-    facts = estimate_facts(rare)
-    assert facts["collision probability"].startswith("0.00000032")
-    assert "0.00000028 to 0.00000036" in "".join(facts.values()).replace("280 ", "28 ").replace("360", "36")

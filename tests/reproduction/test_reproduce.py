@@ -24,12 +24,18 @@ def shrink(monkeypatch):
     monkeypatch.setitem(LARGE, "target_radius", 80 * u.mm)  # as dense as 20,000 within 200 mm
     for module in ("_designs", "_poisson"):
         monkeypatch.setattr(f"rfpsurvey.reproduction.{module}.N_TARGETS", 3200)
-    for name, (scene, precisions) in SCENES.items():
-        monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
+    loosen(monkeypatch)
     monkeypatch.setattr("rfpsurvey.reproduction._poisson.SEPARATIONS", (0.52, 2.0))
     monkeypatch.setattr("rfpsurvey.reproduction._poisson.FEW_ERROR", 2e-2)
     monkeypatch.setattr(Settings, "precision", 2e-2)
     monkeypatch.setattr(Settings, "pick", lambda _, full, quick: quick if quick < 40 else quick // 4)
+    monkeypatch.setattr(_poisson, "random_designs", lambda settings: random_designs(settings)[:6])
+
+
+def loosen(monkeypatch):
+    """Let iterations end with twice the error: a quarter of them."""
+    for name, (scene, precisions) in SCENES.items():
+        monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
 
 
 @pytest.mark.parametrize("size", ["few", pytest.param("all", marks=pytest.mark.exhaustive)])
@@ -54,7 +60,7 @@ def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
 
 
 def test_results_do_not_depend_on_workers(tmp_path, monkeypatch):
-    monkeypatch.setattr(Settings, "precision", 1e-2)
+    monkeypatch.setattr(Settings, "precision", 2e-2)
     one, two = (rs.reproduction.reproduce("small", tmp_path / str(n), quick=True, workers=n) for n in (1, 2))
     assert one["ours"].tolist() == two["ours"].tolist()
     assert (tmp_path / "1" / "small.ecsv").read_text() == (tmp_path / "2" / "small.ecsv").read_text()
@@ -124,8 +130,8 @@ def test_a_reading_is_judged_by_each_average():
 def test_readings_without_discs_are_those_of_the_whole(monkeypatch):
     """What takes long can be left out: the other columns stay the same."""
     monkeypatch.setattr(_poisson, "random_designs", lambda settings: random_designs(settings)[:2])
-    coarse = Settings(quick=True, error=5e-3)
-    assert coarse.precision == 5e-3
+    coarse = Settings(quick=True, error=2e-2)
+    assert coarse.precision == 2e-2
     tables, claims = _poisson.poisson(coarse, discs={})
     whole = _poisson.poisson(coarse, discs={"disc, separation 0.52 mm": 0.52})[0]["poisson"]
     assert len(tables["poisson_disc"]) == 0
@@ -185,8 +191,9 @@ def test_intervals_of_one_sky_are_counted():
     assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
 
 
-def test_an_iteration_is_more_than_one_trial():
+def test_an_iteration_is_more_than_one_trial(monkeypatch):
     """With every iteration as one trial the interval is several times too wide, and holds the truth always."""
+    loosen(monkeypatch)
     table = coverage(QUICK, repeats=20)
     width = {r["interval"]: r["half_width"] for r in table if r["scene"] == "LAMOST" and r["method"] == "monte_carlo"}
     assert width["wilson_naive"] < 1.1 * width["wilson"] < width["wilson_iterations"] / 2

@@ -49,11 +49,10 @@ def covered(survey, instrument, circles):
         elbow, tip = (
             np.column_stack([scored[f"{part}_x"].value, scored[f"{part}_y"].value]) for part in ("elbow", "tip")
         )
-        plane, n = instrument.projection(center, angle), 0
-        for circle in circles:
-            where = SkyCoord(*circle.values[:3], representation_type="cartesian")
-            where.representation_type = "unitspherical"
-            point = plane.to_focal_plane(where.reshape(1)).value[0]
+        where, n = SkyCoord(*np.transpose([c.values[:3] for c in circles]), representation_type="cartesian"), 0
+        where.representation_type = "unitspherical"
+        points = instrument.projection(center, angle).to_focal_plane(where).value
+        for circle, point in zip(circles, points, strict=True):
             radius = circle.values[3] * instrument.plate_scale.to_value(u.mm / u.rad)
             if np.isfinite(point).all():
                 arm = tip - elbow
@@ -165,7 +164,7 @@ def test_threads_processes_and_partitions_give_the_same(sky, small, tiles, circl
     expected = flat.plan_survey(sky, small, tiles, **options, folder=tmp_path / "one")
     files = {p.relative_to(tmp_path / "one"): p.read_bytes() for p in (tmp_path / "one").rglob("*.fits")}
     assert expected.tiles["n_unmet"].any() or expected.summary["n_required_observed"] > 0
-    pools = {"threads": ThreadPoolExecutor(2), "processes": ProcessPoolExecutor(2, get_context("spawn"))}
+    pools = {"threads": ThreadPoolExecutor(2), "processes": ProcessPoolExecutor(1, get_context("spawn"))}
     for name, pool in pools.items():
         with pool:
             survey = flat.plan_survey(sky, small, tiles, **options, executor=pool, folder=tmp_path / name)

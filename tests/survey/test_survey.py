@@ -11,27 +11,12 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
-
-CENTER = SkyCoord(0.1 * u.deg, 60 * u.deg)
-
-
-def grid(step, n=3):
-    """Tiles about the center, in two passes, the second shifted."""
-    offsets = [(i * step, j * step) for i in range(-n // 2 + 1, n // 2 + 1) for j in range(-n // 2 + 1, n // 2 + 1)]
-    centers = [CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in offsets]
-    centers += [CENTER.spherical_offsets_by((x + step / 2) * u.deg, y * u.deg) for x, y in offsets]
-    table = QTable({"ra": [c.ra.deg for c in centers] * u.deg, "dec": [c.dec.deg for c in centers] * u.deg})
-    table["pass"] = np.repeat([1, 2], len(offsets))
-    return rs.Tiling.from_table(table)
+from fields import CENTER, clustered_sky, grid
 
 
 @pytest.fixture(scope="module")
 def sky():
-    catalog = rs.synthetic_catalog(
-        "clustered", CENTER, 2 * u.deg, density=400 / u.deg**2, cluster_size=5, cluster_scale=0.05 * u.deg, rng=3
-    )
-    rng = np.random.default_rng(5)
-    return rs.Catalog(catalog.coord, priority=rng.integers(1, 4, len(catalog)), visits=rng.integers(0, 4, len(catalog)))
+    return clustered_sky()
 
 
 def same(a, b):
@@ -170,107 +155,6 @@ def test_visits_given_by_hand(sky, small):
     assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
 
 
-@pytest.mark.filterwarnings("ignore:no target was observed")
-def test_what_became_of_each_target(small):
-    """One positioner, and for each outcome a target that must have it."""
-    one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
-    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
-    instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
-    projection = instrument.projection(CENTER)
-    xy = np.array([[0, 1.0], [0, 2.0], [9.0, 0.0], [11.0, 0.0], [0.0, 30.0], [-2.0, 0.0], [24.0, 5.0]])
-    coord = SkyCoord([*projection.to_sky(xy * u.mm), CENTER.directional_offset_by(0 * u.deg, 9 * u.deg)])
-    names = ["first", "second", "left", "right", "beyond", "unwanted", "often", "far"]
-
-    def outcome(chosen, visits, **options):
-        rows = [names.index(name) for name in chosen]
-        catalog = rs.Catalog(coord[rows], id=chosen, visits=visits)
-        survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), allocator="nearest", **options)
-        table = survey.outcomes
-        return {str(i): rs.Survey.OUTCOMES[k] for i, k in zip(table["target_id"], table["outcome"], strict=True)}
-
-    assert outcome(["first", "second", "beyond", "unwanted", "often", "far"], [1, 1, 1, 0, 2, 1]) == {
-        "first": "observed",
-        "second": "in reach not assigned",
-        "beyond": "out of reach",
-        "unwanted": "not requested",
-        "often": "partly observed",
-        "far": "in no field",
-    }
-    both = ["left", "right"]
-    assert set(outcome(both, [1, 1]).values()) == {"lost to a collision"}
-    assert set(outcome(both, [1, 1], lost_in_collision=False).values()) == {"observed"}
-
-
-@pytest.mark.parametrize("order", ["color", "given"])
-def test_completeness_counts_what_the_visits_say(sky, small, order):
-    """Targets counted as complete in the pass of their last tile in time, which need not be the last pass."""
-    tiling = grid(1.2)
-    if order == "given":  # tiles of the second pass come before and after those of the first
-        tiling = rs.Tiling(tiling.table[np.random.default_rng(2).permutation(len(tiling))])
-    survey = rs.plan_survey(sky, small, tiling, order=order)
-    number = dict(zip(survey.tiles["tile"].tolist(), survey.tiles["pass"].tolist(), strict=True))
-    visits = survey.targets[survey.targets["observed"]]
-    of_pass = np.array([number[t] for t in visits["tile"].tolist()])
-    for row in survey.completeness:
-        chosen = sky.visits > 0
-        if row["priority"] != "all":
-            chosen &= sky.priority == float(row["priority"])
-        seen = visits["target_row"][of_pass <= row["pass"]]
-        times = np.bincount(seen, minlength=len(sky))
-        assert row["n_targets"] == chosen.sum()
-        assert row["n_wanted"] == sky.visits[chosen].sum()
-        assert row["n_observed"] == times[chosen].sum()
-        assert row["n_complete"] == (times >= sky.visits)[chosen].sum()
-        assert row["completeness"] == pytest.approx(times[chosen].sum() / sky.visits[chosen].sum())
-    assert set(survey.completeness["priority"]) == {"all", "1", "2", "3"}
-
-
-def test_a_target_is_complete_after_the_last_pass_that_it_needs(small):
-    """Its tile of pass 2 is observed before that of pass 1: pass 1 alone does not complete two visits."""
-    tiles = QTable({"ra": [0.1, 0.1] * u.deg, "dec": [60, 60] * u.deg, "pass": [2, 1]})
-    target = rs.Catalog(SkyCoord([CENTER.directional_offset_by(0 * u.deg, 0.05 * u.deg)]), visits=[2])
-    survey = rs.plan_survey(target, small, tiles, order="given")
-    assert survey.completeness["n_observed"].tolist() == [1, 2]
-    assert survey.completeness["n_complete"].tolist() == [0, 1]
-
-
-def classes(sky, small, priority):
-    survey = rs.plan_survey(rs.Catalog(sky.coord, priority=priority), small, grid(1.2), passes=[2])
-    return survey.completeness[1:]
-
-
-def test_priorities_are_counted_apart_up_to_twenty(sky, small):
-    values = np.arange(len(sky)) % 20 + 1e7
-    table = classes(sky, small, values)
-    assert table["priority"].tolist() == [str(round(v)) for v in np.unique(values)[::-1]]
-    assert table["n_targets"].tolist() == np.bincount((values - 1e7).astype(int))[::-1].tolist()
-
-
-def test_more_priorities_are_counted_in_ranges(sky, small, rng):
-    table = classes(sky, small, rng.random(len(sky)))
-    assert len(table) == 10
-    assert table["n_targets"].sum() == len(sky)
-    assert np.all(np.abs(table["n_targets"] / len(sky) - 0.1) < 0.01)
-    ranges = np.array([[float(x) for x in name.split(" to ")] for name in table["priority"]])
-    assert (ranges[:, 0] < ranges[:, 1]).all()
-    assert (ranges[1:, 1] < ranges[:-1, 0]).all()
-    assert len(classes(sky, small, np.arange(len(sky)) % 21)) == 10
-
-
-def test_a_common_priority_is_never_split(sky, small):
-    """Nine of ten have the same value: it is a class of its own, as are those above and below it."""
-    n = len(sky)
-    for low in (True, False):
-        priority = np.where(np.arange(n) % 10 > 0, 500.0, np.arange(n) * (0.1 if low else 10.0) + (0 if low else 600))
-        table = classes(sky, small, priority)
-        common = [name for name in table["priority"] if " " not in name and float(name) == 500]
-        parts = [[float(x) for x in name.split(" to ")] for name in table["priority"]]
-        holding = [p for p in parts if p[0] <= 500 <= p[-1]]
-        assert len(holding) == 1
-        assert common or low
-        assert table["n_targets"].sum() == n
-
-
 def test_standards_and_sky_are_never_used_up(small):
     coord = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=2).coord
     kind = np.where(np.arange(60) < 20, "sky", np.where(np.arange(60) < 30, "standard", "science"))
@@ -337,16 +221,6 @@ def test_each_tile_draws_by_itself(sky, small):
     assert survey.summary["n_rounds"] == 1
     one, two = (survey.visits(k)["target_row"] % 2000 for k in (0, 1))
     assert not np.array_equal(one, two)
-
-
-def test_a_field_without_targets_has_no_completeness(sky, small):
-    tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 20 * u.deg)])
-    survey = rs.plan_survey(sky, small, tiles)
-    assert survey.tiles["n_in_field"][1] == survey.tiles["n_assigned"][1] == 0
-    assert np.isnan(survey.tiles["completeness"][1])
-    near = sky.coord.separation(CENTER) < small.field_radius
-    table = survey.outcomes[near]
-    assert survey.tiles["completeness"][0] == pytest.approx(table["observed"].sum() / table["wanted"].sum())
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,12 @@
 DESI's footprint
 ================
 
-DESI's real list of tiles with synthetic targets, wanted one to four times each; written as it goes, and resumable::
+This script plans DESI's real list of tiles with synthetic targets that require one to four visits. It writes its
+results after each tile, and can be resumed::
 
     python docs/examples/scripts/desi_footprint.py desi_tiles_main.ecsv.gz [n_targets] [folder]
 
-The list is that of https://github.com/desihub/desisurveyops.
+The list of tiles is from https://github.com/desihub/desisurveyops.
 """
 
 # sphinx_gallery_thumbnail_path = "_static/desi_footprint.png"
@@ -25,7 +26,7 @@ def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.S
     """Plan the tiles of a list with synthetic targets."""
     tiles = rs.Tiling.read(path)
     pole = SkyCoord(0 * u.deg, 90 * u.deg)
-    # the footprint is two fifths of the sky or so: what no tile covers is reported, and costs nothing
+    # the footprint is about two fifths of the sky; targets that no tile covers are reported, and cost no time
     targets = rs.synthetic_catalog("poisson", pole, 180 * u.deg, n_targets=float(n_targets), rng=1)
     visits = np.random.default_rng(1).integers(1, 5, len(targets))
     with ThreadPoolExecutor(2) as executor:

@@ -2,7 +2,7 @@
 LAMOST over a spring block
 ==========================
 
-Tiles where Tycho-2 stars are, then a survey of them::
+This script places tiles on Tycho-2 stars, and plans a survey with these tiles::
 
     python docs/examples/scripts/lamost_spring.py [CATALOG]
 """

@@ -2,7 +2,8 @@
 SDSS-V over the anticenter
 ==========================
 
-Tycho-2 stars around the Galactic anticenter: bright stars first, two visits each, no collisions::
+This script plans a survey of Tycho-2 stars around the Galactic anticenter without collisions. Bright stars have
+priority and require two visits::
 
     python docs/examples/scripts/sdssv_anticenter.py [CATALOG]
 """
@@ -25,7 +26,7 @@ def main(path: str | Path = DATA, passes: int = 6) -> rs.Survey:
     """Plan several passes over a catalog with priorities."""
     table = QTable.read(path, format="ascii.ecsv")
     magnitude = table["vt_mag"].to_value(u.mag)
-    # three classes of priority; stars brighter than 8 mag are wanted twice
+    # three priority classes; stars brighter than 8 mag require two visits
     table["priority"] = np.select([magnitude < 8, magnitude < 11], [3, 2], 1)
     table["visits"] = np.where(magnitude < 8, 2, 1)
     stars = rs.Catalog.from_table(table)

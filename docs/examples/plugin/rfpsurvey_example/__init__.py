@@ -11,7 +11,7 @@ TOY = Path(__file__).with_name("toy.toml")
 
 
 def rarest(problem):
-    """Serve class after class, targets first that few positioners reach; each takes the nearest that is free."""
+    """Assign targets by class, those with the fewest positioners in reach first, to the nearest free positioner."""
     centers = problem.focal_plane.xy.to_value(u.mm)
     reach = problem.reachable.tocsc()  # positioners of each target
     target_of = np.full(len(centers), -1)
@@ -25,7 +25,7 @@ def rarest(problem):
 
 
 def dice(question):
-    """Throw independent targets, uniform over each patrol area, until the part that collides is known well enough."""
+    """Draw independent targets, uniform over each patrol area, until the standard error is small enough."""
     plane, rng, n = question.focal_plane, question.rng, len(question.focal_plane)
     inner, outer = (r.to_value(u.mm) for r in (plane.positioner.inner_radius, plane.positioner.outer_radius))
     precision, hits, parts = question.precision, np.zeros(n), []

@@ -1,0 +1,33 @@
+"""Files of the catalogs that come with the package."""
+
+import os
+from pathlib import Path
+
+from rfpsurvey._io import to_path
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name"]
+
+PREFIX = "example:"
+EXAMPLES = {"anticenter": "tycho2_anticenter_r8.ecsv"}
+# setup.py writes the first folder when it builds a wheel; the second is that of the source tree
+_PLACES = ((Path(__file__).parent / "examples", ".bz2"), (Path(__file__).parents[2] / "data", ".gz"))
+
+
+def is_example(path: object) -> bool:
+    """Return whether ``path`` is the name of an example, such as "example:anticenter"."""
+    return isinstance(path, str | os.PathLike) and os.fspath(path)[: len(PREFIX)] == PREFIX
+
+
+def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
+    """Return the path of a file or an example, and the name that results state."""
+    if not is_example(path):
+        path = to_path(path)
+        return path, path.name
+    name = os.fspath(path)
+    file = EXAMPLES[check_choice(name.removeprefix(PREFIX), EXAMPLES, "example catalog")]
+    paths = [folder / f"{file}{ending}" for folder, ending in _PLACES]
+    found = next((path for path in paths if path.exists()), None)
+    if found is None:
+        raise InputError(f"the installation must contain {paths[0]}, but the file is missing: install rfpsurvey again")
+    return found, name

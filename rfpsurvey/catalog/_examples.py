@@ -1,0 +1,46 @@
+"""Catalogs that come with the package."""
+
+from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._example_files import EXAMPLES, PREFIX
+from rfpsurvey.errors import check_choice, check_keywords
+
+__all__ = ["example_catalog"]
+
+
+@check_keywords
+def example_catalog(name: str = "anticenter") -> Catalog:
+    """Return a catalog of real stars that comes with the package.
+
+    ``Catalog.read("example:anticenter")`` reads the same stars with other options, and commands accept
+    ``example:anticenter`` in place of a file.
+
+    Parameters
+    ----------
+    name : {"anticenter"}, optional
+        ``anticenter``: the 21,662 stars of the Tycho-2 main catalog within 8 deg of ICRS (95, +23) deg, the Galactic
+        anticenter with the cluster M35.
+
+    Returns
+    -------
+    Catalog
+        The stars, with positions and proper motions at the epoch J2000 and with the magnitudes ``bt_mag`` and
+        ``vt_mag`` in ``extra``; ``meta`` holds the source, the selection, the license and the caveats.
+
+    Raises
+    ------
+    InputError
+        If no example has this name.
+
+    References
+    ----------
+    Hog, E. et al. 2000, A&A, 355, L27 (Tycho-2).
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> stars = rs.example_catalog("anticenter")
+    >>> stars
+    <Catalog of 21662 targets with epoch, bt_mag, vt_mag>
+    """
+    check_choice(name, EXAMPLES, "example catalog")
+    return Catalog.read(f"{PREFIX}{name}", keep=["bt_mag", "vt_mag"])

@@ -1,0 +1,44 @@
+"""Bars of classes: the fractions of a total, with a number beside each bar."""
+
+import numpy as np
+
+from rfpsurvey.plot._axes import legend_below
+
+__all__ = ["stacked_bars"]
+
+FEWEST = 4
+HEADING = 0.9  # above the first bar
+
+
+def stacked_bars(
+    ax,
+    y: np.ndarray,
+    total: np.ndarray,
+    pieces: tuple,
+    labels: list[str],
+    counted: np.ndarray,
+    kwargs: dict,
+    *,
+    columns: int = 2,
+) -> None:
+    """Draw a bar for each class, from 0 to 1, and to the right how many are ``counted`` (observed), of all.
+
+    ``pieces`` are numbers, a label and a style each, from the left to the right.
+    """
+    left, handles = np.zeros(len(y)), []
+    style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}
+    for number, label, look in pieces:
+        part = number / np.maximum(total, 1)
+        bars = ax.barh(y, part, left=left, label=label, **{**style, **look, **kwargs})
+        handles += [bars] if number.any() else []
+        left = left + part
+    text = {"textcoords": "offset points", "fontsize": "small", "annotation_clip": False}
+    text |= {"xycoords": ("axes fraction", "data"), "va": "center"}
+    for place, done, of in zip(y, counted, total, strict=True):
+        ax.annotate(f"{done:.0f} of {of:.0f}", (1, place), (4, 0), **text)
+    ax.annotate("observed", (1, HEADING), (4, 0), **text)
+    ax.set_yticks(y, labels, fontsize="small")
+    around = 0.6 + max(FEWEST - len(y), 0) / 2  # a single bar is not as high as the panel
+    ax.set_ylim(y.min() - around, max(around, HEADING + 0.4))
+    ax.set_xlim(0, 1)
+    legend_below(ax, handles, columns=columns)

@@ -1,0 +1,157 @@
+"""The quality of a survey: visits by class, targets by outcome, fibers by kind and pass, and each tile."""
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.errors import number_of
+from rfpsurvey.pipeline import OUTCOMES, Outcome
+from rfpsurvey.plot._axes import legend_below, legend_line
+from rfpsurvey.plot._bars import stacked_bars
+from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS
+from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, OUTLINE, light_scale
+from rfpsurvey.survey import Survey
+
+__all__ = ["class_rows", "draw_survey_quality"]
+
+MOST_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
+"""Bars of classes, those of categories, and passes that have a color each."""
+MOST_DOTS = 3000
+KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
+
+
+def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
+    """Draw the four panels."""
+    classes, outcomes, fibers, tiles = axes
+    _draw_visits(classes, survey, kwargs)
+    _draw_outcomes(outcomes, survey)
+    _draw_fibers(fibers, survey)
+    _draw_tiles(tiles, survey)
+    s, name = survey.summary, survey.provenance["instrument"]["name"]
+    visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_wanted'], 'visit')} observed"
+    title = f"{name}: {visits} on {number_of(s['n_tiles'], 'tile')}"
+    classes.set_title(title, loc="left", fontsize="medium")
+
+
+def class_rows(survey: Survey) -> QTable:
+    """Return the rows of the completeness after the last pass that have a bar."""
+    return _after(survey, -1)[:MOST_ROWS]
+
+
+def _after(survey, k) -> QTable:
+    """Return the rows of the completeness after a pass, by its place in the order of planning, categories first."""
+    passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
+    rows = survey.completeness[np.asarray(survey.completeness["pass"]) == passes[k]]
+    if "category" not in rows.colnames:
+        return rows
+    category = np.asarray(rows["category"]) != "all"
+    few = category & (np.cumsum(category) <= MOST_CATEGORIES)
+    group = np.where(few, 1, np.where(category, 3, 2))
+    group[0] = 0  # all targets
+    return rows[np.argsort(group, kind="stable")]
+
+
+def _draw_visits(ax, survey, kwargs):
+    """Draw a bar for each class: the fraction of its visits that each pass observed."""
+    passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
+    rows = class_rows(survey)
+    wanted, observed = (np.asarray(rows[name], float) for name in ("n_wanted", "n_observed"))
+    # where there are many passes, the last color stands for several of them
+    ends = [*range(min(len(passes), MOST_PASSES) - 1), len(passes) - 1]
+    colors = [ARM] if len(ends) == 1 else light_scale()(np.linspace(0.0, 0.85, len(ends)))
+    pieces, before = [], np.zeros(len(rows))
+    for k, (end, color) in enumerate(zip(ends, colors, strict=True)):
+        after = np.asarray(_after(survey, end)["n_observed"][:MOST_ROWS], float)
+        several = k > 0 and end > ends[k - 1] + 1
+        words = f"in passes {passes[ends[k - 1] + 1]} to {passes[end]}" if several else f"in pass {passes[end]}"
+        words = "observed" if len(ends) == 1 else words
+        pieces.append((after - before, words, {"color": color}))
+        before = after
+    pieces.append((wanted - observed, "not observed", {"color": FADED, "alpha": 0.5}))
+    names = [dict(zip(rows.colnames, row, strict=True)) for row in rows.as_array().tolist()]
+    groups = [2 if row["priority"] != "all" else int(row.get("category", "all") != "all") for row in names]
+    y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=0) != 0)
+    stacked_bars(ax, y, wanted, tuple(pieces), [_label_of(row) for row in names], observed, kwargs, columns=3)
+    label, left_out = "fraction of the visits wanted", len(_after(survey, -1)) - len(rows)
+    label += f"; {number_of(left_out, 'more class', 'more classes')} not shown" if left_out else ""
+    ax.set_xlabel(label, fontsize="small" if left_out else None)
+
+
+def _label_of(row) -> str:
+    if row.get("category", "all") != "all":
+        return row["category"]
+    return "all" if row["priority"] == "all" else f"priority {row['priority']}"
+
+
+def _draw_outcomes(ax, survey):
+    """Draw the number of targets with each outcome."""
+    known = {OUTCOMES[code]: color for code, color in OUTCOME_COLORS.items()}
+    counts = {name: survey.summary["outcomes"].get(name, 0) for name in known}
+    counts = {name: n for name, n in counts.items() if n}
+    total, y = sum(counts.values()), -np.arange(len(counts))
+    lost = OUTCOMES[Outcome.LOST_TO_A_COLLISION]
+    for place, (name, n) in zip(y, counts.items(), strict=True):
+        look = {"hatch": HATCH} if name == lost else {}
+        ax.barh(place, n, 0.75, color=known[name], edgecolor="white", linewidth=0.4, **look)
+        text = f"{n} ({n / total:.1%})"
+        ax.annotate(text, (n, place), (4, 0), textcoords="offset points", va="center", fontsize="small")
+    ax.set_yticks(y, list(counts), fontsize="small")
+    around = 0.6 + max(4 - len(counts), 0) / 2
+    ax.set_ylim(y.min(initial=0) - around, around)
+    ax.set_xlim(0, 1.35 * max(counts.values(), default=1))  # with room for the numbers
+    ax.set_xlabel("targets of the catalog")
+
+
+def _draw_fibers(ax, survey):
+    """Draw the fibers of each pass by what they observe."""
+    from matplotlib.ticker import MaxNLocator
+
+    tiles, s = survey.tiles, survey.summary
+    passes, place = np.unique(np.asarray(tiles["pass"]), return_inverse=True)
+    n_fibers = s["n_fibers"] / max(s["n_tiles"], 1) * np.bincount(place)
+    bottom, handles = np.zeros(len(passes)), []
+    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}  # old surveys have science only
+    for kind, name in columns.items():
+        n = np.bincount(place, weights=np.asarray(tiles[name], float))
+        if n.any():
+            label = f"{KINDS[kind]}: {n.sum():.0f}"
+            handles.append(ax.bar(np.arange(len(passes)), n, 0.75, bottom, color=KIND_COLORS[kind], label=label))
+        bottom = bottom + n
+    rest = np.maximum(n_fibers - np.bincount(place, weights=np.asarray(tiles["n_assigned"], float)), 0)
+    look = {"color": FADED, "alpha": 0.5, "label": f"without a target: {rest.sum():.0f}"}
+    handles.append(ax.bar(np.arange(len(passes)), rest, 0.75, bottom, **look))
+    step = -(-len(passes) // MOST_ROWS)
+    ax.set_xticks(np.arange(len(passes))[::step], [str(p) for p in passes[::step]], fontsize="small")
+    around = 0.6 + max(4 - len(passes), 0) / 2
+    ax.set_xlim(-around, len(passes) - 1 + around)
+    ax.set_xlabel("pass")
+    ax.set_ylabel("fibers of all tiles")
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    legend_below(ax, handles, columns=2)
+
+
+def _draw_tiles(ax, survey):
+    """Draw the fiber use and the collision rate of each tile, in the order of planning."""
+    from matplotlib.ticker import MaxNLocator
+
+    tiles = survey.tiles
+    order = np.lexsort((np.arange(len(tiles)), np.asarray(tiles["round"])))
+    x, handles = np.arange(1, len(tiles) + 1), []
+    size = float(np.clip(120 / np.sqrt(max(len(tiles), 1)), 2, 6))
+    for name, label, color, marker in (
+        ("fiber_use", "fraction of the fibers used", ARM, "o"),
+        ("collision_rate", "collision rate", COLLISION, "D"),
+    ):
+        style = {"color": color, "marker": marker, "linestyle": "none", "markersize": size, "markeredgecolor": OUTLINE}
+        values = np.asarray(tiles[name], float)[order]
+        style |= {"markeredgewidth": 0.3, "clip_on": False, "rasterized": len(tiles) > MOST_DOTS}
+        ax.plot(x, values, **style)
+        total = f"{label}; of all tiles: {survey.summary[name]:.3f}"
+        handles.append(legend_line(total, color=color, marker=marker, linestyle="none", markersize=5))
+    ax.set_xlim(0.5, len(tiles) + 0.5)
+    ax.set_ylim(0, 1.02)
+    ax.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
+    ax.set_xlabel("tiles, in the order of planning")
+    ax.set_ylabel("fraction")
+    ax.grid(axis="y", color="0.9", linewidth=0.6)
+    ax.set_axisbelow(True)
+    legend_below(ax, handles, columns=1)

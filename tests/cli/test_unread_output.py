@@ -1,0 +1,80 @@
+"""Commands whose output nobody reads, or that has no room: exit codes as of any shell, and no file is lost."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import rfpsurvey as rs
+from refusals import sentence
+
+# runs commands that are given with whether Python buffers what they print, and with the file that they print to
+FORKED = """
+import io, json, os, runpy, sys
+import rfpsurvey._cli  # once, and not once a command
+for k, (command, unbuffered, stdout) in enumerate(json.loads(sys.argv[1])):
+    child = os.fork()
+    if child == 0:
+        os.dup2(stdout, 1)
+        os.dup2(os.open(f"{k}.txt", os.O_CREAT | os.O_WRONLY), 2)
+        if unbuffered:  # as python -u does
+            sys.stdout = io.TextIOWrapper(io.FileIO(1, "w"), write_through=True)
+        sys.argv = ["rfpsurvey", *command.split()]
+        runpy.run_module("rfpsurvey", run_name="__main__", alter_sys=True)
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), open(f"{k}.txt").read(), sep="\\0", end="\\1")
+"""
+
+
+TO_NOBODY = [
+    *((command, False) for command in ("instruments", "--help", "--version", "plan --help", "plan --instrument moons")),
+    *((command, True) for command in ("instruments", "--help")),  # text of the library, and of its command line
+]
+
+
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory):
+    """Exit codes and errors of commands whose output nobody reads, of one that head reads, and of a full device."""
+    folder = tmp_path_factory.mktemp("ends")
+    receive, nobody = os.pipe()
+    os.close(receive)
+    head = subprocess.Popen(["head", "-n", "1"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    commands = [(command, unbuffered, nobody) for command, unbuffered in TO_NOBODY]
+    commands.append(("plan --instrument moons --output a.fits", True, head.stdin.fileno()))
+    files = [nobody, head.stdin.fileno()]
+    if os.path.exists("/dev/full"):
+        files.append(os.open("/dev/full", os.O_WRONLY))
+        commands.append(("instruments", False, files[-1]))
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKED, json.dumps(commands)],
+        cwd=folder,
+        pass_fds=files,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    head.stdin.close()
+    head.wait()
+    for file in (nobody, *files[2:]):
+        os.close(file)
+    found = [(int(code), text) for code, text in (part.split("\0") for part in done.stdout.split("\1")[:-1])]
+    return folder, found[: len(TO_NOBODY)], *found[len(TO_NOBODY) :]
+
+
+def test_a_closed_pipe_loses_no_file(ends):
+    folder, _, (_, errors), *_ = ends
+    assert rs.Tile.read(folder / "a.fits").summary["n_positioners"] == 1001
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("number", range(len(TO_NOBODY)), ids=[" ".join(map(str, one)) for one in TO_NOBODY])
+def test_a_reader_that_has_gone_is_told_as_any_shell_does(ends, number):
+    """With 1, after which a script with pipefail could not tell a broken pipe from bad input."""
+    assert ends[1][number] == (141, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
+def test_a_full_device_is_a_sentence(ends):
+    assert "No space left on device" in sentence(*ends[3])
