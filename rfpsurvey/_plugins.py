@@ -54,7 +54,8 @@ def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Pl
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)
-    return _load(group, check_choice(name, {*known, *plugin_names(group)}, what), what)
+    others = ", or a TOML file" if what == "instrument" else ""
+    return _load(group, check_choice(name, {*known, *plugin_names(group)}, what, others=others), what)
 
 
 def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:

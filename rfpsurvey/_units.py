@@ -14,6 +14,7 @@ from astropy.coordinates import (
 )
 from astropy.utils.masked import Masked
 
+from rfpsurvey._readers import is_number
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusal, short
 
 MOST_VISITS = 255
@@ -121,21 +122,15 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
         return center
     words = center.replace(",", " ").split()
     try:
-        if len(words) == 2 and all(_is_number(word) for word in words):
+        if len(words) == 2 and all(is_number(word) for word in words):
+            if not abs(float(words[0])) <= 360:
+                raise ValueError("the right ascension must lie between -360 and 360 deg")
             return SkyCoord(float(words[0]), float(words[1]), unit="deg")
         return SkyCoord(" ".join(words), unit=("hourangle", "deg"))
     except Exception as error:  # astropy's parsers raise what they like
         raise InputError(
             f"{name} must be coordinates such as '06h20m00s +23d00m00s' or '95.0 23.0', got {short(center)} ({error})"
         ) from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:

@@ -98,15 +98,15 @@ def number_of(n: int, noun: str, plural: str = "") -> str:
     return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
-def check_choice(name: object, choices: Iterable[str], what: str) -> str:
-    """Return ``name`` if it is one of ``choices``, otherwise raise an error that lists them."""
+def check_choice(name: object, choices: Iterable[str], what: str, *, others: str = "") -> str:
+    """Return ``name`` if it is one of ``choices``, otherwise raise an error that lists them, and names ``others``."""
     choices = sorted(choices)
     if isinstance(name, str) and name in choices:
         return name
     if not isinstance(name, str):
-        raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {', '.join(choices)}.")
+        raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {', '.join(choices)}{others}.")
     hint = close_to(name, choices).replace("did", " Did", 1)
-    raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}.{hint}")
+    raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}{others}.{hint}")
 
 
 def check_switch(value: object, name: str) -> bool:
@@ -126,7 +126,7 @@ def short(value: object) -> str:
     """Return a value as text of one short line; a table is told by its type and length."""
     name = type(value).__name__
     if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, also one of another package
-        return f"a {name} of {len(value)} rows"
+        return f"a {name} of {number_of(len(value), 'row')}"
     text = " ".join(repr(value).split())
     return text if len(text) < LONGEST else f"{name} {text[:40]}..."
 

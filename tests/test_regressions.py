@@ -15,7 +15,7 @@ from rfpsurvey.collision import place_arms
 from scenes import CENTER, MM, few
 
 
-@pytest.mark.filterwarnings("ignore:.*share their id with another")
+@pytest.mark.filterwarnings("ignore:.*with the id of another")
 @pytest.mark.parametrize("suffix", [".fits", ".ecsv"])
 @pytest.mark.parametrize(
     "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]
@@ -290,7 +290,7 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
     with pytest.warns(rs.RfpsurveyWarning, match="without proper motions the epoch changes nothing"):
         rs.plan_tile(few(), small, CENTER, epoch=2030)
-    with pytest.warns(rs.RfpsurveyWarning, match="1 targets in the field share their id"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the id of another"):
         rs.plan_tile(few(2, id=[7, 7]), small, CENTER)
 
 

@@ -112,8 +112,20 @@ def main() -> None:
 def _complain(error: Exception) -> int:
     """Print one sentence, and return the exit code of bad input."""
     with suppress(BrokenPipeError):
-        print(f"rfpsurvey: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
     return 2
+
+
+def _with_options(text: str, words: list[str]) -> str:
+    """Return an error with options in place of parameters of functions, as far as these options were typed."""
+    typed = {word.partition("=")[0] for word in words if word.startswith("--")}
+
+    def option(match: re.Match) -> str:
+        name = OPTIONS.get(match[0], "--" + match[0].replace("_", "-"))
+        return name if name in typed else match[0]
+
+    text = re.sub(r"^[a-z_]+(?= must )", option, text)
+    return re.sub(r"(?<![\w'=-])[a-z]+(_[a-z]+)+(?![\w'=(])", option, text)
 
 
 def _flush(code: int) -> int:
@@ -135,13 +147,32 @@ def parse_center(text: str | None):
     return None if text is None else to_center(text, "--center")
 
 
+OPTIONS = {
+    "rotation": "--pa",
+    "position_angle": "--pa",
+    "standard_error": "--precision",
+    "passes": "--pass",
+    "targets_per_positioner": "--targets",
+    "n_realizations": "--realizations",
+    "requirements": "--require",
+}
+"""Options whose names are not those of the parameters that they stand for."""
+FORMS = {
+    "--column": "ROLE=NAME",
+    "--unit": "ROLE=UNIT",
+    "--fill": "ROLE=VALUE",
+    "--select": "COLUMN=VALUE",
+    "--objective": "COLUMN=DIRECTION",
+}
+
+
 def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
-    """Return a dict from options of the form NAME=VALUE."""
+    """Return a dict from options of a form such as NAME=VALUE."""
     found = {}
     for pair in pairs or []:
         name, sign, value = pair.partition("=")
         if not sign or not name or not value:
-            raise rs.InputError(f"{option} must have the form NAME=VALUE, got {pair!r}")
+            raise rs.InputError(f"{option} must have the form {FORMS[option]}, got {pair!r}")
         found[name] = value
     return found
 

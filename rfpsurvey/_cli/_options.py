@@ -5,6 +5,16 @@ from typing import Annotated
 
 import typer
 
+from rfpsurvey.errors import InputError
+
+
+def check_angle(value: float | None) -> float | None:
+    """Return a position angle that was typed, if it is within one turn."""
+    if value is not None and not abs(value) <= 360:
+        raise InputError(f"--pa must lie between -360 and 360 deg, got {value:g}")
+    return value
+
+
 CatalogArgument = Annotated[
     Path | None,
     typer.Argument(
@@ -17,7 +27,7 @@ CenterOption = Annotated[
     str | None,
     typer.Option(help="Field center, ICRS, as '95.1 23.0' (deg) or '06:20:24 +23:00:00'. None: the mean direction."),
 ]
-PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.")]
+PaOption = Annotated[float, typer.Option(help="Position angle of +y, deg from north to east.", callback=check_angle)]
 SeedOption = Annotated[int, typer.Option(help="Seed of random numbers.", min=0)]
 FrameOption = Annotated[str, typer.Option(help="Frame of the catalog's coordinates.")]
 AllocatorOption = Annotated[
@@ -29,7 +39,9 @@ AllocatorOption = Annotated[
 ]
 RequireOption = Annotated[
     list[str] | None,
-    typer.Option(help="What the tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."),
+    typer.Option(
+        help="KIND=NUMBER that a tile must hold, as sky=20/spectrograph or sky_boss=300; or instrument, for its own."
+    ),
 ]
 RequiredOption = Annotated[list[str] | None, typer.Option(help="Id of a target that comes before all others.")]
 KeepOutOption = Annotated[
@@ -114,7 +126,10 @@ TilingAllocatorOption = Annotated[
     ),
 ]
 TilingPaOption = Annotated[
-    float | None, typer.Option(help="Position angle of +y, deg from north to east. None: that of --centers, or 0.")
+    float | None,
+    typer.Option(
+        help="Position angle of +y, deg from north to east. None: that of --centers, or 0.", callback=check_angle
+    ),
 ]
 TilingMethodOption = Annotated[
     str,

@@ -169,6 +169,8 @@ def print_summary(tile: "rs.Tile") -> None:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
+    elif "positions" in values:
+        print("scored from positions on the focal plane, for which no field center is needed")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
     for label, value in tile_facts(tile).items():

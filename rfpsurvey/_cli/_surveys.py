@@ -11,8 +11,10 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
 from rfpsurvey._executors import end_with_parent
+from rfpsurvey._io import read_table
 from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
+from rfpsurvey.tiling import warn_of_targets
 
 __all__ = ["run", "targets_of", "workers"]
 
@@ -32,7 +34,9 @@ def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, uni
 def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
     """Return the tiles of a file, or two coverings of the catalog."""
     if path is not None:
-        return rs.Tiling.read(path)
+        tiling = rs.Tiling.read(path)
+        warn_of_targets(read_table(path), len(targets))
+        return tiling
     if isinstance(targets, rs.PartitionedCatalog):
         raise rs.InputError("a catalog in partitions needs --tiles, such as those of: rfpsurvey tile --region ...")
     return rs.place_tiles(targets, model, passes=2)

@@ -18,7 +18,10 @@ def score(
         str | None, typer.Option(help="Preset, or the path of a TOML file. None: that of a tile of rfpsurvey.")
     ] = None,
     center: Annotated[str | None, typer.Option(help="Field center, ICRS; else the table's racen, deccen.")] = None,
-    pa: Annotated[float | None, typer.Option(help="Position angle, deg; else the table's position_angle.")] = None,
+    pa: Annotated[
+        float | None,
+        typer.Option(help="Position angle, deg; else the table's position_angle.", callback=_options.check_angle),
+    ] = None,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     positions: Annotated[str | None, typer.Option(help="focal_plane or sky, where the table has both.")] = None,

@@ -2,6 +2,7 @@
 
 from rfpsurvey._readers._documents import parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes
+from rfpsurvey._readers._header import is_number
 from rfpsurvey._readers._limits import content_of, sentence
 from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, suffix_of, to_path
@@ -11,6 +12,7 @@ __all__ = [
     "META_KEY",
     "content_of",
     "import_parquet",
+    "is_number",
     "parse_json",
     "read_fits_bytes",
     "read_parquet",

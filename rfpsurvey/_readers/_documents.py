@@ -19,6 +19,8 @@ def read_toml(path: Path) -> dict:
     """Return the content of a TOML file."""
     import tomllib
 
+    if not path.is_file():
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
     content = content_of(path, most=MOST_TOML, kind="TOML")
     try:
         text = content.decode("utf-8")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["find_names"]
+__all__ = ["find_names", "is_number"]
 
 DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
 DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
@@ -32,11 +32,11 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
     names = _split(content[begin:end], delimiter)
     if len(names) == 1 and len(names[0].split()) > 1:
         raise InputError(f"{path}: commas must separate the names of the columns, got blanks in {names[0]!r}")
-    if all(_is_number(name) for name in names):
+    if all(is_number(name) for name in names):
         before = content.rfind(b"\n", 0, max(begin - 1, 0)) + 1
         comment = content[before:begin].strip()
         words = _split(comment.lstrip(b"#"), delimiter)
-        if not comment.startswith(b"#") or len(words) != len(names) or any(_is_number(word) for word in words):
+        if not comment.startswith(b"#") or len(words) != len(names) or any(is_number(word) for word in words):
             raise InputError(f"{path}: the first row must hold the names of the columns, got {names[0]!r}")
         return content[:before] + content[before:begin].replace(b"#", b"", 1) + content[begin:], delimiter, {}
     for k in (1, 2):
@@ -76,9 +76,10 @@ def _split(line: bytes, delimiter: bytes) -> list[str]:
     return [word.decode("utf-8").strip(' "\r\t') for word in line.split(delimiter)]
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: object) -> bool:
+    """Return whether a text, or what else a table may hold, can be read as a number."""
     try:
         float(text)
-    except ValueError:
+    except (TypeError, ValueError):
         return False
     return True

@@ -9,6 +9,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey.allocation._problem import Level
 from rfpsurvey.allocation._requirements import Shortfall
 from rfpsurvey.collision import Arms, place_arms
+from rfpsurvey.errors import number_of
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["Allocation"]
@@ -147,4 +148,4 @@ class Allocation:
 
     def __repr__(self):
         n, m = len(self.target_of_positioner), len(self.positioner_of_target)
-        return f"<Allocation by {self.allocator!r}: {self.n_assigned} of {n} positioners, {m} targets>"
+        return f"<Allocation by {self.allocator!r}: {self.n_assigned} of {n} positioners, {number_of(m, 'target')}>"

@@ -21,7 +21,7 @@ from rfpsurvey.catalog._example_files import path_and_name
 from rfpsurvey.catalog._extra import extra_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
-from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn
+from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal, warn
 
 __all__ = ["Catalog"]
 
@@ -153,7 +153,7 @@ class Catalog:
     def __repr__(self):
         carried = [name for name in (*_PER_TARGET[1:], "epoch") if getattr(self, name) is not None]
         carried += list(self.arrays.extra)
-        return f"<Catalog of {len(self)} targets{' with ' if carried else ''}{', '.join(carried)}>"
+        return f"<Catalog of {number_of(len(self), 'target')}{' with ' if carried else ''}{', '.join(carried)}>"
 
     def _repr_html_(self) -> str:
         return to_html(self, {"targets": len(self), **self.meta}, self[:5].to_table())

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
+from rfpsurvey._readers import is_number
 from rfpsurvey._units import rows_of, to_labels, to_plain
 from rfpsurvey.errors import InputError, check_choice, refusal, short
 
@@ -84,7 +85,7 @@ class Finder:
                 raise refusal(f"{name} must be a dict from role to {what}", given, dict)
         for role, value in self.fill.items():
             check_choice(role, FILLED, "column role to fill")
-            if FILLED[role] and not _is_decimal(value):
+            if FILLED[role] and not is_number(value):
                 raise InputError(f"fill must have a number for {role}, got {short(value)}")
         for role, name in self.columns.items():
             check_choice(role, ROLES, "column role")
@@ -172,7 +173,7 @@ class Finder:
             return sign * values.astype(float)
         except (TypeError, ValueError):
             what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
-            row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not _is_decimal(v))
+            row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not is_number(v))
             text = f"column {name!r} ({role}) must hold {what}, but holds text such as {text[:60]!r} (row {row + 1})"
             raise InputError(text) from None
 
@@ -251,14 +252,6 @@ def _unit(given: object, role: str) -> u.UnitBase:
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")
         unit = unit if isinstance(known, u.UnrecognizedUnit) else known
     return u.Unit(u.hourangle * unit.to(u.hour)) if role == "ra" and unit.is_equivalent(u.hour) else unit
-
-
-def _is_decimal(text) -> bool:
-    try:
-        float(text)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def _ucd(column) -> str:

@@ -15,7 +15,7 @@ from rfpsurvey._readers import content_of, import_parquet
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short, warn
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short, warn
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
@@ -115,7 +115,8 @@ class PartitionedCatalog:
         return int(self.parts.rows[-1])
 
     def __repr__(self):
-        return f"<PartitionedCatalog of {len(self)} targets in {len(self.parts.files)} partitions>"
+        parts = number_of(len(self.parts.files), "partition")
+        return f"<PartitionedCatalog of {number_of(len(self), 'target')} in {parts}>"
 
     @property
     def meta(self) -> dict:

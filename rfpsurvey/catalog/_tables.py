@@ -6,6 +6,7 @@ from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
 from astropy.table import QTable, Table
 from astropy.time import Time
 
+from rfpsurvey._units import rows_of
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns
 from rfpsurvey.catalog._frames import as_table
@@ -41,7 +42,7 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
             )
     return {
         "coord": coord,
-        "id": find.labels("id"),
+        "id": _ids(find),
         "priority": find.complete("priority"),
         "kind": kind,
         "category": category,
@@ -50,6 +51,17 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
         "epoch": _epoch(find, coord),
         "meta": meta,
     }
+
+
+def _ids(find: Finder) -> np.ndarray | None:
+    """Return the identifiers of all rows, None where no column has them."""
+    ids = find.labels("id")
+    if ids is not None and ids.dtype.kind == "U" and (ids == "").any():
+        warn(
+            f"column {find.name_of('id')!r} (id) is empty in {rows_of(ids == '')}; columns={{'id': ...}} or --column "
+            "id=... names another column"
+        )
+    return ids
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
@@ -87,6 +99,8 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     frame = frame.lower()
     check_choice(frame, frame_transform_graph.get_names(), "frame")
     equatorial = frame in EQUATORIAL
+    if not equatorial:
+        _check_frame(frame)
     roles = ("ra", "dec") if equatorial else ("lon", "lat")
     lacking = [role for role in roles if find.name_of(role) is None]
     if lacking:
@@ -104,6 +118,16 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
         return SkyCoord(lon, lat, frame=frame, **motion)
     except ValueError as error:
         raise InputError(f"frame {frame!r} cannot be used: {error}") from error
+
+
+def _check_frame(frame: str) -> None:
+    """Refuse a frame whose directions need an observer or a time, such as altaz."""
+    try:
+        SkyCoord(0 * u.deg, 0 * u.deg, frame=frame).transform_to("icrs")
+    except Exception as error:  # frames raise what they like
+        raise InputError(
+            f"frame must be one that has a fixed relation to ICRS, such as icrs, fk5 or galactic, got {frame!r}"
+        ) from error
 
 
 def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:

@@ -11,7 +11,7 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_whole, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_whole, number_of, short
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
@@ -74,7 +74,9 @@ class CollisionCounts:
         return len(self.n_pairs)
 
     def __repr__(self):
-        return f"<CollisionCounts: {len(self)} configurations, {int(self.n_pairs.sum())} pairs>"
+        return (
+            f"<CollisionCounts: {number_of(len(self), 'configuration')}, {number_of(int(self.n_pairs.sum()), 'pair')}>"
+        )
 
 
 @check_keywords

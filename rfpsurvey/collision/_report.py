@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._display import to_html
+from rfpsurvey.errors import number_of
 
 __all__ = ["CollisionReport"]
 
@@ -81,7 +82,7 @@ class CollisionReport:
 
     def __repr__(self):
         return (
-            f"<CollisionReport: {len(self.pairs)} pairs, {len(self.obstacle_pairs)} with obstacles, "
+            f"<CollisionReport: {number_of(len(self.pairs), 'pair')}, {len(self.obstacle_pairs)} with obstacles, "
             f"{int(self.in_collision.sum())} of {int(self.counted.sum())} positioners>"
         )
 

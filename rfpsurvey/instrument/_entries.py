@@ -193,6 +193,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
         if part not in entry:
             remedy = f'; {part} = "..." at the top of the file holds for all entries without one'
             remedy = remedy if part in DEFAULTS else ""
+            remedy += f"; it is one of {', '.join(STATUSES)}" if part == "status" else ""
             raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}")
     check_choice(entry["status"], STATUSES, f"status of {full}")
     if not _is_text(entry["source"]):

@@ -19,6 +19,7 @@ from rfpsurvey.errors import (
     InputTypeError,
     check_choice,
     check_keywords,
+    number_of,
     refusal,
     short,
     warn,
@@ -106,7 +107,8 @@ class Instrument:
 
     def __repr__(self):
         field = f"field {2 * self.field_radius.to_value(u.deg):.4g} deg across"
-        return f"<Instrument {self.name!r}: {len(self.focal_plane)} positioners, {field}, layout {self.layout}>"
+        size = number_of(len(self.focal_plane), "positioner")
+        return f"<Instrument {self.name!r}: {size}, {field}, layout {self.layout}>"
 
     def _repr_html_(self):
         return to_html(self, fact_texts(self.facts()))

@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.collision import CollisionCounts, CollisionReport
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 from rfpsurvey.plot._axes import add_circles, focal_plane_axes, legend_below, legend_line, points_per_unit, spacing_of
@@ -144,7 +144,12 @@ def _values(collisions):
 
 
 def _flags(flags, pairs):
-    return flags, pairs, "", f"{int(flags.sum())} of {len(flags)} positioners in collision, {len(pairs)} pairs"
+    return (
+        flags,
+        pairs,
+        "",
+        f"{int(flags.sum())} of {len(flags)} positioners in collision, {number_of(len(pairs), 'pair')}",
+    )
 
 
 def _draw_probabilities(ax, centers, radius, values, label, kwargs):

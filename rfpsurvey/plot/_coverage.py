@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.errors import InputError, check_whole
+from rfpsurvey.errors import InputError, check_whole, number_of
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, named_plane
@@ -97,7 +97,7 @@ def plot_coverage(
         _outline(ax, plane)
     handles = []
     for k in range(most + 1):
-        label = ("no positioner", "1 positioner")[k] if k < 2 else f"{k} positioners"
+        label = number_of(k, "positioner") if k else "no positioner"
         label = f"{k} or more" if k == top else label
         if parts is not None:
             label += f" ({_percent(parts[k])})"

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.collision import place_arms
-from rfpsurvey.errors import InputTypeError
+from rfpsurvey.errors import InputTypeError, number_of
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import limits_of, named_plane
@@ -89,7 +89,7 @@ def _of_plane(thing):
     status[plane.arrays.is_stuck] = "stuck"
     spectrograph = plane.spectrograph if plane.spectrograph.ndim == 1 else plane.spectrograph[:, 0]
     return Scene(
-        f"{name}{n} positioners" + (f", {obstacles} obstacles" if obstacles else ""),
+        name + number_of(n, "positioner") + (f", {number_of(obstacles, 'obstacle')}" if obstacles else ""),
         plane.arrays.xy,
         plane.arrays.inner_radius,
         plane.arrays.outer_radius,

@@ -9,7 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, number_of
 from rfpsurvey.plot._axes import legend_below, legend_line, new_axes
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
 from rfpsurvey.plot._style import COLLISION, OPEN_CIRCLE, light_scale
@@ -110,7 +110,7 @@ def plot_tiling(
     handles = list(draw_field(ax, sky_map, targets, region))
     legend_below(ax, [*_entry_of_fields(), *handles] if several else handles)
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
-    ax.set_title(f"{len(table)} tiles{only}", pad=14 if whole else None)
+    ax.set_title(number_of(len(table), "tile") + only, pad=14 if whole else None)
     return ax
 
 
@@ -202,4 +202,4 @@ def draw_field(ax, sky_map: SkyMap, targets, region):
         style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": "black"}
         ax.plot(*sky_map.to_xy(targets).T, markersize=size, alpha=0.6, zorder=2.5, **style)
         ax.set(xlim=limits[0], ylim=limits[1])
-        yield legend_line(markersize=3, label=f"{len(targets)} targets", **style)
+        yield legend_line(markersize=3, label=number_of(len(targets), "target"), **style)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rfpsurvey.errors import number_of
 from rfpsurvey.probability import Estimate
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
@@ -66,6 +67,9 @@ def tile_facts(tile: Tile) -> dict:
     """Return the counts and rates of a tile, without most zeros."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
+    if np.isnan(tile.summary["collision_rate"]):
+        facts |= {TILE["collision_rate"]: "undefined, without arms to count"}
+        facts.pop(TILE["collision_rate_assigned"], None)
     facts |= _required(tile.summary)
     kinds = tile.summary.get("kinds", {})
     if len(kinds) < 2:
@@ -102,7 +106,9 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
         # the last line of a summary may stand for many classes itself
         last, _, words = rest[-1][0].partition(" ")
         n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
-        found.append((f"{n_classes} more classes", round(sum(abs(value) for _, value, _ in rest)), ""))
+        found.append(
+            (number_of(n_classes, "more class", "more classes"), round(sum(abs(value) for _, value, _ in rest)), "")
+        )
     return found
 
 

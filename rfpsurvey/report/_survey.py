@@ -1,5 +1,6 @@
 """The pages of surveys and tilings."""
 
+from rfpsurvey.errors import number_of
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_tiling
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import TILING, survey_facts, tiling_facts
@@ -36,8 +37,8 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     ]
     if s.get("unmet"):
         sections.insert(1, Section("Required targets", [Text(list(s["unmet"]))]))
-    visits = f"{s['n_visits_observed']} of {s['n_visits_wanted']} visits"
-    lead = f"{visits} to {s['n_targets']} targets on {s['n_tiles']} tiles."
+    visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_wanted'], 'visit')}"
+    lead = f"{visits} to {number_of(s['n_targets'], 'target')} on {number_of(s['n_tiles'], 'tile')}."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)
 
 
@@ -54,7 +55,7 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
         sections.insert(0, Section("Result", [Facts("", tiling_facts(tiling))]))
     title = f"Tiles for {summary['instrument']}" if "instrument" in summary else "Tiles"
     n = len(set(table["pass"].tolist()))
-    lead = f"{len(tiling)} tiles in {n} pass{'' if n == 1 else 'es'}."
+    lead = f"{number_of(len(tiling), 'tile')} in {number_of(n, 'pass', 'passes')}."
     return Page("Tiling", title, lead, highlights, sections, dict(table.meta))
 
 

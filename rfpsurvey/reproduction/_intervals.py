@@ -51,13 +51,13 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "intervals",
                 f"confidence intervals stop more stably than the convergence criterion ({scene})",
                 "stated",
-                f"root mean square error over the one asked for: {good['error_ratio']:.2f} by the interval, "
+                f"ratio of the root mean square error to the requested one: {good['error_ratio']:.2f} by the interval, "
                 f"{early['error_ratio']:.2f} by convergence, with {good['iterations']:.0f} and "
                 f"{early['iterations']:.0f} iterations on average; the first ratio over the second is "
                 f"{good['error_ratio'] / early['error_ratio']:.2f}, and {expected:.2f} follows from the numbers of "
                 "iterations alone",
                 REPRODUCED if good["error_ratio"] < min(1.1, early["error_ratio"]) else NOT_REPRODUCED,
-                "running mean that moves by less than the precision three times in a row",
+                "the running mean changes by less than the precision three times in a row",
             )
         )
         naive, single = rows["interval", "wilson_naive"], rows["interval", "wilson_iterations"]
@@ -66,8 +66,8 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "intervals",
                 f"Wilson's interval of the simulations has the confidence 0.95 ({scene})",
                 "0.95",
-                f"{naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner a trial; "
-                f"{single['coverage']:.3f} +- {single['coverage_error']:.3f} with every iteration a trial; "
+                f"{naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner as a trial; "
+                f"{single['coverage']:.3f} +- {single['coverage_error']:.3f} with every iteration as a trial; "
                 f"{good['coverage']:.3f} +- {good['coverage_error']:.3f} with the effective number",
                 REPRODUCED if min(abs(r["coverage"] - CONFIDENCE) for r in (naive, single)) < 0.015 else NOT_REPRODUCED,
                 "n is the number of iterations, or that of positioners times iterations: the text allows either",

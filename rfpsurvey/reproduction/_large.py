@@ -87,8 +87,8 @@ def _of_differences(table, differences):
                 f"{ours[k]:.3f} +- {errors[k]:.3f} in the closest reading, {ours.min():.3f} to {ours.max():.3f} in "
                 f"all; {readings}",
                 verdict(paper, ours[k], errors[k]),
-                f"{row['targets'].replace('_', ' ')}, {row['scaling']}, closed form {row['closed_form']}; the error is "
-                "that of another draw of the designs",
+                f"{row['targets'].replace('_', ' ')}, {row['scaling']}, closed form {row['closed_form']}; the error "
+                "includes the draw of the designs",
             )
         )
     correlation = np.corrcoef(table["closed_form_corrected"], table["covered"])[0, 1]
@@ -114,12 +114,12 @@ def _of_differences(table, differences):
             "large",
             "a short range of targets distorts the simulation",
             "named as a cause",
-            f"range 200 gives {edge.min():.2f} to {edge.max():.2f} of the value for a covered plane, beyond 3 errors "
-            f"in {clear.sum()} of {len(clear)} designs; but the correlation with the formula is {other:.3f} with range "
-            f"200 and {correlation:.3f} covered",
+            f"range 200 gives {edge.min():.2f} to {edge.max():.2f} times the value for a covered plane, which "
+            f"differs by more than 3 errors in {clear.sum()} of {len(clear)} designs; but the correlation with the "
+            f"formula is {other:.3f} with range 200 and {correlation:.3f} covered",
             REPRODUCED if clear.mean() > 0.5 else NOT_REPRODUCED,
-            "the distortion alone: that it causes the discrepancy of formula and simulation is not reproduced; "
-            "positioners without targets count where arms are equal, and not where they are not",
+            "only the distortion is reproduced, not that it causes the discrepancy between formula and simulation; "
+            "positioners without targets count only if arms are equal",
         )
     )
     return claims
@@ -161,8 +161,8 @@ def _of_plain(plain):
                 f"{row['conditional_value']:.4f} +- {row['conditional_standard_error']:.4f} with "
                 f"{row['conditional_n']} realizations, for which plain simulation needs {gain:.0f}",
                 REPRODUCED if proper else NOT_REPRODUCED,
-                f"targets cover the plane; proper: a 95 % interval within {100 * PROPER:g} % of the value, which "
-                "agrees with the conditional one within 3 combined errors; the paper states no precision",
+                f"targets cover the plane; 'proper' means a 95 % interval within {100 * PROPER:g} % of the value, "
+                "which agrees with the conditional estimate within 3 combined errors; the paper states no precision",
             )
         )
     return claims

@@ -50,7 +50,8 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "figure",
                 f"{part['value'][0]:.4f} to {part['value'][-1]:.4f}, a factor of {high / low:.1f}",
                 REPRODUCED if holds else NOT_REPRODUCED,
-                f"19 positioners, central arm {L1} mm; rapidly: by a factor of {RAPIDLY:g} or more, no step against it",
+                f"19 positioners, central arm {L1} mm; 'rapidly' means by a factor of {RAPIDLY:g} or more, without a "
+                "step in the other direction",
             )
         )
     for name in scans:
@@ -63,11 +64,11 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "small",
                 f"formula and simulation yield comparable outcomes ({name})",
                 "figure, normalized",
-                f"normalized: up to {gap:.3f} apart; in absolute terms the formula is low by a factor "
-                f"of {np.nanmin(factor):.1f} to {np.nanmax(factor):.1f}"
+                f"the normalized curves differ by up to {gap:.3f}; in absolute terms the formula is too low by a "
+                f"factor of {np.nanmin(factor):.1f} to {np.nanmax(factor):.1f}"
                 + (f", and 0 for {n_zero} of {len(part)} designs" if n_zero else ""),
                 REPRODUCED if gap < COMPARABLE else NOT_REPRODUCED,
-                f"both curves scaled to 0 and 1; comparable: within {COMPARABLE:g}"
+                f"both curves scaled to 0 and 1; 'comparable' means within {COMPARABLE:g}"
                 + (", which this scan barely meets" if 0.8 * COMPARABLE < gap < COMPARABLE else ""),
             )
         )

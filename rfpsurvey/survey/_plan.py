@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, to_time
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, as_table, is_table, to_time
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -28,7 +28,7 @@ from rfpsurvey.survey._request import make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tiling import Tiling, as_tiling
+from rfpsurvey.tiling import Tiling, as_tiling, warn_of_targets
 
 __all__ = ["plan_survey"]
 
@@ -117,8 +117,9 @@ def plan_survey(
     -----
     RfpsurveyWarning
         If no target was observed, required targets were never observed (``summary["unmet"]``), targets share ids,
-        nothing in the catalog meets a requirement, an option changes nothing, or tiles were placed for fields of
-        another size; on resuming, if the software is another, or files are damaged.
+        nothing in the catalog meets a requirement, an option changes nothing, tiles were placed for fields of
+        another size, or a table of tiles looks like one of targets; on resuming, if the software is another, or files
+        are damaged.
 
     See Also
     --------
@@ -158,6 +159,8 @@ def plan_survey(
         if epoch is not None and not catalog.has_proper_motion:
             warn("without proper motions the epoch changes nothing")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
+    if is_table(tiling):
+        warn_of_targets(as_table(tiling)[0], len(source))
     request = make_request(
         source,
         as_tiling(tiling),

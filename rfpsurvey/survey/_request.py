@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_plain, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
-from rfpsurvey.errors import InputError, warn
+from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import blank_ids, field_radius_rad, mark_required
 from rfpsurvey.survey._bookkeeping import Bookkeeping
@@ -134,9 +134,9 @@ class Request:
         tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
         names = np.asarray(self.tiling.table["tile"]).astype(str)
         about = {
-            "catalog": (f"{len(self.source)} targets", self.source.digest()),
-            "visits": (f"{int(self.visits.sum())} visits", digest(self.visits)),
-            "tiles": (f"{len(self.tiling)} tiles", digest(*tiles, names)),
+            "catalog": (number_of(len(self.source), "target"), self.source.digest()),
+            "visits": (number_of(int(self.visits.sum()), "visit"), digest(self.visits)),
+            "tiles": (number_of(len(self.tiling), "tile"), digest(*tiles, names)),
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}

@@ -11,7 +11,7 @@ from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
 from rfpsurvey.tile import with_unit
@@ -146,7 +146,8 @@ class Survey:
     def __repr__(self):
         s = self.summary
         return (
-            f"<Survey of {s['n_tiles']} tiles: {s['n_visits_observed']} of {s['n_visits_wanted']} visits, "
+            f"<Survey of {number_of(s['n_tiles'], 'tile')}: {s['n_visits_observed']} of "
+            f"{number_of(s['n_visits_wanted'], 'visit')}, "
             f"completeness {s['completeness']:.4f}>"
         )
 
@@ -175,7 +176,9 @@ class Survey:
         known = read_index(folder)
         if not all((folder / name).is_file() for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
-            raise InputError(f"{folder} holds a survey that is not finished ({n} tiles are there): continue it first")
+            raise InputError(
+                f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} there): continue it first"
+            )
         for name in TABLES:
             read_verified(folder, name, known)
         tables = [_io.read_table(folder / name) for name in TABLES]

@@ -22,7 +22,7 @@ from rfpsurvey.allocation import (
     sentences,
 )
 from rfpsurvey.catalog import Catalog, as_catalog, to_time
-from rfpsurvey.errors import InputError, check_keywords, warn
+from rfpsurvey.errors import InputError, check_keywords, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import (
     FieldPlan,
@@ -143,7 +143,7 @@ def plan_tile(
         )
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
-        text = f"{n_twice} targets in the field share their id with another; each row is planned by itself"
+        text = f"the field has {number_of(n_twice, 'target')} with the id of another; each row is planned by itself"
         warn(text)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}

@@ -13,7 +13,7 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -94,7 +94,7 @@ class Tiling:
 
     def __repr__(self):
         n = len(np.unique(self.table["pass"]))
-        return f"<Tiling of {len(self)} tiles in {n} pass{'' if n == 1 else 'es'}>"
+        return f"<Tiling of {number_of(len(self), 'tile')} in {number_of(n, 'pass', 'passes')}>"
 
     @property
     def coord(self) -> SkyCoord:

@@ -365,3 +365,13 @@ def test_small_print_of_columns():
         rs.Catalog.from_table(two)
     both = QTable({"guide": SkyCoord([1] * DEG, [2] * DEG), "ra": [5.0] * DEG, "dec": [6.0] * DEG})
     assert rs.Catalog.from_table(both, columns={"ra": "ra", "dec": "dec"}).coord.ra[0].deg == 5
+
+
+def test_empty_text_ids_are_counted():
+    table = QTable({"name": ["a", "", "c", ""], "ra": [1, 2, 3, 4] * u.deg, "dec": [1, 2, 3, 4] * u.deg})
+    with pytest.warns(rs.RfpsurveyWarning, match=r"column 'name' \(id\) is empty in 2 of 4 rows \(rows 2, 4\)"):
+        assert rs.Catalog.from_table(table).id.tolist() == ["a", "", "c", ""]
+
+
+def test_one_target_is_no_plural():
+    assert repr(rs.Catalog(SkyCoord([1] * u.deg, [2] * u.deg))) == "<Catalog of 1 target>"

@@ -141,7 +141,37 @@ def test_score(run, tmp_path):
     assert "the tile was made for lamost" in sentence(*run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2])
     assert "leaves no row" in sentence(*run("score", path, "--select", "field=3")[::2])
     assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
-    assert "must have the form NAME=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
+    assert "must have the form COLUMN=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["probability", "--precision", 2], "--precision must be a number above 0"),
+        (["survey", "--instrument", "moons", "--pass", 7], "--pass must be different passes of the tiling (1, 2)"),
+        (["compare", "moons", "--targets=-1"], "--targets must be a positive number, got -1"),
+        (["compare", "moons", "--density", "nan"], "--density must be one finite value above 0"),
+        (["compare", "moons", "--realizations", 0], "--realizations must be a whole number of at least 1"),
+    ],
+)
+def test_errors_name_the_option_that_was_typed(run, arguments, message):
+    assert sentence(*run(*arguments)[::2]).startswith(f"rfpsurvey: {message}")
+
+
+def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
+    """Idle arms of unequal length are no obstacles, so that no positioner counts; the focal plane needs no center."""
+    unit = rs.Instrument.preset("sdss_apo").focal_plane
+    x, y = unit.xy[:1].T
+    QTable({"positioner": unit.id[:1], "x": x + 500 * u.mm, "y": y, "assigned": [1]}).write(tmp_path / "one.ecsv")
+    keep = ["--keep-out", "95,23,3", "--allocator", "repair"]
+    code, out, _ = run("plan", "--instrument", "sdss_apo", "--center", "95 23", *keep)
+    assert code == 0
+    assert "undefined, without arms to count" in out
+    assert "nan" not in out.lower().split()
+    with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
+        rs.score_tile(QTable.read(tmp_path / "one.ecsv"), "sdss_apo")
+    _, out, _ = run("score", tmp_path / "one.ecsv", "--instrument", "sdss_apo")
+    assert "scored from positions on the focal plane, for which no field center is needed" in out
 
 
 def test_columns_units_and_toml(run, tmp_path):
@@ -183,14 +213,18 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
         (["{good}.ecsv", "--center", "10.0 22.4765"], "no science target lies in reach of a positioner"),
         (["--center", "somewhere"], "--center must be coordinates"),
         (["--instrument", "lamots"], "unknown instrument 'lamots'; choose one of"),
-        (["--instrument", "{no}.toml"], "cannot be read as TOML"),
+        (["--instrument", "{no}.toml"], "no.toml: there is no such file"),
+        (["--instrument", "lamost.csv"], "pfs, sdss_apo, sdss_lco, or a TOML file."),
+        (["--center", "400 0"], "the right ascension must lie between -360 and 360 deg"),
+        (["--time-limit", "nan"], "--time-limit must be one finite value above 0 s"),
+        (["{good}.ecsv", "--frame", "altaz"], "frame must be one that has a fixed relation to ICRS"),
         (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
         (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
         (["--output", "{no}/tile.fits"], "does not exist"),
         (["--output", "{good}.ecsv"], "exists; ask for it to be overwritten"),
         (["--output", "{tile}.csv"], "must end in .fits or .ecsv"),
         (["--plot", "{tile}.jpg"], "must end in .png or .pdf or .svg"),
-        (["{good}.ecsv", "--unit", "ra"], "--unit must have the form NAME=VALUE"),
+        (["{good}.ecsv", "--unit", "ra"], "--unit must have the form ROLE=UNIT"),
         (["{good}.ecsv", "--column", "rightascension=x"], "unknown column role 'rightascension'"),
     ],
 )
@@ -253,7 +287,9 @@ def test_a_spreadsheets_csv(run, tmp_path):
     [
         (["--equinox", "foo"], "equinox must be a Time, a Julian year"),
         (["--frame", "foo", "{good}"], "unknown frame 'foo'"),
-        (["--pa", "1e17"], "rotation must be one finite value above -3600 deg"),
+        (["--pa", "400"], "--pa must lie between -360 and 360 deg, got 400"),
+        (["--pa", "nan"], "--pa must lie between -360 and 360 deg, got nan"),
+        (["--pa=1e17"], "--pa must lie between -360 and 360 deg, got 1e+17"),
         (["--plot", "{folder}/x.png.gz"], "must end in .png or .pdf or .svg"),
         (["--output", "{folder}/x.ecsv.bz2"], "must end in .fits or .ecsv"),
         (["{folder}/dir.fits"], "is a folder without partitions"),

@@ -67,7 +67,7 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
         (["--pitch", "22:30"], "--pitch 22:30: a grid needs at least two nodes, as 22:30:5"),
         (["--pitch", "22:30:5", "--n-designs", 9], "with --n-designs give limits only, as 22:30"),
         (["--ratio", "-1"], "ratio must be finite and above 0, got -1"),
-        (["--objective", "loss"], "--objective must have the form NAME=VALUE"),
+        (["--objective", "loss"], "--objective must have the form COLUMN=DIRECTION"),
         (["--method", "guess"], "unknown method of design studies 'guess'"),
         (["--output", "{folder}/no/d.fits"], "does not exist"),
         (["--plot", "{folder}/d.jpg"], "must end in .png or .pdf or .svg"),

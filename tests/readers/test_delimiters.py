@@ -8,6 +8,7 @@ import rfpsurvey as rs
 from refusals import refusal
 from rfpsurvey._readers import read_table
 
+pytestmark = pytest.mark.filterwarnings("ignore:column 'id' .id. is empty in 1 of")
 ROWS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 
 

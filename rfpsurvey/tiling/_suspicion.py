@@ -1,0 +1,35 @@
+"""Tables of targets that are given in place of tiles."""
+
+import re
+
+from rfpsurvey.errors import number_of, warn
+
+__all__ = ["warn_of_targets"]
+
+OF_TILES = re.compile(
+    r".*(tile|plate|field|center|racen|ra_cen|dece?cen|dec_cen|pass|layer|pos_?ang|position_?angle).*|pa|program"
+)
+OF_TARGETS = re.compile(
+    r"(.*_)?(mag|magnitude)s?|.*[a-z0-9]_?mag|mag_.*|(e_)?pm(_?(ra|de).*)?|parallax|plx"
+    r"|(source|target|obj|object|gaia|tyc|tycho)\d?_?(id|source_id)|kind|fiber_?type"
+)
+MANY = 1000
+
+
+def warn_of_targets(table, n_targets: int) -> None:
+    """Warn if a table that is given as tiles looks like one of targets; the survey has ``n_targets`` targets.
+
+    There is no warning where a column is one that lists of tiles have, and lists of targets do not. Otherwise there is
+    one if a column is one of targets, such as a magnitude, or if there are more than ``MANY`` rows, and more than
+    targets.
+    """
+    names = [name.lower() for name in table.colnames]
+    if any(map(OF_TILES.fullmatch, names)):
+        return
+    found = [name for name in table.colnames if OF_TARGETS.fullmatch(name.lower())]
+    if found or len(table) > max(MANY, n_targets):
+        columns = ", ".join(found[:3] or table.colnames[:5])
+        warn(
+            f"the {number_of(len(table), 'row')} of a table with the columns {columns} are taken as centers of tiles, "
+            "one tile each; if they are targets, give a list of tiles, such as place_tiles or 'rfpsurvey tile' makes"
+        )

@@ -1,0 +1,83 @@
+"""Tables of targets that are given in place of tiles, and tables of tiles that are not suspected."""
+
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from rfpsurvey.tiling import warn_of_targets
+
+TAKEN = "are taken as centers of tiles"
+
+
+def table(names, n=50):
+    return QTable({name: np.linspace(0, 40, n) for name in names.split()})
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "ra dec vt_mag",
+        "RAJ2000 DEJ2000 Vmag",
+        "ra dec phot_g_mean_mag",
+        "ra dec pmRA pmDE",
+        "id ra dec parallax",
+        "target_id ra dec",
+        "source_id ra dec",
+        "TARGETID ra dec",
+        "name ra dec kind",
+    ],
+)
+def test_columns_of_targets_are_suspected(names):
+    with pytest.warns(rs.RfpsurveyWarning, match=f"the 50 rows of a table with the columns .* {TAKEN}"):
+        warn_of_targets(table(names), 10000)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "ra dec",
+        "id ra dec priority",
+        "name ra dec",
+        "TILEID RA DEC PASS IN_DESI",
+        "tile ra dec star_mag",
+        "plate racen deccen vmag",
+        "field_ra field_dec gmag",
+        "ra dec posang vmag",
+        "ra dec program exptime airmass",
+        "ra dec epoch image",
+    ],
+)
+def test_lists_of_tiles_are_not(names):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_targets(table(names), 40)
+        warn_of_targets(table(names, 900), 40)
+
+
+def test_more_tiles_than_targets_are_suspected():
+    with pytest.warns(rs.RfpsurveyWarning, match=f"the 5000 rows of a table with the columns ra, dec {TAKEN}"):
+        warn_of_targets(table("ra dec", 5000), 4999)
+    warn_of_targets(table("ra dec", 5000), 5000)
+    warn_of_targets(table("ra dec tile", 5000), 100)
+
+
+def test_tilings_of_ours_are_not(tmp_path):
+    tiling = rs.place_tiles(rs.Region.box(ra=(0 * u.deg, 40 * u.deg), dec=(0 * u.deg, 40 * u.deg)), "moons")
+    tiling.write(tmp_path / "tiles.ecsv")
+    assert len(tiling) > 1000
+    warn_of_targets(QTable.read(tmp_path / "tiles.ecsv"), 10)
+
+
+def test_a_survey_warns_of_its_own_targets(run, tmp_path):
+    path = tmp_path / "stars.csv"
+    path.write_text("ra,dec,gmag\n95.0,23.0,15\n95.1,23.1,16\n")
+    code, _, err = run("survey", path, "--tiles", path, "--instrument", "moons")
+    assert code == 0
+    assert f"warning: the 2 rows of a table with the columns gmag {TAKEN}" in err
+    stars = QTable.read(path, units={"ra": "deg", "dec": "deg"})
+    with pytest.warns(rs.RfpsurveyWarning, match=TAKEN):
+        rs.plan_survey(stars, "moons", stars)
