@@ -11,7 +11,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent / "inventories"
 # words of docstrings' types that are neither names of Python and numpy nor classes with a page here
-PLAIN = ("array", "generator", "numpy", "scalar", "string")
+PLAIN = ("array", "callable", "generator", "numpy", "scalar", "string")
 
 
 def read(path):

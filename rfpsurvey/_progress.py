@@ -31,10 +31,15 @@ class Progress:
         self._tell = progress if callable(progress) else None
         self._shown = self._tell is None and check_switch(progress, "progress")
         self._total, self._unit, self._done = total, unit, done
+        self._note = ""
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 
-    def __call__(self, done: float, *, new: bool = True) -> None:
-        """Update the amount of work done; ``new=False`` if the last part was read from an earlier run."""
+    def __call__(self, done: float, *, new: bool = True, note: str = "") -> None:
+        """Update the amount of work done; ``new=False`` if the last part was read from an earlier run.
+
+        The line ends with the ``note``, such as the stage of a run.
+        """
+        self._note = f", {note}" if note else ""
         now = monotonic()
         if new:
             self._new += done - self._done
@@ -74,10 +79,10 @@ class Progress:
         rate = self._new / self._seconds if self._seconds > 0 else 0.0
         left = f", {_clock((self._total - self._done) / rate)} left" if rate > 0 else ""
         if not self._unit:
-            return f"{self._done / self._total:.0%}{left}"
+            return f"{self._done / self._total:.0%}{left}{self._note}"
         kept = round(self._done - self._new)
         kept = f" ({kept} of them were there)" if kept else ""
-        return f"{self._done} of {self._total} {self._unit}{kept}, {rate:.1f} {self._unit}/s{left}"
+        return f"{self._done} of {self._total} {self._unit}{kept}, {rate:.1f} {self._unit}/s{left}{self._note}"
 
 
 def _clock(seconds: float) -> str:

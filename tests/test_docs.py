@@ -4,6 +4,8 @@ import doctest
 import importlib.util
 import re
 import shlex
+import zlib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -45,10 +47,30 @@ def test_commands_print_what_the_page_shows(block, run, tmp_path, monkeypatch):
         assert same(shown, out, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), out
 
 
+def test_commands_of_the_cheat_sheet_run(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (DOCS / "cheatsheet.rst").read_text()
+    commands = re.findall("^    rfpsurvey (.*)$", text, re.MULTILINE)
+    assert len(commands) == 10
+    assert 30 <= len(commands) + text.count("\n>>> ") <= 42  # more would not fit on a page
+    for command in commands:
+        code, out, err = run(*shlex.split(command, comments=True))
+        assert code == 0, (command, err)
+        assert out
+    for name in re.findall(r"--(?:output|plot|report|folder) (\S+)", text):
+        assert (tmp_path / name).exists()
+
+
+def load(name):
+    """A module of the folder docs, which is not a package."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def test_broken_links_are_found(tmp_path):
-    spec = importlib.util.spec_from_file_location("check_links", DOCS / "check_links.py")
-    check_links = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(check_links)
+    check_links = load("check_links")
     (tmp_path / "part").mkdir()
     (tmp_path / "index.html").write_text(
         '<p id="here"></p><a href="part/one.html#there">good</a><a href="#here">good</a><a href="https://x.org/y">good</a>'
@@ -65,3 +87,57 @@ def test_broken_links_are_found(tmp_path):
         "part/one.html: ../index.html#not has no such place on its page",
         "part/one.html: ../no.png leads nowhere",
     ]
+
+
+@pytest.mark.parametrize("path", sorted((DOCS / "inventories").glob("*.txt")), ids=lambda path: path.stem)
+def test_inventories_list_names_that_exist(path):
+    address, entries = load("inventories").read(path)
+    assert address.startswith("https://")
+    assert address.endswith("/")
+    assert entries == sorted(entries)
+    for role, name, page in entries:
+        assert re.fullmatch(r"[\w/.-]+\.html#[\w.-]+", page)
+        assert page.split("#")[1] == (f"term-{name}" if role == "std:term" else name)
+        if role != "std:term":
+            module, _, attribute = name.rpartition(".")
+            assert hasattr(importlib.import_module(module or "builtins"), attribute) or attribute == "None"
+
+
+def test_inventories_are_written_as_sphinx_reads_them(tmp_path):
+    inventories = load("inventories")
+    mapping = inventories.write_inventories(tmp_path)
+    address, written = mapping["scipy"]
+    assert address == "https://docs.scipy.org/doc/scipy/"
+    *head, compressed = Path(written).read_bytes().split(b"\n", 4)
+    assert head[0] == b"# Sphinx inventory version 2"
+    assert b"zlib" in head[3]
+    page = "reference/generated/scipy.sparse.csr_array.html#scipy.sparse.csr_array"
+    assert zlib.decompress(compressed).decode() == f"scipy.sparse.csr_array py:class 1 {page} -\n"
+    assert inventories.linked_types()["FocalPlane"] == ":class:`FocalPlane <rfpsurvey.FocalPlane>`"
+    assert inventories.linked_types()["Quantity"] == ":class:`~astropy.units.Quantity`"
+
+
+def table_words(path):
+    """The words of the table that compares packages, without marks of sources."""
+    table = re.search(r"^(={5,} .*?)\n\n", path.read_text(), re.MULTILINE | re.DOTALL).group(1)
+    return Counter(re.sub(r"\[\w\d\]_", "", table).split())
+
+
+def test_the_readme_compares_packages_as_the_page_with_the_sources_does():
+    assert table_words(ROOT / "README.rst") == table_words(DOCS / "related.rst")
+
+
+def test_the_readme_has_a_small_figure_and_the_two_commands():
+    text = (ROOT / "README.rst").read_text()
+    (image,) = re.findall(r"^\.\. image:: (.*)$", text, re.MULTILINE)
+    assert 10_000 < (ROOT / image).stat().st_size < 200_000
+    for command in (
+        ".venv/bin/pip install . && .venv/bin/rfpsurvey plan",
+        ".venv/bin/pip install tox && .venv/bin/tox -e test",
+    ):
+        assert f"    python3 -m venv .venv && {command}\n" in text
+
+
+def test_all_sources_that_are_cited_are_listed():
+    text = (DOCS / "related.rst").read_text()
+    assert set(re.findall(r"(?<!\.\. )\[(\w\d)\]_", text)) == set(re.findall(r"^\.\. \[(\w\d)\]", text, re.MULTILINE))

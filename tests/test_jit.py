@@ -1,5 +1,6 @@
-"""The on-disk cache of machine code, in fresh processes and a copy of the package."""
+"""The on-disk cache of machine code, in processes without kernels and a copy of the package."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,19 +11,54 @@ import pytest
 
 import rfpsurvey
 
-# the package without the imports of its __init__, which kernels do not need
-PROBE = """
-import sys, types
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+
+# Each line of its input has a copy of the package and environment variables. For each, a new process that has imported
+# numba, but no kernel, uses the cache of the copy. It imports the package without its __init__, which no kernel needs.
+PROBES = """
+import json, os, sys, types
+import numba
 import numpy as np
-sys.modules["rfpsurvey"] = types.ModuleType("rfpsurvey")
-sys.modules["rfpsurvey"].__path__ = [sys.argv[1]]
-from rfpsurvey._kernels import arms, collisions
-from rfpsurvey._kernels.arms import solve
-Geometry = arms.Renamed if hasattr(arms, "Renamed") else arms.Geometry
-zero, two, theta, phi = np.zeros(1), np.full(1, 2.0), np.empty(1), np.empty(1)
-solve(np.array([[3.0, 0.0]]), Geometry(zero, zero, two, two, 1.0, 0.0), np.ones(1), theta, phi)
-print(theta[0], sum(solve.stats.cache_hits.values()))
+
+def probe(copy):
+    sys.path.insert(0, os.path.dirname(copy))
+    sys.modules["rfpsurvey"] = types.ModuleType("rfpsurvey")
+    sys.modules["rfpsurvey"].__path__ = [copy]
+    from rfpsurvey._kernels import arms, collisions
+    from rfpsurvey._kernels.arms import solve
+    Geometry = arms.Renamed if hasattr(arms, "Renamed") else arms.Geometry
+    zero, two, theta, phi = np.zeros(1), np.full(1, 2.0), np.empty(1), np.empty(1)
+    solve(np.array([[3.0, 0.0]]), Geometry(zero, zero, two, two, 1.0, 0.0), np.ones(1), theta, phi)
+    print(theta[0], sum(solve.stats.cache_hits.values()), flush=True)
+
+for line in sys.stdin:
+    copy, environment = json.loads(line)
+    child = os.fork()
+    if child == 0:
+        os.environ.update(environment)
+        numba.config.reload_config()
+        probe(copy)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        print("failed", flush=True)
 """
+
+
+@pytest.fixture(scope="module")
+def probe(tmp_path_factory):
+    """Return a function from a copy of the package to a value that a new process computes, and its cache hits."""
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    environment = {**clean, "PYTHONDONTWRITEBYTECODE": "1"}
+    folder = tmp_path_factory.mktemp("probes")
+    with subprocess.Popen([sys.executable, "-c", PROBES], cwd=folder, env=environment, **pipes) as process:
+
+        def ask(copy, **environment):
+            print(json.dumps([str(copy), environment]), file=process.stdin, flush=True)
+            value, hits = process.stdout.readline().split()
+            return float(value), int(hits)
+
+        yield ask
 
 
 @pytest.fixture
@@ -34,28 +70,14 @@ def copy(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
+def compiled(probe, tmp_path_factory):
     """A copy of the package with a cache, and what a process prints that finds none and compiles."""
     package, folder = Path(rfpsurvey.__file__).parent, tmp_path_factory.mktemp("compiled")
     shutil.copytree(package, folder / "rfpsurvey", ignore=shutil.ignore_patterns("__pycache__"))
     return folder, probe(folder / "rfpsurvey")
 
 
-def probe(copy, **environment):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE, str(copy)],
-        cwd=copy.parent,
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**clean, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment},
-    )
-    value, hits = done.stdout.split()
-    return float(value), int(hits)
-
-
-def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(compiled, tmp_path):
+def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(probe, compiled, tmp_path):
     """The edit keeps the size and the time of the file, as an upgrade may do, and numba would not notice."""
     folder, first = compiled
     copy = shutil.copytree(folder, tmp_path / "copy") / "rfpsurvey"
@@ -78,7 +100,7 @@ def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(compiled, tmp
     assert probe(copy)[1] == 1
 
 
-def test_the_cache_of_an_older_version_with_other_classes_is_not_read(compiled, tmp_path):
+def test_the_cache_of_an_older_version_with_other_classes_is_not_read(probe, compiled, tmp_path):
     folder, first = compiled
     copy = shutil.copytree(folder, tmp_path / "copy") / "rfpsurvey"
     for path in (copy / "_kernels").glob("*.py"):
@@ -87,13 +109,15 @@ def test_the_cache_of_an_older_version_with_other_classes_is_not_read(compiled, 
     assert probe(copy) == (first[0], 1)
 
 
-def test_the_cache_can_be_switched_off(copy):
+def test_the_cache_can_be_switched_off(probe, copy):
     assert probe(copy, RFPSURVEY_CACHE="0")[1] == 0
     assert not list(copy.rglob("*.nbi"))
 
 
-def test_without_a_place_for_the_cache_it_still_runs(copy, tmp_path):
+def test_without_a_place_for_the_cache_it_still_runs(probe, copy, tmp_path):
     """NUMBA_CACHE_DIR in a folder that cannot be made: no cache, no error."""
     blocked = tmp_path / "a_file"
     blocked.write_text("")
     assert probe(copy, NUMBA_CACHE_DIR=str(blocked / "below"))[1] == 0
+    assert probe(copy, NUMBA_CACHE_DIR=str(tmp_path / "there"))[1] == 0
+    assert list((tmp_path / "there").rglob("*.nbi"))

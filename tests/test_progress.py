@@ -1,10 +1,15 @@
 """How much of a run is done is shown where that is asked for, with a rate of what is done in this run."""
 
 import io
+import re
 import sys
 
+import astropy.units as u
+import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 
+import rfpsurvey as rs
 from rfpsurvey import _progress
 from rfpsurvey._progress import Progress
 
@@ -102,3 +107,38 @@ def test_a_file_gets_one_line_at_the_end_also_of_work_that_fails(capsys):
     assert out == ""
     assert err.count("tiles,") == 1
     assert err.endswith("\n")
+
+
+def test_the_line_ends_with_the_stage(clock, open_terminal):
+    terminal = open_terminal()
+    with Progress(True) as tell:
+        clock[0] += 1
+        tell(0.25, note="class 2 of 8")
+    assert "25%, 0:00:03 left, class 2 of 8" in terminal.getvalue()
+
+
+def test_a_search_tells_how_many_classes_are_proven(open_terminal):
+    """The classes are proven one after the other; a function is told the fraction, a terminal the class, too."""
+    center = SkyCoord("6h20m +23d")
+    sky = rs.synthetic_catalog("uniform", center, 0.5 * u.deg, n_targets=4000, rng=1)
+    sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 12)
+    asked = rs.AllocationOptions("optimal", requirements="sky=0-5")  # as one part
+    told = []
+    plain = rs.plan_tile(sky, "moons", center, allocator=asked)
+    tile = rs.plan_tile(sky, "moons", center, allocator=asked, progress=lambda *words: told.append(words))
+    assert tile.table["target_id"].tolist() == plain.table["target_id"].tolist()
+    done = [fraction for fraction, total in told if total == 1]
+    assert len(done) == len(told) > 1
+    assert done == sorted(done)
+    assert 0 == done[0] < done[-1] < 1
+    terminal = open_terminal()
+    rs.plan_tile(sky, "moons", center, allocator=asked, progress=True)
+    assert re.search(r"class \d+ of 1\d", terminal.getvalue())
+
+
+def test_an_estimate_tells_its_realizations_and_standard_error(open_terminal):
+    terminal = open_terminal()
+    precision = rs.probability.Precision(1e-9, max_iterations=3000)
+    with pytest.warns(rs.RfpsurveyWarning, match="after 3000 iterations"):
+        rs.collision_probability("moons", method="monte_carlo", precision=precision, progress=True)
+    assert re.search(r"\d+ realizations, standard error \d\.\d+", terminal.getvalue())

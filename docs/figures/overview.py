@@ -24,4 +24,4 @@ for ax, allocator in zip(axes, ("lamost", "optimal"), strict=True):
 if sys.argv[1:]:
     figure.canvas.draw()
     image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-    image.quantize(32, dither=Image.Dither.NONE).save(sys.argv[1], optimize=True)
+    image.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(sys.argv[1], optimize=True)

@@ -115,7 +115,21 @@ def _print_rows(front, table) -> None:
         columns = ["instrument", *columns]
         own = table[(table["instrument"] != "") & ~table["pareto"]]
         front = vstack([front, own], metadata_conflicts="silent") if len(own) else front
-    print("\n".join(front[list(dict.fromkeys(columns))].pformat(max_lines=-1, max_width=-1)))
+    front = front[list(dict.fromkeys(columns))]
+    for name in front.colnames:
+        if front[name].dtype.kind == "f":
+            _format(front[name])
+    print("\n".join(front.pformat(max_lines=-1, max_width=-1)))
+
+
+def _format(column) -> None:
+    """Print as many digits as tell the numbers of a column apart, up to the 12th, if the usual format does not."""
+    values = np.asarray(column, dtype=float)
+    n_different = len({f"{value:.12g}" for value in values.tolist()})
+    for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):
+        column.info.format = form
+        if len(set(column.info.iter_str_vals())) == n_different:
+            break
 
 
 def _print_improvements(table) -> None:

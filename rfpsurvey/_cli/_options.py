@@ -42,8 +42,8 @@ AllocatorOption = Annotated[
 RequireOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="KIND=NUMBER of required targets, as sky=20/spectrograph or sky_boss=300; instrument: those of the "
-        "instrument."
+        help="Number of targets that a tile needs, KIND=NUMBER, as sky=20/spectrograph or sky_boss=300; instrument: "
+        "the numbers of the instrument."
     ),
 ]
 RequiredOption = Annotated[

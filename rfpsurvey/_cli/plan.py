@@ -1,5 +1,7 @@
 """``rfpsurvey plan``."""
 
+import sys
+
 import astropy.units as u
 
 import rfpsurvey as rs
@@ -63,6 +65,7 @@ def plan(
         position_angle=pa * u.deg,
         epoch=epoch,
         allocator=options,
+        progress=allocator in ("sdss", "optimal") and sys.stderr.isatty(),
         rng=seed,
     )
     _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)

@@ -130,8 +130,12 @@ def assign(
     *,
     forbidden: np.ndarray | None = None,
     avoid: np.ndarray = NO_POINTS,
+    tell: Callable[[float, str], None] | None = None,
 ) -> Allocation:
-    """Assign targets in mm to positioners; the columns come from a catalog and are not checked again."""
+    """Assign targets in mm to positioners; the columns come from a catalog and are not checked again.
+
+    During long searches, ``tell`` is called with the completed fraction and the current stage.
+    """
     begin = perf_counter()
     n = len(xy_mm)
     reach = focal_plane.arrays.reach(xy_mm, columns.fiber_type)
@@ -156,6 +160,7 @@ def assign(
         columns.is_required,
         options,
         rng,
+        tell=tell,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)

@@ -130,11 +130,14 @@ class _Pursuit:
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 
-def pursue(program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool) -> Solution:
+def pursue(
+    program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None
+) -> Solution:
     """Return the best plan, or the best one found before the deadline; start from ``first`` if it is feasible.
 
     ``limit``, if given, holds the objectives of a matching whose arms may collide. With ``squared_cost``, the last
-    objective is the least cost among all best plans.
+    objective is the least cost among all best plans. ``tell``, if given, is called with the number of objectives that
+    are proven, and their total number.
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0
@@ -142,6 +145,8 @@ def pursue(program: Program, first, deadline: float, limit, *, integral: bool, s
     halt = deadline - FOR_FILLING * left if np.isfinite(left) and len(objectives) > 1 else deadline
     bounds = now.high.copy()
     while k < len(objectives):
+        if tell is not None:
+            tell(k, len(objectives))
         n, bound = now.prove(k, halt)
         if n == 0:
             if k < len(objectives) - 1:

@@ -126,6 +126,8 @@ class AllocationProblem:
         ``problem.start()`` returns the answer given by the option ``start``, by default the answer of ``lamost``.
     watched : ndarray of int, shape (n_positioners,), optional
         Row of the sky position that the fiber of a stuck positioner observes, -1 for none.
+    tell : callable, optional
+        If it is given, a long search may call it with the completed fraction and the name of the current stage.
 
     Examples
     --------
@@ -157,6 +159,7 @@ class AllocationProblem:
     rng: np.random.Generator | None = None
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
     watched: np.ndarray | None = None
+    tell: Callable[[float, str], None] | None = None
 
     def __post_init__(self):
         n = len(self.xy)

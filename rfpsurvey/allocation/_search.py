@@ -1,5 +1,6 @@
 """Proven plans: drop candidates that no best plan needs, split the rest into parts, and solve each part alone."""
 
+from functools import partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -93,11 +94,13 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
     adds = np.array([name != "requirements" for name in levels])
     n_parts = n_programs = 0
     integers, complete = False, True
-    for rows, edges in _parts(candidates, np.flatnonzero((n_left > 1)[options.own])):
+    parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
+    for rows, edges in parts:
         program = Program(candidates, rows, known, edges)
         mine = np.unique(options.own[rows])
         limit = None if problem.groups else program.reaches(program.variables(blind[mine][blind[mine] >= 0]))
-        part = pursue(program, start[mine], deadline, limit, integral=integral, squared_cost=squared_cost)
+        tell = None if problem.tell is None else partial(_tell, problem.tell, n_parts, len(parts))
+        part = pursue(program, start[mine], deadline, limit, integral=integral, squared_cost=squared_cost, tell=tell)
         values, bounds = np.where(adds, values, 0.0) + part.values, np.where(adds, bounds, 0.0) + part.bounds
         if part.chosen is None:
             complete = False
@@ -112,6 +115,12 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
         "n_programs": n_programs,
     }
     return _Found(chosen, values, bounds, complete, meta)
+
+
+def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
+    """Tell which part, and which objective of it, a search is at."""
+    of_parts = f"part {part + 1} of {n_parts}, " if n_parts > 1 else ""
+    tell((part + level / n_levels) / n_parts, f"{of_parts}class {level + 1} of {n_levels}")
 
 
 def _bounds(problem, everything, names, values, bounds):

@@ -1,5 +1,6 @@
 """Plan a field on plain arrays, from unit vectors of targets to assigned fibers and their collisions."""
 
+from collections.abc import Callable
 from time import perf_counter
 from typing import NamedTuple
 
@@ -86,14 +87,14 @@ def assign_field(
     return _assign(with_keep_out(instrument, projection, options), projection, targets, options, rng)
 
 
-def _assign(instrument, projection, targets, options, rng) -> Allocation:
+def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:
     """Assign the targets of a field to the positioners of an instrument whose obstacles are those of the field."""
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
     seconds = perf_counter() - begin
     columns = targets.columns._replace(fiber_type=fiber_type)
-    allocation = assign(instrument.focal_plane, xy, columns, options, rng, **others)
+    allocation = assign(instrument.focal_plane, xy, columns, options, rng, tell=tell, **others)
     allocation.seconds["projection"] = seconds
     return allocation
 
@@ -105,6 +106,7 @@ def plan_field(
     options: AllocationOptions,
     rng: np.random.Generator,
     blank: BlankIds | None = None,
+    tell: Callable[[float, str], None] | None = None,
 ) -> FieldPlan:
     """Plan a field: make circles obstacles, assign targets, place the arms, and find the arms that collide.
 
@@ -122,6 +124,8 @@ def plan_field(
         Random number generator.
     blank : BlankIds, optional
         Identifiers of blank sky; required if the options have a ``sky_separation``.
+    tell : callable, optional
+        Function that is called during long searches with the finished fraction and the stage.
 
     Returns
     -------
@@ -129,7 +133,7 @@ def plan_field(
         The plan.
     """
     instrument = with_keep_out(instrument, projection, options)
-    allocation = _assign(instrument, projection, targets, options, rng)
+    allocation = _assign(instrument, projection, targets, options, rng, tell)
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()

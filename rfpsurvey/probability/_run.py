@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._progress import Progress
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
@@ -52,6 +52,7 @@ def run(
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
+    note = ""
     goal = min(FIRST_TASKS * chunk, precision.max_iterations)
     while True:
         sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
@@ -60,13 +61,14 @@ def run(
             rates = part.rates()
             total, used, done = total + float(rates.sum()), used + len(rates), done + len(part.pairs)
             means.append(total / used if used else np.nan)
-            bar(0.99 * done / goal)
+            bar(0.99 * done / goal, note=f"{number_of(done, 'realization')}{note}")
         parts = [tally := merge(parts)]
         if used == 0 and done < precision.max_iterations:  # no positioner has counted yet
             goal = min(GROWTH * done, precision.max_iterations)
             continue
         summary = summarize(tally, plane, precision, rng, given=given)
         wide = summary.pop("half_width")
+        note = "" if np.isnan(summary["standard_error"]) else f", standard error {summary['standard_error']:.2g}"
         floor = _fewest(tally, precision)
         met = precision.standard_error is not None and (
             wide <= precision.half_width and done >= floor

@@ -120,8 +120,8 @@ def plan_survey(
     RfpsurveyWarning
         If no target was observed, required targets were never observed (``summary["unmet"]``), identifiers occur
         twice, no target meets a requirement, an option has no effect, the tiles were placed for fields of another
-        size, or a table of tiles seems to be one of targets; on resuming, if the versions of the software differ or
-        files are damaged.
+        size, or a table of tiles looks like a catalog of targets; on resuming, if the versions of the software differ
+        or files are damaged.
 
     See Also
     --------

@@ -10,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
+from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_center, to_generator
 from rfpsurvey.allocation import (
     KINDS,
@@ -55,6 +56,7 @@ def plan_tile(
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
     allocator: AllocationOptions | str | Callable = "lamost",
+    progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
     """Assign the targets of a field to fibers, and find the arms that collide.
@@ -81,6 +83,9 @@ def plan_tile(
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, such as required numbers of sky fibers and standards, required targets, and
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
+    progress : bool or callable, optional
+        Show the progress of the searches of ``sdss`` and ``optimal`` on the standard error, or call a function with
+        the finished fraction and 1.
     rng : int, Generator or None, optional
         Seed or random number generator for allocators that use random numbers. With the default, all calls give the
         same tile.
@@ -155,7 +160,10 @@ def plan_tile(
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
-    plan = plan_field(instrument, plane.plain, targets, options, rng, blank)
+    with Progress(progress) as bar:
+        plan = plan_field(
+            instrument, plane.plain, targets, options, rng, blank, lambda done, stage: bar(done, note=stage)
+        )
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 import flat
 import rfpsurvey as rs
 from refusals import sentence
+from rfpsurvey._cli import _designs
 from rfpsurvey.plot._style import COLLISION
 
 MM = u.mm
@@ -39,6 +40,20 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     code, _, err = run("design", *axes, "--output", output)
     assert "exists; continue it (--resume" in sentence(code, err)
     assert run("design", *axes, "--output", output, "--resume", "--plot", plot)[0] == 0
+
+
+def test_rows_of_the_front_are_told_apart(capsys):
+    """The usual digits are kept where they tell numbers apart; numbers that are equal stay equal."""
+    table = QTable({"a": [1.0, 1.0, 2.0], "b": [0.12345678, 0.12345679, 0.5], "c": [0.5, 0.25, np.nan], "n": [1, 2, 3]})
+    table["a"].info.format = ".3f"
+    for name in "abc":
+        _designs._format(table[name])
+    shown = {name: list(table[name].info.iter_str_vals()) for name in "abc"}
+    assert shown == {
+        "a": ["1.000", "1.000", "2.000"],
+        "b": ["0.12345678", "0.12345679", "0.5"],
+        "c": ["0.5", "0.25", "nan"],
+    }
 
 
 def test_points_of_sobol_and_other_losses(run, tmp_path):

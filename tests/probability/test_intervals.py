@@ -169,7 +169,7 @@ def test_convergence_is_three_small_steps_in_a_row():
 
 @pytest.mark.parametrize(("method", "chunk"), [("monte_carlo", 64), ("conditional", 8)])
 def test_convergence_stops_at_the_first_quiet_stretch(method, chunk):
-    """The rule by hand on the running mean, which the package looks at after each task of so many iterations."""
+    """The rule by hand on the running mean, which the package looks at after each task."""
     plane, sampler, tolerance = sdss_like(1), Recorder(8, 30), 0.004
     options = {"method": method, "targets": sampler, "allocator": "lamost"}
     got = flat.collision_probability(plane, stop="convergence", precision=tolerance, **options)

@@ -1,0 +1,34 @@
+"""
+SDSS-V: bright stars first
+==========================
+
+Tycho-2 stars in three classes of priority, and two visits for the brightest ones, with 500 fibers at Apache Point.
+"""
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+
+import rfpsurvey as rs
+
+table = rs.example_catalog("anticenter").within("95 23", 4 * u.deg).to_table()
+magnitude = table["vt_mag"].to_value(u.mag)
+# A larger priority is more important: no number of stars of a lower class outweighs one star of a higher class.
+table["priority"] = np.select([magnitude < 9, magnitude < 11], [3, 2], 1)
+# Two visits are two tiles, since a tile observes a star once.
+table["visits"] = np.where(magnitude < 9, 2, 1)
+stars = rs.Catalog.from_table(table)
+
+# Four coverings of the field. Each is shifted against the others, so that its gaps between fibers are elsewhere.
+tiles = rs.place_tiles(stars, "sdss_apo", method="hexagonal", passes=4)
+print(tiles)
+
+# Long arms that overlap collide often; "optimal" finds the best plan of each tile without collisions.
+survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="optimal", epoch=2026.5)
+print(survey)
+survey.completeness["pass", "priority", "n_wanted", "n_observed"][-4:].pprint(max_width=-1)
+
+survey.outcomes.write("sdssv_outcomes.ecsv", overwrite=True)  # how often each star was observed, or why it was not
+
+fig, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
+rs.plot.plot_completeness(survey, ax=ax)
