@@ -264,15 +264,13 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        CSV files have no units, and Parquet files may have none. Without units, positions are assumed to be in
-        degrees and proper motions in mas / yr, unless ``units`` specifies others. CSV files may use semicolons, tabs
-        or vertical bars instead of commas.
+        Without units, as in CSV files, positions are assumed to be in degrees and proper motions in mas / yr, unless
+        ``units`` specifies others. CSV files may use semicolons, tabs or vertical bars instead of commas.
 
         Parameters
         ----------
         path : str or path-like
-            Path of the file. The file extension, optionally followed by ``.gz``, determines the format. Or
-            ``example:anticenter`` (see `example_catalog`).
+            Path of the file, whose extension (before ``.gz``) determines the format, or ``example:anticenter``.
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
