@@ -269,8 +269,7 @@ class Catalog:
         Parameters
         ----------
         path : str or path-like
-            Path of the file. The file extension, optionally followed by ``.gz``, determines the format. Or
-            ``example:anticenter`` (see `example_catalog`).
+            Path of the file, whose extension (before ``.gz``) determines the format, or ``example:anticenter``.
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
