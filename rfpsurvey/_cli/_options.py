@@ -199,9 +199,7 @@ PitchOption = Annotated[
     str | None, typer.Option(help="Distance of neighboring centers, mm, likewise. None: from 24 to 34.")
 ]
 ClearanceOption = Annotated[str | None, typer.Option(help="Radius that an arm keeps free, mm, likewise. None: 2.25.")]
-NDesignsOption = Annotated[
-    int | None, typer.Option(help="Number of Sobol points between LOW:HIGH, instead of a grid.")
-]
+NDesignsOption = Annotated[int | None, typer.Option(help="Number of Sobol points between LOW:HIGH, instead of a grid.")]
 EstimandOption = Annotated[
     str | None,
     typer.Option(help="Loss: independent (targets of one's own), allocated (queues) or collision_free (idle fibers)."),

@@ -21,7 +21,7 @@ MOST_SAMPLES = 200_000
 
 
 def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
-    """Cover the targets in the number of passes asked for; or, for a goal, until it is reached or a pass serves nobody."""
+    """Cover the targets in a given number of passes; or, for a goal, until it is reached or a pass serves nobody."""
     state = TilingState(problem)
     center, reach = problem.circle()
     number, whole = 0, problem.open_ended
