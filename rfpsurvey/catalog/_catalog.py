@@ -3,7 +3,6 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from dataclasses import fields as dataclass_fields
 from functools import cached_property
 
 import astropy.units as u
@@ -25,9 +24,7 @@ from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of
 
 __all__ = ["Catalog"]
 
-KINDS = ("science", "standard", "sky")
 _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
-_TYPES = {"priority": float, "visits": float}
 
 
 @check_keywords
@@ -104,7 +101,7 @@ class Catalog:
             value = getattr(self, name)
             if value is not None:
                 try:
-                    columns[name] = to_plain(value, name).astype(_TYPES.get(name, str))
+                    columns[name] = to_plain(value, name).astype(float if name in ("priority", "visits") else str)
                 except InputError:
                     raise
                 except (TypeError, ValueError) as error:
@@ -115,7 +112,7 @@ class Catalog:
                 raise InputError(f"{name} must have one value per target, shape ({n},), got {value.shape}")
         if "kind" in columns:
             for kind in np.unique(columns["kind"]).tolist():
-                check_choice(kind, KINDS, "kind of target")
+                check_choice(kind, ("science", "standard", "sky"), "kind of target")
         if "priority" in columns and (lacking := ~np.isfinite(columns["priority"])).any():
             raise InputError(f"priority must be a finite number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
@@ -144,7 +141,7 @@ class Catalog:
 
     def __getstate__(self):
         # a copy for another process computes the plain arrays again
-        return {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __getitem__(self, index):
         return self._take(index)
@@ -160,7 +157,7 @@ class Catalog:
     def _take(self, index, **changes):
         """Return the rows selected by ``index``, with some fields replaced."""
         index = np.atleast_1d(np.arange(len(self))[index])
-        values = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         for name in _PER_TARGET:
             if values[name] is not None:
                 values[name] = values[name][index]

@@ -161,11 +161,12 @@ def plan_survey(
         if epoch is not None and not catalog.has_proper_motion:
             warn("without proper motions the epoch changes nothing")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
+    tiles = as_tiling(tiling)
     if is_table(tiling):
         warn_of_targets(as_table(tiling)[0], len(source))
     request = make_request(
         source,
-        as_tiling(tiling),
+        tiles,
         instrument,
         asked.for_instrument(instrument),
         visits=visits,

@@ -60,8 +60,10 @@ def field_value(table, what: str) -> float:
     own = (meta.get("provenance") or {}).get("parameters", {}) if isinstance(meta.get("provenance"), dict) else {}
     if own.get("north_of") == "icrs" and OWN[what] in own:
         return float(own[OWN[what]])
+    option = "--pa" if what == "position angle" else "--center"
     raise InputError(
-        f"the {what} of the field must be given, or be in a column or meta entry {' or '.join(FIELD[what][:2])}"
+        f"the {what} of the field must be given ({option}), or be in a column or meta entry "
+        f"{' or '.join(FIELD[what][:2])}"
     )
 
 

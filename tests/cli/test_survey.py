@@ -113,7 +113,7 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     n_observed = expected.summary["n_required_observed"]
     assert f"required targets observed               {n_observed} of 3" in out
     call(*words, "--folder", tmp_path / "plan", "--resume")  # by the same words
-    assert "holds another survey: keep_out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
+    assert "holds another survey: --keep-out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
 
 
 def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, tmp_path):
@@ -190,7 +190,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     [
         (["--allocator", "best"], "unknown allocator 'best'"),
         (["--order", "random"], "unknown order 'random'"),
-        (["--pass", "7"], "passes must be different passes of the tiling (0, 1)"),
+        (["--pass", "7"], "--pass must be different passes of the tiling (0, 1)"),
         (["--resume"], "resume needs the folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),
         (["--plot", "plan.txt"], "must end in"),

@@ -122,7 +122,7 @@ def test_rows_without_a_positioner_are_ignored(presets):
         ({"positioner": [1, 1], "x": [0, 0] * MM, "y": [0, 0] * MM}, "positioner 1 is assigned more than once"),
         ({"positioner": [-1], "x": [0] * MM, "y": [0] * MM}, "must assign at least one positioner"),
         ({"positioner": [0], "x": [np.nan] * MM, "y": [0] * MM}, "1 assigned rows have no position"),
-        ({"positioner": [0], "ra": [95] * u.deg, "dec": [23] * u.deg}, "the ra of the field must be given"),
+        ({"positioner": [0], "ra": [95] * u.deg, "dec": [23] * u.deg}, "the ra of the field must be given .--center.,"),
     ],
 )
 def test_bad_tables_are_named(presets, plan, message):
