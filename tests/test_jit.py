@@ -85,7 +85,7 @@ def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(probe, compil
     assert probe(copy) == (first[0], 1)
     for name, old, new in (
         ("arms.py", "along * uy - across * ux", "along * uy + across * ux"),
-        ("collisions.py", "Which arms are closer", "Which arms are nearer"),
+        ("collisions.py", "Find arms closer", "Find arms nearer"),
     ):
         path = copy / "_kernels" / name
         stat = path.stat()

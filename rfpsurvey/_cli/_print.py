@@ -80,8 +80,8 @@ def finish(
         report=(report, tile, {"data": output}),
     ):
         print_summary(tile)
-    if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
-        print(f"{output} has no outcomes of targets, since ECSV holds one table: write .fits to keep them")
+        if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
+            print(f"{output} will not contain the outcomes of targets, because ECSV holds one table; use .fits to keep them")
 
 
 def finish_tiling(

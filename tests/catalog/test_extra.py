@@ -20,6 +20,7 @@ COORD = SkyCoord([95.0, 95.1, np.nan, 95.3] * u.deg, [23.0, 23.1, 23.2, 23.3] * 
 def table():
     return Table(
         {
+            "id": [1, 2, 3],
             "ra": [95.0, 95.1, 95.2] * u.deg,
             "dec": [23.0, 23.1, 23.2] * u.deg,
             "g": MaskedColumn([10.5, 11.5, 12.5], mask=[False, True, False], unit="mag"),
@@ -86,7 +87,7 @@ def test_columns_that_cannot_be_kept(columns, message):
 
 
 def test_keep_names_columns_of_the_table():
-    with pytest.raises(rs.InputError, match=r"keep must name columns of the table \(ra, dec, .*got 'mag'"):
+    with pytest.raises(rs.InputError, match=r"keep must name columns of the table \(id, ra, dec, .*got 'mag'"):
         rs.Catalog.from_table(table(), keep="mag")
 
 

@@ -132,7 +132,7 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     assert "mine" in plot.read_text()
     assert run(*call, "--central-arm", 8.25, "--resume")[0] == 0
     code, _, err = run(*call, "--central-arm", 8.3, "--resume")
-    assert "holds another scan: central_arm, start differ" in sentence(code, err)
+    assert "holds another scan: --central-arm, start differ" in sentence(code, err)
 
 
 def offsets(collections):

@@ -206,7 +206,7 @@ def test_unknown_names_list_the_choices(tmp_path):
         rs.InputError, match="unknown instrument 'lamst'; choose one of: .*lamost.* Did you mean 'lamost'"
     ):
         rs.Instrument.preset("lamst")
-    with pytest.raises(rs.InputError, match="cannot be read as TOML"):
+    with pytest.raises(rs.InputError, match="there is no such file"):
         rs.Instrument.read(tmp_path / "missing.toml")
 
 

@@ -152,7 +152,7 @@ def test_a_focal_plane_without_a_tile_shows_what_cannot_move(small):
     circles = [[12.8, 7.4, 1.5]] * u.mm
     plane = replace(small.focal_plane, stuck=stuck * u.deg, disabled=disabled, obstacles=circles)
     ax = rs.plot.plot_focal_plane(plane, linewidths=3)
-    assert ax.get_title() == "37 positioners, 1 obstacles"
+    assert ax.get_title() == "37 positioners, 1 obstacle"
     free, not_free = (
         next(c for c in artists(ax, EllipseCollection, color) if c.get_linewidths()[0] == 3) for color in (PATROL, IDLE)
     )

@@ -76,6 +76,7 @@ def test_missing_ids_are_refused(tmp_path):
         both(tmp_path, {"id": pa.array([1, 2, None, 4, 5, 6])})
 
 
+@pytest.mark.filterwarnings(r"ignore:column .* \(id\) is empty")
 def test_frames_of_pandas(tmp_path):
     frame = pd.DataFrame(
         {

@@ -49,6 +49,7 @@ def test_a_quoted_value_over_several_lines_is_refused(tmp_path):
         assert "an open quotation mark in line 2" in refusal(csv(tmp_path / "a.csv", [text, *GOOD]))
 
 
+@pytest.mark.filterwarnings(r"ignore:column .* \(id\) is empty")
 def test_good_quotation_marks_are_kept(tmp_path):
     texts = {
         '"a, b"': "a, b",
@@ -159,6 +160,7 @@ def test_entities_and_lost_rows_of_a_votable(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["binary", "binary2", "tabledata"])
+@pytest.mark.filterwarnings(r"ignore:column .* \(id\) is empty")
 def test_votables_of_each_form(tmp_path, form):
     table = QTable({"id": ["a", "bc", ""], "ra": [1, 2, 3.0] * DEG, "dec": np.float32([1, 2, 3]) * DEG})
     table["flag"], table["n"], table["short"] = [True, False, True], [1, 2, 3], np.int16([1, 2, 3])

@@ -149,7 +149,7 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
     (folder / "tiles" / "000" / "000040.fits").write_bytes(b"a part without a line")
     (folder / "tiles" / "000" / ".rfpsurvey-x1b2").mkdir()
     (folder / "tiles" / "000" / ".rfpsurvey-x1b2" / "000041.fits").write_bytes(b"half of a")
-    with pytest.raises(rs.InputError, match=r"is not finished \(16 tiles are there\): continue it"):
+    with pytest.raises(rs.InputError, match=r"is not finished \(16 tiles there\): continue it"):
         rs.Survey.read(folder)
     with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is missing"):
         plan(case, folder, resume=True)
