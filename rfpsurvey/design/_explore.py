@@ -50,9 +50,11 @@ def explore_designs(
     of the fibers with a target that are lost to collisions. It has one of three definitions, which must not be mixed:
 
     * ``independent``: every positioner draws its own target, uniform over its patrol area; positioners in collision
-    are lost. * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and
-    every fiber observes one target of its queue; positioners in collision are lost. * ``collision_free``: the plan
-    avoids collisions; fibers that it leaves idle, but that a plan ignoring collisions would assign, are lost.
+      are lost.
+    * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and every fiber
+      observes one target of its queue; positioners in collision are lost.
+    * ``collision_free``: the plan avoids collisions; fibers that it leaves idle, but that a plan ignoring collisions
+      would assign, are lost.
 
     Parameters
     ----------
