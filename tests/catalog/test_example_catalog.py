@@ -66,7 +66,7 @@ def test_commands_refuse_an_unknown_example(run):
 
 @pytest.mark.parametrize("editable", [False, True])
 def test_a_wheel_contains_the_file(tmp_path, monkeypatch, tycho, editable):
-    spec = importlib.util.spec_from_file_location("setup", ROOT / "setup.py")
+    spec = importlib.util.spec_from_file_location("wheel", ROOT / "data" / "wheel.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     build = module.BuildWithExamples(setuptools.Distribution({"packages": []}))

@@ -1,13 +1,12 @@
-"""Put the catalog of ``rfpsurvey.example_catalog`` into the wheel; all else is in pyproject.toml."""
+"""The build step that puts the catalog of ``rfpsurvey.example_catalog`` into the wheel; pyproject.toml names it."""
 
 import bz2
 import gzip
 from pathlib import Path
 
-from setuptools import setup
 from setuptools.command.build_py import build_py
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parent
 EXAMPLES = ("tycho2_anticenter_r8.ecsv.gz",)
 
 
@@ -23,7 +22,3 @@ class BuildWithExamples(build_py):
             for name in EXAMPLES:
                 content = gzip.decompress((DATA / name).read_bytes())
                 (folder / name).with_suffix(".bz2").write_bytes(bz2.compress(content))
-
-
-if __name__ == "__main__":
-    setup(cmdclass={"build_py": BuildWithExamples})
