@@ -81,7 +81,7 @@ def finish(
     ):
         print_summary(tile)
         if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
-            print(f"{output} will not contain the outcomes of targets, because ECSV holds one table; use .fits to keep them")
+            print(f"{output} will not contain the outcomes of targets; use .fits, which holds two tables, to keep them")
 
 
 def finish_tiling(

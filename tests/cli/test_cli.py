@@ -49,7 +49,7 @@ def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
     path = tmp_path / name
     code, out, err = run("plan", "--instrument", "sdss_apo", "--output", path)
     assert (code, err) == (0, "")
-    told = f"{path} will not contain the outcomes of targets, because ECSV holds one table; use .fits to keep them"
+    told = f"{path} will not contain the outcomes of targets; use .fits, which holds two tables, to keep them"
     assert (told in out.splitlines()) == (rs.Tile.read(path).outcomes is None) == (".ecsv" in name)
     _, again, _ = run("score", path, "--output", tmp_path / "scored.ecsv")  # a scored tile has no outcomes at all
     assert "no outcomes" not in again
