@@ -38,7 +38,7 @@ SLACK_RAD = 1e-9
 
 
 class Partitions:
-    """The individual partitions of a catalog; row numbers run through all of them.
+    """The individual partitions of a catalog; rows are numbered consecutively through all partitions.
 
     Parameters
     ----------

@@ -66,7 +66,8 @@ def plot_collision_map(
     Raises
     ------
     InputError
-        If the focal plane is missing or has another number of positioners, or values are not probabilities.
+        If the focal plane is missing, its number of positioners differs from the number of values, or a value is not a
+        probability.
 
     Examples
     --------

@@ -72,9 +72,9 @@ class Bookkeeping:
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
-        """Enter a tile of the pass ``number``: its field, and the slots of its visits, -1 for none of the catalog.
+        """Record a tile of pass ``number``: its field, and the slots of its visits (-1 for blank sky).
 
-        Returns the number of visits that count.
+        Return the number of visits that count.
         """
         self.flags[field.slot] |= np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
         slot, observed = slot[slot >= 0], observed[slot >= 0]
