@@ -22,7 +22,7 @@ def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, 
 
 
 def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
-    """Mark the rows on the Pareto front: no other row is at least as good in both columns and better in one.
+    """Return whether each row is on the front: no other row is at least as good in both columns and better in one.
 
     Rows with the same values are all on the front, and rows without a value are not.
     """

@@ -22,7 +22,7 @@ __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 N_POINTS = 256
 """Number of points of a quadrature; its relative error is then about 0.002."""
 SURROGATE_ERROR = 5e-4
-"""Root mean square error of the surrogate in its box, and less; ``tests/benchmarks/design_figures.py`` measures it."""
+"""Upper limit of the root-mean-square error of the surrogate in its box; see ``tests/benchmarks/design_figures.py``."""
 SURE = 0.01
 """Smallest value for which the relative error of the surrogate is acceptable."""
 CORE = 5.0

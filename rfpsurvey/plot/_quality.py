@@ -26,10 +26,10 @@ MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
-"""Range of whole numbers that have a bar each, and the number of bins of other columns."""
+"""Largest range of whole numbers for which each number has a bar, and number of bins for other columns."""
 FEW_PER_RING, MOST_RINGS = 40, 12
 UNEVEN = 20.0
-"""Available over assigned targets, above which numbers are drawn on a logarithmic scale."""
+"""Ratio of available to assigned targets above which numbers are drawn on a logarithmic scale."""
 FIBER_COLORS = (SERIES[3], SERIES[2], SERIES[5], SERIES[4], SERIES[1], SERIES[6])
 
 

@@ -121,7 +121,7 @@ def write_report(
 
 
 def _page_of(result, where: str) -> Page:
-    """Return the page for a result of this kind."""
+    """Return the page on a result."""
     for kind, build in PAGES.items():
         if isinstance(result, kind):
             made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None

@@ -32,7 +32,7 @@ class InMemory:
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
         self._index = SkyIndex(catalog.arrays.vectors)
-        catalog.arrays.__dict__.pop("vectors", None)  # the index has them: avoids two copies
+        catalog.arrays.__dict__.pop("vectors", None)  # the index contains these values, so that there are no two copies
         self.meta = catalog.meta
 
     def __len__(self):
@@ -127,7 +127,7 @@ class Partitioned:
 
     @cached_property
     def _margin_rad(self) -> float:
-        """Upper limit of the motion of targets."""
+        """Upper limit, in radians, of the motion of targets."""
         if self._epoch is None or not self._parts.part(0).has_proper_motion:
             return 0.0
         parts = range(len(self._parts.files))
@@ -145,7 +145,7 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets inside a circle with visits ``left`` (by slot), and optionally the ``rest``."""
+        """Return the targets in a circle with visits ``left`` (by slot); ``rest`` also asks for complete ones."""
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
@@ -196,7 +196,7 @@ class Partitioned:
         return self._part(0).units
 
     def text_columns(self) -> dict:
-        """Return no columns, which would require all partitions; invalid text raises an error when it is written."""
+        """Return no columns, because all partitions would have to be read; writing invalid text raises an error."""
         return {}
 
     def ids(self) -> np.ndarray:
