@@ -149,7 +149,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each run finds in each case, and all its times, without a first round for compilation."""
+    """Return the pairs that each run finds in each case, and its times; a first round for compilation is not timed."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)

@@ -138,11 +138,13 @@ def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 def _solid_angle(instrument, outline: np.ndarray) -> float:
     """Return the solid angle in sr that an outline in mm encloses on the sky."""
-    along = (np.arange(N_PIECES) / N_PIECES)[:, None] points = (outline[:, None] + along * (np.roll(outline, -1, axis=0)
-    - outline)[:, None]).reshape(-1, 2) radius = np.maximum(np.hypot(*points.T), 1e-6) dilation = 4 *
-    np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # mean within the radius after = np.roll(points, -1,
-    axis=0) triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2 return float(triangles @ (dilation
-    + np.roll(dilation, -1)) / 2)
+    along = (np.arange(N_PIECES) / N_PIECES)[:, None]
+    points = (outline[:, None] + along * (np.roll(outline, -1, axis=0) - outline)[:, None]).reshape(-1, 2)
+    radius = np.maximum(np.hypot(*points.T), 1e-6)
+    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # of the disc inside a point
+    after = np.roll(points, -1, axis=0)
+    triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2
+    return float(triangles @ (dilation + np.roll(dilation, -1)) / 2)
 
 
 def _shape(xy: np.ndarray, outline: np.ndarray) -> str:

@@ -50,8 +50,11 @@ class FieldPlan(NamedTuple):
     """Directions in ICRS; longitudes are from 0 to 2 pi."""
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
-    carried: dict """Priority, category and further columns of the targets, if the catalog has them. Blank sky has NaN,
-    empty text, False or -1.""" seconds: dict """Computing time of each stage in seconds."""
+    carried: dict
+    """Priority, category and further columns of the targets, if the catalog has them. Blank sky has NaN, empty text,
+    False or -1."""
+    seconds: dict
+    """Computing time of each stage in seconds."""
 
 
 def field_radius_rad(instrument: Instrument) -> float:

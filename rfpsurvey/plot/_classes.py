@@ -34,7 +34,7 @@ OUTCOME_COLORS = {
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
-"""Ratio of the size of a dot to the typical distance between dots, and limits in points: other and assigned targets."""
+"""Ratio of the size of a dot to the distance between dots, and limits in points, for other and assigned targets."""
 ON_ARMS = 7.0  # points: largest dot with a white edge, on the end of an arm
 MANY = 3000
 """Smallest number of dots that vector files contain as an image."""

@@ -109,7 +109,7 @@ def _draw_fibers(ax, survey):
     passes, place = np.unique(np.asarray(tiles["pass"]), return_inverse=True)
     n_fibers = s["n_fibers"] / max(s["n_tiles"], 1) * np.bincount(place)
     bottom, handles = np.zeros(len(passes)), []
-    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}  # old surveys have science only
+    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}  # old surveys: only n_science
     for kind, name in columns.items():
         n = np.bincount(place, weights=np.asarray(tiles[name], float))
         if n.any():

@@ -37,7 +37,7 @@ def _as_given(index, reach_rad, passes):
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Name to function from the index of tiles, the largest distance of overlapping tiles, and passes to rounds."""
+"""Functions that return rounds, from the index of tiles, the largest distance of overlapping tiles, and passes."""
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:

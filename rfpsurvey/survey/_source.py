@@ -41,7 +41,7 @@ class InMemory:
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
     ) -> Field:
-        """Return the targets inside a circle with visits ``left`` (by slot, or by row), and optionally the ``rest``."""
+        """Return the targets in a circle with visits ``left`` (by slot or row); with ``rest``, also complete ones."""
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
         if rest:
@@ -145,7 +145,7 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets in a circle with visits ``left`` (by slot); ``rest`` also asks for complete ones."""
+        """Return the targets in a circle with visits ``left`` (by slot); with ``rest``, also complete targets."""
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
@@ -213,7 +213,7 @@ class Partitioned:
         return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
     def digest(self) -> str:
-        """Return a digest that identifies the catalog, from the columns that a survey requires in all files."""
+        """Return a digest that identifies the catalog, from those columns of its files that a survey requires."""
         return self._parts.digest()
 
 

@@ -49,7 +49,7 @@ class TargetsOfField(NamedTuple):
 
 
 def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> TargetsOfField:
-    """Return all targets of a field, the ``rows`` of the catalog; the allocator received those that are ``given``."""
+    """Return all targets of a field (``rows`` of the catalog); ``given`` are those that the allocator received."""
     allocation, n = plan.allocation, len(given)
     place = np.arange(n) if n == len(rows) else np.searchsorted(rows, given)
     outcome, positioner = np.full(len(rows), Outcome.NOT_REQUESTED, dtype=np.uint8), np.full(len(rows), -1)
