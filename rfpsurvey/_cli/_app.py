@@ -100,7 +100,7 @@ def main() -> None:
     code = 0
     try:
         app()
-    except SystemExit as stop:  # typer always raises it, also if the output is a closed pipe
+    except SystemExit as stop:  # typer always raises this exception, even if the output is a closed pipe
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:
         code = READER_GONE
@@ -117,7 +117,7 @@ def _complain(error: Exception) -> int:
 
 
 def _with_options(text: str, words: list[str]) -> str:
-    """Return an error with options in place of parameters of functions, as far as these options were typed."""
+    """Return an error message in which the names of parameters are replaced by those of the options that were typed."""
     typed = {word.partition("=")[0] for word in words if word.startswith("--")}
 
     def option(match: re.Match) -> str:
@@ -143,7 +143,7 @@ def _flush(code: int) -> int:
 
 
 def parse_center(text: str | None):
-    """Return the field center of an option, None without one."""
+    """Return the field center from the text of an option; None if the option was not given."""
     return None if text is None else to_center(text, "--center")
 
 
@@ -156,7 +156,7 @@ OPTIONS = {
     "n_realizations": "--realizations",
     "requirements": "--require",
 }
-"""Options whose names are not those of the parameters that they stand for."""
+"""Options by the names of their parameters, where these differ."""
 FORMS = {
     "--column": "ROLE=NAME",
     "--unit": "ROLE=UNIT",
@@ -178,7 +178,7 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the requested instrument, or that of a tile of this package."""
+    """Return the requested instrument or, if none is requested, the instrument of a tile that this package wrote."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if name is None and own is None:
@@ -195,7 +195,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
         return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
-    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # epoch of all rows, if there is no such column
+    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # an epoch, such as J2016, instead of a column
     if common:
         del columns["epoch"]
     catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
@@ -203,7 +203,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
-    """Return the catalog of a file, or a synthetic one, and the field center; None stands for that of the catalog."""
+    """Return a catalog, from a file or synthetic, and the field center; the center None is that of the catalog."""
     field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -265,7 +265,7 @@ def read_assignment(path: Path, select: list[str] | None):
 
 
 def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
-    """Return the given units and, for CSV files, which have no units, the usual ones of all other columns."""
+    """Return the given units; for CSV files, which have no units, add the usual units of all other columns."""
     usual = {role: str(u) for role, u in UNITS.items()} if suffix_of(path) in (".csv", ".tsv") else {}
     return {**usual, **parse_pairs(unit, "--unit")}
 
@@ -299,7 +299,7 @@ def check_outputs(
 
 
 def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | None" = None) -> None:
-    """Raise an error for a column by which targets cannot be drawn, before any work is done."""
+    """Raise an error for a column that cannot determine the colors of targets, before any work is done."""
     if color is None:
         return
     check_choice(color, COLORINGS, "--targets")

@@ -1,4 +1,4 @@
-"""Functions of the command ``design``: axes from text, and a summary."""
+"""Functions of the command ``design``, which parse the axes of a scan and print a summary."""
 
 from pathlib import Path
 
@@ -35,9 +35,10 @@ COLUMNS = (
 
 
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
-    """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths in mm.
+    """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths are in mm.
 
-    Parameters that are not given have default values or, for a scan ``around`` an instrument, its values.
+    Parameters that are not given have default values or, in a scan ``around`` an instrument, the values of the
+    instrument.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
@@ -109,7 +110,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
 
 
 def _print_rows(front, table) -> None:
-    """Print the designs on the front, followed by that of the instrument if it is not on the front."""
+    """Print the designs on the front, followed by the design of the instrument if it is not on the front."""
     columns = [*COLUMNS, *table.meta["objectives"]]
     if "instrument" in table.colnames:
         columns = ["instrument", *columns]
@@ -123,7 +124,7 @@ def _print_rows(front, table) -> None:
 
 
 def _format(column) -> None:
-    """Print as many digits as tell the numbers of a column apart, up to the 12th, if the usual format does not."""
+    """Print up to 12 digits of the numbers in a column if different numbers look equal in the usual format."""
     values = np.asarray(column, dtype=float)
     n_different = len({f"{value:.12g}" for value in values.tolist()})
     for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):
@@ -151,7 +152,7 @@ def _print_improvements(table) -> None:
 
 
 def _change(name, before, after, scanned) -> str:
-    """Return a parameter of a better design with its change in percent, empty text if it does not change."""
+    """Return a parameter of a better design as text with its change in percent; empty text if it does not change."""
     if abs(after - before) <= 1e-9 * abs(before):
         return ""
     edge = ", edge of the scan" if after in (scanned.min(), scanned.max()) else ""

@@ -9,7 +9,7 @@ from rfpsurvey.errors import InputError
 
 
 def check_angle(value: float | None) -> float | None:
-    """Return a position angle that was typed, if it is within one turn."""
+    """Return a position angle from the command line; raise an error if it exceeds a full rotation."""
     if value is not None and not abs(value) <= 360:
         raise InputError(f"--pa must lie between -360 and 360 deg, got {value:g}")
     return value

@@ -35,11 +35,11 @@ MAP = (
 
 @contextmanager
 def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None) -> Iterator[None]:
-    """Write files, each given as its path and content, before the summary is printed, and print their names after it.
+    """Write files (given as paths and contents) before the summary is printed, and print the file names after it.
 
-    The reader of the printed output may close the pipe at any time, and no file must be lost. The content of
-    ``output`` is a function that writes to a path, that of ``plot`` and ``quality`` is a function that makes a
-    figure, and that of ``report`` is a result and options of a page.
+    The reader of the printed output may close the pipe at any time, and no file must be lost. The content given for
+    ``output`` is a function that writes to a path. For ``plot`` and ``quality`` it is a function that makes a figure,
+    and for ``report`` it is a result with the options of its page.
     """
     written = []
     if output is not None and output[0] is not None:
@@ -87,7 +87,7 @@ def finish(
 def finish_tiling(
     tiling: "rs.Tiling", shown: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write a tiling, its plot with the targets and the region that are ``shown``, and its page; print its summary."""
+    """Write a tiling, its plot with the targets and the region in ``shown``, and its page; print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tiling.write),
@@ -119,7 +119,7 @@ def finish_comparison(table, output: Path | None, plot: Path | None, report: Pat
 def finish_estimate(
     estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write the map of an estimate, its plot and page if requested, and print it with one value per line."""
+    """Write the map, plot and page of an estimate, as requested, and print the estimate with one value per line."""
     plane = model.focal_plane
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
     table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
@@ -184,7 +184,7 @@ def print_summary(tile: "rs.Tile") -> None:
 
 
 def _print_objectives(tile: "rs.Tile") -> None:
-    """Print the classes of targets, the gap of the plan, and the requirements that are not met."""
+    """Print the numbers of fibers on classes of targets, the gap of the plan, and the unmet requirements."""
     summary = tile.summary
     for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())

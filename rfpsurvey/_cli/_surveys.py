@@ -32,7 +32,7 @@ def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, uni
 
 
 def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
-    """Return the tiles of a file, or two coverings of the catalog."""
+    """Return the tiles in a file or, without a file, tiles that cover the catalog twice."""
     if path is not None:
         tiling = rs.Tiling.read(path)
         warn_of_targets(read_table(path), len(targets))
@@ -44,7 +44,7 @@ def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
 
 @contextmanager
 def workers(number: int, scheduler: str | None, *, processes: bool):
-    """Provide an executor; None stands for work in this thread."""
+    """Provide an executor of the requested kind, or None if tiles are to be planned in this thread."""
     if scheduler is not None:
         try:
             from distributed import Client
@@ -78,7 +78,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print the summary of a survey, one value per line."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
-    if "model" in s:  # surveys of earlier versions do not have it
+    if "model" in s:  # surveys of earlier versions do not contain this value
         print(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")

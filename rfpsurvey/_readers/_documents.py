@@ -11,7 +11,7 @@ __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# A key with this many parts; it starts at the beginning of a word, so that the search takes linear time.
+# A key with `MOST_DEPTH` parts. The pattern starts at the beginning of a word, so that the search takes linear time.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
 
 
@@ -56,7 +56,7 @@ def parse_json(text: object, what: object) -> dict:
 
 
 def check_size(found: object, what: object) -> None:
-    """Raise an error for values that are nested too deep or are too many, counting each reference."""
+    """Raise an error if values are nested too deep or if there are too many; repeated references count each time."""
     todo, n = [(found, 0)], 0
     while todo:
         value, depth = todo.pop()

@@ -41,12 +41,12 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
 
 
 def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
-    """Return the table of a header-data unit, and the number of rows according to its header."""
+    """Return the table of a header-data unit, and the number of rows that its header states."""
     from astropy.io import fits
 
     file.seek(0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # nonstandard cards, and units, which are checked on use
+        warnings.simplefilter("ignore")  # warnings about nonstandard cards, and about units, which are checked on use
         with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
             unit = units[at]
             table = QTable.read(unit, format="fits", mask_invalid=False)

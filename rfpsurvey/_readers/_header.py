@@ -18,9 +18,10 @@ QUOTED = re.compile(rb'"[^"]*"')
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
     """Return the content with the names of the columns in its first row, the delimiter, and the units by name.
 
-    The delimiter is the one in the line of names; if there are several, it is the one that occurs as often in the
-    next line. Names can be in a comment before the first row. Lines that are not rows become comments: ``sep=;``,
-    which spreadsheets read, and lines with units and dashes after the names, as written by VizieR.
+    The delimiter is the one in the line of names. If this line contains several possible delimiters, it is the one that
+    occurs equally often in the next line. Names can be in a comment before the first row. Lines that are not rows
+    become comments: ``sep=;``, which spreadsheets read, and lines with units and dashes after the names, as written by
+    VizieR.
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content
@@ -53,7 +54,7 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
 
 
 def _data_lines(content: bytes) -> list[tuple[int, int]]:
-    """Return the begin and end of the first three lines that are neither blank nor comments."""
+    """Return the offsets of the begin and end of each of the first three lines that are neither blank nor comments."""
     return [line.span() for line in islice(DATA.finditer(content, 0, MOST_BYTES), 3)]
 
 
@@ -77,7 +78,7 @@ def _split(line: bytes, delimiter: bytes) -> list[str]:
 
 
 def is_number(text: object) -> bool:
-    """Return whether a text, or what else a table may hold, can be read as a number."""
+    """Return whether a text, or another value of a table, can be read as a number."""
     try:
         float(text)
     except (TypeError, ValueError):

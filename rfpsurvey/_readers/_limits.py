@@ -17,15 +17,15 @@ OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
 MOST_RATIO = 100
 # Smaller contents, in bytes, have no limit.
 FREE = 2**26
-# A text column takes the width of its longest value in every row; it may take at most this many times the size of the
-# file, or this many bytes.
+# In a text column, every row takes as much memory as the longest value. A column may take at most this many times the
+# size of the file, or this many bytes.
 MOST_PADDING, FREE_TEXT = 64, 2**30
 MOST_COLUMNS = 10_000
 CHUNK = 2**20
 
 
 def sentence(error: Exception) -> str:
-    """Return the first line of the message of an exception, with its type unless it is an error of values or files."""
+    """Return the first line of an exception's message, preceded by its type unless it is a ValueError or an OSError."""
     text, kind = str(error).strip().split("\n")[0][:300], type(error).__name__
     if not text:
         return kind
@@ -46,7 +46,7 @@ def is_compressed(path: Path) -> bool:
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
     """Return the decompressed content of a file; ``most`` limits its size in bytes, ``kind`` is for error messages.
 
-    Without ``most``, uncompressed files have no limit, and the limit of compressed files is that of `MOST_RATIO`.
+    Without ``most``, uncompressed files have no limit, and `MOST_RATIO` limits compressed files.
     """
     try:
         size, opener = path.stat().st_size, _opener(path)
@@ -77,7 +77,7 @@ def open_content(path: Path) -> BinaryIO:
 
 
 def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:
-    """Raise an error for a text so long that a column of its width would not fit into memory."""
+    """Raise an error for a text that is so long that a column of this width would not fit into memory."""
     needed = 4 * n_rows * longest
     if needed > max(FREE_TEXT, MOST_PADDING * size):
         raise InputError(

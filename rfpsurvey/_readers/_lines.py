@@ -89,7 +89,7 @@ class _Lines:
         return self.block[self.start[k] : self.end[k]]
 
     def are_whole(self, n_fields: int) -> bool:
-        """Return whether all quoted values certainly end and, unless it is 0, all lines have ``n_fields`` fields."""
+        """Return whether all quoted values certainly end and all lines have ``n_fields`` fields (0: any number)."""
         text, delimiter = self.bytes, self.delimiter[0]
         if self.comments:
             text = text.copy()
@@ -133,7 +133,7 @@ def _open_quote(path, number) -> str:
 
 
 def _fields(line: bytes, delimiter: bytes) -> int:
-    """Return the number of fields of a line, 0 if a quoted field does not end."""
+    """Return the number of fields of a line, or 0 if a quoted field does not end."""
     if b'"' not in line:
         return line.count(delimiter) + 1
     n, place = 1, 0

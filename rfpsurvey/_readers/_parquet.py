@@ -12,8 +12,8 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
 
-# The values of all rows take at most this many times the size of the file, or this many bytes; repeated values take
-# little space in the file.
+# In memory, the values of all rows may take at most this many times the size of the file, or this many bytes. The ratio
+# can be large because repeated values take little space in the file.
 MOST_RATIO, FREE = 1000, 2**28
 
 
@@ -28,7 +28,7 @@ def import_parquet():
 
 
 def read_parquet(path: Path, names: list[str] | None = None) -> Table:
-    """Return a table of a Parquet file, with the columns that are named or all that NumPy can represent.
+    """Return a table from a Parquet file, with the columns in ``names`` or all columns that NumPy can represent.
 
     Times are not converted; lists, structures and durations are omitted.
     """
@@ -58,7 +58,7 @@ def table_of_arrow(content: object) -> Table:
 
 
 def _is_plain(kind) -> bool:
-    """Return whether NumPy can represent a type of column."""
+    """Return whether NumPy can represent a column of this Arrow type."""
     from pyarrow import types
 
     if types.is_dictionary(kind):
@@ -132,7 +132,7 @@ def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
 
 
 def _with_index(table: Table, metadata: dict) -> Table:
-    """Return the table with its index, if the index has a name and pandas wrote only its limits and step."""
+    """Add the index as a column, if it has a name and pandas stored only its limits and step, and return the table."""
     for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
         if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
             numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))

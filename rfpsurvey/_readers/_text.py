@@ -1,4 +1,4 @@
-"""CSV, also with other delimiters, and ECSV files, in which each line is a row."""
+"""Read CSV files (commas or other delimiters) and ECSV files, in which each line is a row."""
 
 import re
 import warnings
@@ -93,7 +93,7 @@ def _parse(text: str, options: dict) -> Table:
 
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
-    """Replace integers by text in columns of digits with leading zeros, which ``marked`` shows."""
+    """Restore the text of columns of digits that have leading zeros; ``marked`` tells which columns these are."""
     for name, other in zip(table.colnames, marked.colnames, strict=True):
         if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
             continue

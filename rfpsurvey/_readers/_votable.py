@@ -1,6 +1,6 @@
 """VOTables; files and addresses to which they refer are never read.
 
-A first pass over the XML counts rows and columns, with which the table returned by astropy is compared.
+A first pass over the XML counts rows and columns. The table that astropy returns must have the same numbers.
 """
 
 import binascii
@@ -31,7 +31,7 @@ SIZES = {
     "floatComplex": 8,
     "doubleComplex": 16,
 }
-# Largest number of bytes of a row, and of all rows unless these are many times the size of the file.
+# Largest number of bytes of a row; number of bytes of all rows that is always allowed, also for a small file.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
 # Warnings of astropy about values that it changes: truncated text, and numbers out of the range of their type.
 ALTERED = re.compile(r"\b(?:W46|W51): (.*)")

@@ -57,7 +57,7 @@ def shapely(case: Configuration) -> Found:
 
 
 COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
-"""All methods that `~rfpsurvey.benchmark.benchmark_collisions` can time; the last three serve comparison only."""
+"""All methods that `~rfpsurvey.benchmark.benchmark_collisions` can measure; the last three are only for comparison."""
 
 WITH_POINTS = {"sampled": (3, 5, 9, 17, 33, 65, 129), "sweep": (9, 65)}
 
@@ -76,8 +76,8 @@ def benchmark_collisions(
 
     Targets are uniform in each patrol area, one per positioner. The result of each method is compared with that of
     rational arithmetic. The measured time is that from known poses of the arms to the list of pairs, without
-    compilation. Methods run alternately in random order, so that other load on the machine affects all of them alike.
-    With few repeats, times are inaccurate.
+    compilation. Methods run alternately in random order, so that other work on the machine affects all of them in the
+    same way. With few repeats, times are inaccurate.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def benchmark_collisions(
     repeats : int, optional
         Largest number of runs of each method on each configuration.
     seconds : float, optional
-        Time (s) after which a slow method is not run again.
+        Total time (s) of a method after which it is not run again.
     rng : int, Generator or None, optional
         Seed or random number generator of the targets.
     progress : bool or callable, optional
@@ -149,7 +149,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each run finds in each case, and all its times, without a first round for compilation."""
+    """Return the pairs that each run finds in each case, and its times; a first round for compilation is not timed."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -165,7 +165,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
                     times[run].append(perf_counter() - start)
                 if turn == 0:
                     found[run] = results
-                    # the last call of a slow method counts; there may be time for one call only
+                    # the last call of a slow method counts, because there may be time for only one call
                     times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
             bar(turn + 1)
     return found, times

@@ -149,7 +149,7 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare collision probabilities of independent targets, for each density, with that of allocated targets.
+    """Compare the collision probabilities of independent targets from several densities with that of allocated targets.
 
     Parameters
     ----------

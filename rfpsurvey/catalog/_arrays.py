@@ -30,9 +30,10 @@ class CatalogArrays:
     repeated_ids : bool
         Whether two targets have the same identifier.
     extra : dict
-        Further columns without units, by their names in results; a further column ``ra`` becomes ``target_ra``.
+        Values of the further columns, without their units, by their names in results; a column ``ra`` becomes
+        ``target_ra``.
     extra_units : dict
-        Units of the further columns as text, empty for none.
+        Units of the further columns as text; empty text if a column has no unit.
 
     Examples
     --------
@@ -46,7 +47,7 @@ class CatalogArrays:
     """
 
     def __init__(self, catalog):
-        # no reference to the catalog, which refers to this object: the memory of a large catalog must be freed at once
+        # keep no reference to the catalog, which refers to this object, so that its memory is freed at once
         self._coord, self._id, self._epoch = catalog.coord, catalog.id, catalog.epoch
         names = [] if catalog.extra is None else catalog.extra.colnames
         columns = {result_name(name): catalog.extra[name] for name in names}

@@ -56,7 +56,7 @@ class Catalog:
     meta : dict, optional
         Information on the origin of the catalog.
     n_dropped : int, optional
-        Number of rows dropped so far because their coordinates are not finite.
+        Number of rows that were dropped before because their coordinates are not finite.
     extra : dict or Table, optional
         Further columns of results, such as magnitudes: numbers, text or booleans by name, with or without units.
         Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
@@ -140,7 +140,7 @@ class Catalog:
         return len(self.coord)
 
     def __getstate__(self):
-        # a copy for another process computes the plain arrays again
+        # a copy that is sent to another process computes the plain arrays again
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __getitem__(self, index):
@@ -213,7 +213,8 @@ class Catalog:
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
             Role to the value that replaces missing ones (masked or NaN), for ``priority``, ``visits``, ``kind``,
-            ``category`` and ``fiber_type``, as in ``{"priority": 0}``. A ``-`` in ``columns`` does not change it.
+            ``category`` and ``fiber_type``, as in ``{"priority": 0}``. A ``-`` in ``columns`` does not change the sign
+            of this value.
         keep : list of str, optional
             Names of further columns to include in results, see ``extra``.
 

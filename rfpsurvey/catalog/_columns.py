@@ -12,7 +12,7 @@ from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
 
-# For each role: names (compared without case, in order of preference), then the first part of its UCD.
+# For each role: names of columns (case is ignored; in order of preference), and the first part of the UCD.
 ROLES = {
     "ra": (
         "ra ra_icrs raj2000 ra_j2000 _raj2000 radeg ra_deg target_ra _ra alpha alpha_j2000 right_ascension",
@@ -115,7 +115,7 @@ class Finder:
         return None
 
     def unit_of(self, role: str) -> u.UnitBase | None:
-        """Return the unit of the column with this role, its own or the given one; None if there is none."""
+        """Return the unit of the column with this role, from the table or as given; None if it has no unit."""
         name = self.name_of(role)
         own = getattr(self.table[name], "unit", None)
         own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else _unit(own, role)
@@ -204,7 +204,7 @@ class Finder:
         return False
 
     def numbers(self, role: str) -> np.ndarray | None:
-        """Return the column as float64, with the value to fill in, or NaN, where the column has none."""
+        """Return the column as float64; missing values are replaced by the value of ``fill``, or by NaN."""
         if self.name_of(role) is None:
             return None
         values = self._decimal(role)
@@ -246,7 +246,7 @@ class Finder:
 
 
 def _unit(given: object, role: str) -> u.UnitBase:
-    """Return a unit from a unit or from text, such as ``Degrees``; hours of right ascension are hour angles."""
+    """Return a unit from a unit or from text, such as ``Degrees``; for right ascensions, hours are hour angles."""
     unit = u.Unit(given, parse_strict="silent")
     if isinstance(unit, u.UnrecognizedUnit):
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")

@@ -10,7 +10,7 @@ __all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name"]
 
 PREFIX = "example:"
 EXAMPLES = {"anticenter": "tycho2_anticenter_r8.ecsv"}
-# data/wheel.py writes the first folder when a wheel is built; the second is that of the source tree
+# data/wheel.py writes the first folder when a wheel is built; the second folder is in the source tree
 _PLACES = ((Path(__file__).parent / "examples", ".bz2"), (Path(__file__).parents[2] / "data", ".gz"))
 
 
@@ -20,7 +20,7 @@ def is_example(path: object) -> bool:
 
 
 def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
-    """Return the path of a file or an example, and the name that results state."""
+    """Return the path of a file or an example, and its name for the provenance of results."""
     if not is_example(path):
         path = to_path(path)
         return path, path.name

@@ -25,7 +25,7 @@ KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
 def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
-    """Return the columns of a table to keep, except ``others``; None if there are none."""
+    """Return the columns of a table that are named in ``keep`` but not in ``others``; None if there are none."""
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):

@@ -16,7 +16,7 @@ def is_table(given: object) -> bool:
 
 
 def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
-    """Return an astropy table, and whether the given type of table cannot have units.
+    """Return the object as an astropy table, and whether tables of its type cannot have units.
 
     The index of a DataFrame is kept as columns if it has names. Otherwise it becomes ``id`` if no column has this role
     and ``index_as_id`` is true.

@@ -8,7 +8,7 @@ from rfpsurvey._kernels import zones
 
 __all__ = ["SkyIndex", "half_chord_squared"]
 
-# Largest number of zones, and the number of directions in a square as high as an average zone.
+# Largest number of zones, and the mean number of directions in a square whose height is that of an average zone.
 MOST_ZONES = 1800
 PER_SQUARE = 25.0
 
@@ -29,7 +29,7 @@ class SkyIndex:
         self.n_zones = int(np.clip(np.sqrt(max(n, 1) / PER_SQUARE), 1, MOST_ZONES))
         key = np.empty(n)
         zones.make_keys(vectors, self.n_zones, key)
-        # int32 where it suffices, since the list is a considerable part of the memory of a large catalog
+        # int32 if it suffices, since the list takes a considerable part of the memory of a large catalog
         self.order = np.argsort(key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
         self.key = key[self.order]
         self.vectors = vectors[self.order]

@@ -1,4 +1,4 @@
-"""Catalogs in many Parquet files, one for each HEALPix pixel (HATS), which are read as required."""
+"""Catalogs in many Parquet files, one for each HEALPix pixel (HATS); files are read as required."""
 
 import os
 from dataclasses import dataclass, field
@@ -46,7 +46,7 @@ class PartitionedCatalog:
     keep : list of str, optional
         As in `Catalog.from_table`.
     kept_rows : int, optional
-        Largest number of rows, of about 60 bytes each, of recently read partitions that a survey keeps in memory.
+        Largest number of rows that a survey keeps in memory, from recently read partitions; a row has about 60 bytes.
 
     Raises
     ------

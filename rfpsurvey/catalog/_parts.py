@@ -38,7 +38,7 @@ SLACK_RAD = 1e-9
 
 
 class Partitions:
-    """The individual partitions of a catalog; row numbers run through all of them.
+    """The individual partitions of a catalog; rows are numbered consecutively through all partitions.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Partitions:
         return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
 
     def part(self, k: int) -> Catalog:
-        """Return the targets of a partition; without identifiers, they are numbered through all partitions."""
+        """Return the targets of a partition; without identifiers, they have their row numbers in the catalog."""
         path = self.files[k][2]
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])

@@ -94,7 +94,7 @@ def synthetic_catalog(
 
 
 def _expected_number(kind, cap, n_targets, density):
-    """Return the requested number of targets, None for as many as fit."""
+    """Return the requested number of targets, or None if as many as fit are requested."""
     if n_targets is not None and density is not None:
         raise InputError("give n_targets or density, not both")
     if density is not None:
@@ -143,7 +143,7 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     chord = 2 * np.sin(separation / 2)
     wanted = np.inf if expected is None else round(expected)
     points = np.empty((0, 3))
-    # trials per round: the area of the cap over that of a disc; random addition jams at 0.547 of the area
+    # trials per round: the ratio of the areas of the cap and of a disc; random addition jams at 0.547 of the area
     batch = int(min(max(_area(cap) / (np.pi * (separation / 2) ** 2), 4096), 200_000))
     enough = batch / 1000 if expected is None else 0
     idle = 0
@@ -180,7 +180,7 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
     if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
         raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
-    # clusters centered outside contribute members: a margin of 6 sigma omits 1e-8 of these
+    # clusters centered outside the circle contribute members to it; a margin of 6 sigma omits 1e-8 of these
     wide = min(cap + 6 * sigma, np.pi)
     parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))
     parents = np.repeat(parents, rng.poisson(cluster_size, len(parents)), axis=0)

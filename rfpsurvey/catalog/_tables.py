@@ -21,8 +21,8 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
     """Return the arguments of a Catalog from a table.
 
-    With ``assume_units``, missing units are assumed without a warning; otherwise, only for a table without any unit,
-    with a warning.
+    With ``assume_units``, missing units are assumed without a warning. Otherwise, they are assumed only if no column of
+    the table has a unit, with a warning.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -54,7 +54,7 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
 
 
 def _ids(find: Finder) -> np.ndarray | None:
-    """Return the identifiers of all rows, None where no column has them."""
+    """Return the identifiers of all rows, or None if the table has no column of identifiers."""
     ids = find.labels("id")
     if ids is not None and ids.dtype.kind == "U" and (ids == "").any():
         warn(
@@ -65,7 +65,7 @@ def _ids(find: Finder) -> np.ndarray | None:
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns to keep, except those that results always have; None if there are none."""
+    """Return the columns named in ``keep``, except those that results always have; None if there are none."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -121,7 +121,7 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
 
 
 def _check_frame(frame: str) -> None:
-    """Refuse a frame whose directions need an observer or a time, such as altaz."""
+    """Raise an error for a frame that depends on an observer or a time, such as altaz."""
     try:
         SkyCoord(0 * u.deg, 0 * u.deg, frame=frame).transform_to("icrs")
     except Exception as error:  # frames can raise any exception
@@ -131,7 +131,7 @@ def _check_frame(frame: str) -> None:
 
 
 def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
-    """Return the column with this role in degrees; ``unit`` is the unit of sexagesimal text that has none."""
+    """Return the column with this role in degrees; sexagesimal text without a unit is assumed to be in ``unit``."""
     if not find.is_text(role):
         return find.quantity(role)
     own, texts = find.unit_of(role), find.texts(role)
@@ -174,7 +174,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
 
 
 def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
-    """Return the epoch from a column or from the meta of the table; None if no target has a proper motion."""
+    """Return the epoch from a column or from the metadata of the table; None if no target has a proper motion."""
     name = find.name_of("epoch")
     if name is None:
         meta = {str(k).lower(): v for k, v in find.table.meta.items()}

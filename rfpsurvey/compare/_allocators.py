@@ -19,7 +19,7 @@ from rfpsurvey.tile import plan_tile
 
 __all__ = ["compare_allocators"]
 
-# Largest number of priority classes that have columns of their own.
+# Largest number of priority classes for which the table has separate columns.
 MOST_CLASSES = 8
 log = logging.getLogger("rfpsurvey")
 
@@ -57,10 +57,10 @@ def compare_allocators(
         Table with a row for each allocator. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (number of
         fibers on each kind of target); the number of fibers on each priority class, if there are from two to eight
         classes; ``missing`` (number of fibers missing for requirements); ``colliding`` (number of positioners in
-        collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles); ``usable`` (number
-        of science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller than the number of
+        collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles); ``usable`` (number of
+        science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller than the number of
         science fibers of the best plan that ignores collisions; it can be negative for allocators that ignore
-        requirements); ``gap`` (NaN where nothing is proven); ``seconds`` (time of reach and allocation, without
+        requirements); ``gap`` (NaN if nothing is proven); ``seconds`` (time of reach and allocation, without
         compilation). ``meta`` contains the unmet requirements of each allocator, and the provenance.
 
     Raises
@@ -87,7 +87,7 @@ def compare_allocators(
             continue
         with warnings.catch_warnings():
             if tiles:
-                warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field once only
+                warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field only once
             plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)

@@ -49,7 +49,7 @@ class Plan:
     n_usable: int
     n_pairs: int
     probability: np.ndarray
-    """1 for each positioner in collision, 0 for other counted ones, NaN for those that are not counted."""
+    """1 for positioners in collision, 0 for other positioners, NaN for positioners that are not counted."""
     gap: float
     seconds: float
 
@@ -70,7 +70,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
-    """Return random fields for each instrument, with a number of targets per positioner or with a common density."""
+    """Return random fields for each instrument, with a given number of targets per positioner or a common density."""
     check_whole(number, "n_realizations")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise refusal("targets_per_positioner must be a positive number", each, Number)
@@ -81,7 +81,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
         if density is None:
             expected = each * len(model.focal_plane) / _part_on_footprint(model, center)
             size = {"n_targets": round(expected) if kind == "uniform" else expected}
-        # seeded by its name, so that an instrument has the same targets in each comparison
+        # the seed depends on the name, so that an instrument has the same targets in each comparison
         own = np.random.default_rng([seed, crc32(model.name.encode())])
         for one in own.spawn(int(number)):
             sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)

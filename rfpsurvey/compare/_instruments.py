@@ -130,22 +130,22 @@ def compare_instruments(
     -------
     QTable
         Table with a row for each instrument and allocator. Columns on the instrument: ``instrument``; ``positioners``
-        (number of positioners that can have a target); ``field`` (diameter); ``footprint`` (area of the convex hull
-        of the centers); ``type`` (1: no arms can collide, 2: those of first neighbors can, 3: further ones can too);
+        (number of positioners that can have a target); ``field`` (diameter); ``footprint`` (area of the convex hull of
+        the centers); ``type`` (1: no arms can collide, 2: those of first neighbors can, 3: further ones can too);
         ``multiplicity`` (mean number of positioners that reach a point of the footprint); ``reach_0``, ``reach_1``,
-        ``reach_2``, ``reach_3`` (fraction of the footprint within reach of none, one, two, three or more). Columns on
-        the plans, averaged over the fields: ``allocator``; ``targets`` (number of science targets in reach);
-        ``targets_per_positioner`` (their number divided by ``positioners``); ``assigned`` (number of fibers on
-        science targets); ``assigned_part`` (fraction of the positioners assigned to science targets);
+        ``reach_2``, ``reach_3`` (fraction of the footprint within reach of no, one, two, and at least three
+        positioners). Columns on the plans, averaged over the fields: ``allocator``; ``targets`` (number of science
+        targets in reach); ``targets_per_positioner`` (their number divided by ``positioners``); ``assigned`` (number of
+        fibers on science targets); ``assigned_part`` (fraction of the positioners assigned to science targets);
         ``probability``, ``low``, ``high`` (collision probability of the positioners that have a target or are parked
-        obstacles, with its 95 % interval); ``pairs_per_positioner`` (number of colliding pairs divided by the number
-        of these positioners); ``usable`` (number of fibers on science targets without a collision);
-        ``usable_per_area`` (per area of the footprint); ``usable_per_solid_angle`` (per solid angle of the field);
-        ``loss`` (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that
-        ignores collisions; for ``optimal`` this is the fraction of targets lost to collisions; it can be negative for
-        allocators that ignore requirements); ``gap`` (the largest one; NaN where nothing is proven); ``seconds``
-        (median time of reach and allocation of a field, without compilation). ``meta`` states which columns can be
-        compared, and the provenance.
+        obstacles, with its 95 % interval); ``pairs_per_positioner`` (number of colliding pairs divided by the number of
+        these positioners); ``usable`` (number of fibers on science targets without a collision); ``usable_per_area``
+        (per area of the footprint); ``usable_per_solid_angle`` (per solid angle of the field); ``loss`` (fraction by
+        which ``usable`` is smaller than the number of science fibers of the best plan that ignores collisions; for
+        ``optimal`` this is the fraction of targets lost to collisions; it can be negative for allocators that ignore
+        requirements); ``gap`` (largest gap of all fields; NaN if nothing is proven); ``seconds`` (median time of reach
+        and allocation of a field, without compilation). ``meta`` states which columns can be compared, and the
+        provenance.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def compare_instruments(
 
 
 def parts_of(table: QTable) -> dict[str, QTable]:
-    """Split a comparison into tables that fit on a page: the instruments, their fibers, their collisions."""
+    """Split a comparison into three tables that fit on a page, about instruments, fibers and collisions."""
     parts = {title: table[["instrument", *columns]] for title, columns in PARTS.items()}
     rows = np.unique(np.asarray(table["instrument"]), return_index=True)[1]
     return parts | {"instruments": parts["instruments"][np.sort(rows)]}

@@ -28,15 +28,15 @@ def explore_around(
 ) -> QTable:
     """Scan designs around that of an instrument, which is included and marked by its name.
 
-    The design of an instrument consists of the lattice and the arms of its positioners, without edges, obstacles,
-    joint limits and broken positioners; see `explore_designs`.
+    The design of an instrument consists of the lattice and the arms of its positioners, without edges, obstacles, joint
+    limits and broken positioners. See `explore_designs`.
 
     Parameters
     ----------
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     spread : float, optional
-        Fraction by which the central arm, the ratio of the arms and the pitch vary to either side of the values of
+        Fraction by which the central arm, the ratio of the arms and the pitch may be smaller or larger than those of
         the instrument. The clearance and the motor step are those of the instrument.
     n_nodes : int, optional
         Number of values of each parameter that varies; all combinations are scanned.
@@ -61,7 +61,7 @@ def explore_around(
     Warns
     -----
     RfpsurveyWarning
-        If the arm model of the instrument is not ``elbow_to_tip``, which is that of all designs.
+        If the arm model of the instrument is not ``elbow_to_tip``, the arm model of all designs.
 
     See Also
     --------
@@ -100,10 +100,10 @@ def design_improvements(table: QTable) -> QTable:
     Returns
     -------
     QTable
-        Table with a row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best
-        design, or of the instrument if no design is better); ``change`` (``best`` minus ``value``); ``other`` (other
-        objective of the best design); ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best design.
-        Values of objectives are plain numbers in the units of the columns of ``table``.
+        Table with a row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best design,
+        or of the instrument if no design is better); ``change`` (``best`` minus ``value``); ``other`` (other objective,
+        of the best design); ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best design. Values of
+        objectives are plain numbers in the units of the columns of ``table``.
 
     Raises
     ------

@@ -58,6 +58,6 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
 
 def _sobol(n, n_axes, seed):
     """Return scrambled Sobol points of the unit cube; for the same seed, n points are the first n of any larger set."""
-    from scipy.stats import qmc  # takes longer to import than all of this package
+    from scipy.stats import qmc  # importing this takes longer than importing all of this package
 
     return qmc.Sobol(n_axes, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]

@@ -206,7 +206,7 @@ def _run(task, designs, checkpoint, executor, *, progress):
 
 
 def _warn(table):
-    """Issue warnings for designs without values, and for those whose searches did not finish."""
+    """Issue warnings for designs without values, and for designs with searches that the time limit ended."""
     strange = table[table["reason"] != ""]
     if len(strange):
         text = (

@@ -22,7 +22,7 @@ def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, 
 
 
 def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
-    """Mark the rows on the Pareto front: no other row is at least as good in both columns and better in one.
+    """Return whether each row is on the front: no other row is at least as good in both columns and better in one.
 
     Rows with the same values are all on the front, and rows without a value are not.
     """
@@ -32,7 +32,7 @@ def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
     known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
     order = known[np.lexsort((second[known], first[known]))]
     a, b = first[order], second[order]
-    start = np.searchsorted(a, a, side="left")  # first (and best) row with the same first value
+    start = np.searchsorted(a, a, side="left")  # the first row with the same first value, which is the best of these
     least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before them
     front = np.zeros(len(table), dtype=bool)
     front[order] = (b == b[start]) & (b < least)

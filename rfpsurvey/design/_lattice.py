@@ -54,7 +54,7 @@ class Lattice:
 
     @property
     def sight(self) -> float:
-        """Distance of centers, in mm, from which on two positioners cannot collide."""
+        """Smallest distance of centers, in mm, at which two positioners cannot collide."""
         return 2 * self.radii[1] + self.separation
 
     @property
@@ -72,7 +72,7 @@ class Lattice:
         x = (np.arange(n_lines) + 0.5) / (2 * n_lines)
         top = x / np.sqrt(3)
         centers = _centers(int(np.ceil(outer)))
-        centers = centers[np.hypot(*centers.T) < outer + 1 / np.sqrt(3)]  # others do not reach the triangle
+        centers = centers[np.hypot(*centers.T) < outer + 1 / np.sqrt(3)]  # other positioners do not reach the triangle
         away = x[:, None] - centers[:, 0]
         edges, steps = [], []
         for r, sign in ((outer, 1), (inner, -1)):

@@ -1,4 +1,4 @@
-"""Methods that compute the fraction of fibers lost to collisions, each for one of three definitions."""
+"""Methods that compute the fraction of fibers lost to collisions; each method uses one of three definitions."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 N_POINTS = 256
 """Number of points of a quadrature; its relative error is then about 0.002."""
 SURROGATE_ERROR = 5e-4
-"""Root mean square error of the surrogate in its box, and less; ``tests/benchmarks/design_figures.py`` measures it."""
+"""Upper limit of the root-mean-square error of the surrogate in its box; see ``tests/benchmarks/design_figures.py``."""
 SURE = 0.01
 """Smallest value for which the relative error of the surrogate is acceptable."""
 CORE = 5.0
@@ -84,7 +84,7 @@ def optimal(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare a plan by the method of LAMOST, repaired, with the best plan that ignores collisions."""
+    """Compare a repaired plan of the LAMOST method with the best plan that ignores collisions."""
     return _compare(lattice, skies, "repair")
 
 
@@ -133,10 +133,10 @@ def _compare(lattice, skies, method):
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
-    """Return the fraction lost of the fibers assigned in the center of a patch, for all realizations together.
+    """Return the fraction of the fibers assigned in the center of a patch that are lost, over all realizations.
 
-    Positioners near the edge of a patch have fewer neighbors and are not counted. If nothing is lost, the error is
-    that of one fiber; if fibers are lost as a ``whole``, it is never smaller.
+    Positioners near the edge of a patch have fewer neighbors and are not counted. If nothing is lost, the error is that
+    of one lost fiber. If only ``whole`` fibers can be lost, it is never smaller than that.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
@@ -156,7 +156,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
 
 
 def _patch(lattice, each):
-    """Return positioners around the origin (counted ones, neighbors, those that share targets) and targets for all."""
+    """Return counted positioners, their neighbors and all that share targets with these, and the source of targets."""
     edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
     plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
     radius = float(np.hypot(*plane.arrays.xy.T).max()) + lattice.radii[1]

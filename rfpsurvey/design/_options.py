@@ -32,7 +32,7 @@ class LossOptions:
         each realization), ``optimal`` (for ``collision_free``; proven) or ``repair`` (for ``collision_free``; the
         method of LAMOST, repaired by local moves). ``auto`` selects the fastest method that is accurate enough for a
         design: for ``independent``, ``surrogate`` inside its box if the result is at least 0.01, otherwise
-        ``quadrature``; for the others, ``conditional`` and ``optimal``.
+        ``quadrature``; for ``allocated``, ``conditional``; for ``collision_free``, ``optimal``.
     targets_per_positioner : float, optional
         Mean number of Poisson-distributed targets per positioner; four by default.
     target_density : Quantity, optional
@@ -84,7 +84,7 @@ class LossOptions:
 
     @property
     def targets(self) -> tuple[float, bool]:
-        """Number of targets, and whether that is per mm^2, not per positioner."""
+        """Number of targets, and whether it is per mm^2 (otherwise it is per positioner)."""
         each = self.targets_per_positioner
         if each is not None and self.target_density is not None:
             raise InputError("give targets_per_positioner or target_density, not both")

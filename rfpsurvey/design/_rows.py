@@ -52,7 +52,7 @@ ROW = np.dtype(
 
 
 def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
-    """Return records of designs (central_arm, ratio, pitch, clearance) without values."""
+    """Return records of designs (central_arm, ratio, pitch, clearance) whose results are not yet computed."""
     rows = np.zeros(len(designs), ROW)
     for name in ("min_separation", *FIGURES):
         rows[name] = np.nan

@@ -20,11 +20,11 @@ def design_sensitivities(
 ) -> QTable:
     """Return the share of the variance of each column over a scan that each parameter explains.
 
-    The values of a column are fitted by a sum of polynomials, one for each parameter that varies, of degree four
-    (less for a parameter with fewer than five values). The share of a parameter is the variance of its polynomial
-    divided by that of the column. This is the first-order Sobol index, exactly so on a grid with at most five nodes
-    per axis. The rest of the variance is due to interactions of parameters and to noise of the values. Chance alone
-    adds about the number of coefficients divided by the number of designs to a share.
+    The values of a column are fitted by a sum of polynomials, one for each parameter that varies, of degree four (less
+    for a parameter with fewer than five values). The share of a parameter is the variance of its polynomial divided by
+    that of the column. This is the first-order Sobol index; it is exact on a grid with at most five nodes per axis. The
+    rest of the variance is due to interactions of parameters and to noise of the values. Chance alone adds about the
+    number of coefficients divided by the number of designs to a share.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ def design_sensitivities(
     Returns
     -------
     QTable
-        Table with a row for each column that is explained and each parameter that varies, and one for ``rest``.
-        Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to 1; NaN for values that do not
-        vary), and ``slope`` (change of the values in percent if the parameter grows by one percent, from a fit that
-        is linear in all parameters, at the mean of the scan).
+        Table with a row for each pair of an explained column and a parameter that varies, and a row ``rest`` for each
+        explained column. Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to 1; NaN for values
+        that do not vary), and ``slope`` (change of the values in percent if the parameter grows by one percent, from a
+        fit that is linear in all parameters, at the mean of the scan).
 
     Raises
     ------

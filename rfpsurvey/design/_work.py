@@ -1,4 +1,4 @@
-"""The work on a set of designs, which is sent to processes."""
+"""Computation of a set of designs, which may run in another process."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class Task:
     seed: int
 
     def __call__(self, first: int, designs: np.ndarray) -> np.ndarray:
-        """Return the records of designs with the numbers from ``first`` on; each has its own random numbers."""
+        """Return the records of consecutive designs, of which ``first`` is the number of the first one."""
         rows = blank(designs, self.estimand)
         for number, row in enumerate(rows, first):
             self._fill(row, np.random.default_rng([self.seed, number]))

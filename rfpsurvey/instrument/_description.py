@@ -19,9 +19,9 @@ PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Return a description with its defaults and with the values of the description that ``inherits`` names.
+    """Return a description with its defaults and the values that it inherits.
 
-    That description is a file in the same folder, or a preset.
+    The entry ``inherits`` names the other description: a file in the same folder, or a preset.
     """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
@@ -133,7 +133,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Return names such as R+10C1 and R0C3: signed row number, and column number from the left, counted from 1."""
+    """Return names such as R+10C1 and R0C3, made of a signed row number and a column number from the left (from 1)."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"

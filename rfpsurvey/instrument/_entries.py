@@ -1,4 +1,4 @@
-"""Validation of the entries of an instrument's description: a table of kinds of values, and a function that uses it."""
+"""Validation of an instrument's description by a table of the kinds of values that entries may have."""
 
 import re
 from collections.abc import Callable
@@ -150,7 +150,7 @@ TOP = {
 
 
 def with_defaults(content: dict) -> dict:
-    """Return a description in which entries without a status or a source have those from the top of the description."""
+    """Return a description in which the status and source at its top are used for entries without their own."""
     defaults = {part: content[part] for part in DEFAULTS if part in content}
     for part, value in defaults.items():
         if not TOP[part].fits(value):
@@ -204,7 +204,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 
 
 def _refuse_name(section: str, name: str) -> None:
-    """Raise an error for an unknown name in a section, with the most similar name or the section it belongs to."""
+    """Raise an error for an unknown name in a section; the message has the most similar name, or the right section."""
     home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
     if name in TOP:
         raise InputError(

@@ -38,7 +38,7 @@ def find_facts(instrument) -> dict:
     area = (_solid_angle(instrument, outline) * u.sr).to(u.deg**2)
     try:
         parts, footprint = plane.coverage(n_points=N_POINTS), plane.footprint
-    except InputError:  # fewer than three centers, or all on a line
+    except InputError:  # there are fewer than three centers, or all are on a line
         parts, footprint = np.array([np.nan]), np.nan * u.mm**2
     groups = np.unique(plane.spectrograph)
     return {
@@ -84,7 +84,7 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the field angles (radians) of distances from the axis (mm); the largest one if fiber types differ.
+    """Return the field angles (radians) of distances from the axis (mm), the largest one of all fiber types.
 
     Beyond the range of a radial map, the angle is the largest one of the map.
     """

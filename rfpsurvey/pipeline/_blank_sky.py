@@ -10,7 +10,7 @@ from rfpsurvey.errors import InputError
 __all__ = ["BlankIds", "blank_ids"]
 
 PREFIX = "blank-sky-"
-# Number of digits after the prefix, and the smallest number of integers that must be free.
+# Number of digits after the prefix, and number of unused integers that must be available.
 DIGITS, ROOM = 6, 1_000_000
 
 
@@ -18,7 +18,7 @@ class BlankIds(NamedTuple):
     """Identifiers that no target of a catalog has."""
 
     first: int | str
-    """The first of descending integers, or the prefix of a number."""
+    """The first of descending integers, or text that precedes a number."""
     dtype: np.dtype
     """Type of a column that holds identifiers of both targets and blank positions."""
 
@@ -30,10 +30,10 @@ class BlankIds(NamedTuple):
 
 
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
-    """Return identifiers for blank sky that differ from those of a catalog, given in parts.
+    """Return identifiers for blank sky that differ from all identifiers of a catalog, which are given in parts.
 
-    Integers are below -1 and below all others or, if there are too few of these, above all others. Text begins with
-    ``blank-sky-``, preceded by one underscore more than in any other identifier of this form.
+    Integers are below -1 and below all identifiers of the catalog or, if too few such integers exist, above them. Text
+    begins with ``blank-sky-``, preceded by one underscore more than in any other identifier of this form.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

@@ -19,7 +19,7 @@ N_RIM, MARGIN = 360, 1 + 1e-4
 
 
 def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
-    """Return the instrument with the circles of ``keep_out`` that its arms can touch in a field as obstacles."""
+    """Return the instrument with further obstacles: the circles of ``keep_out`` that arms can touch in a field."""
     if not options.keep_out:
         return instrument
     plane, circles = instrument.focal_plane, options.circles
@@ -30,9 +30,9 @@ def with_keep_out(instrument: Instrument, projection: FieldProjection, options: 
     apart = np.arccos(np.clip(circles[:, :3] @ projection.basis[2], -1, 1))
     images = np.array([image_of_circle(projection, *circles[k]) for k in np.flatnonzero(apart <= limit)])
     images = images.reshape(-1, 3)
-    # the rim of a circle that contains everything with an image has no image
+    # if a circle contains everything that has an image, its rim has no image
     images[np.isnan(images[:, 2]) & (apart < circles[:, 3])[apart <= limit]] = 0, 0, 2 * size
-    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False if there is no image
+    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False if the circle has no image
     if not near.any():
         return instrument
     return replace(
@@ -47,9 +47,9 @@ def image_of_circle(
 ) -> tuple[float, float, float]:
     """Return x, y and radius (mm) of a circle on the focal plane that contains the image of a circle on the sky.
 
-    The image of a circle is not a circle if the scale varies, and the images for several fiber types differ; the
-    circle contains all of them. The center may be so far from the field that it has no image, although a part of the
-    circle has one. The result is NaN if the rim has no image.
+    The image of a circle is not a circle if the scale varies, and the images for several fiber types differ; the circle
+    contains all of them. The center may be so far from the field that it has no image, although a part of the circle
+    has an image. The result is NaN if the rim has no image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
@@ -73,7 +73,7 @@ def image_of_circle(
 
 
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Mark the required targets of a catalog whose identifiers are given in parts; None if none are required."""
+    """Return whether each target of a catalog, given as parts of identifiers, is required; None if there are none."""
     if not required:
         return None
     marked, known = [], np.zeros(len(required), dtype=bool)
@@ -95,7 +95,7 @@ def are_among(required: tuple, ids: np.ndarray) -> np.ndarray:
 
 
 def _alike(names: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Convert names to the type of the identifiers, integers or text, and mark those that can be converted."""
+    """Convert names to the type of the identifiers (integers or text), and return which of them can be converted."""
     if names.dtype.kind == ids.dtype.kind:
         return names, np.ones(len(names), dtype=bool)
     if ids.dtype.kind == "U":

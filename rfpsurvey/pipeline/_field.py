@@ -27,13 +27,13 @@ class FieldTargets(NamedTuple):
     """Identifiers, shape (n,), integers or text."""
     columns: TargetColumns
     others: np.ndarray | None = None
-    """Unit vectors that are not assigned, but that blank sky must avoid."""
+    """Unit vectors of further targets, which are not assigned, but which blank sky must avoid."""
     extra: dict | None = None
-    """Further columns of the plan, by name."""
+    """Values of the targets in the further columns of the plan, by name."""
 
 
 class FieldPlan(NamedTuple):
-    """The plan of a field, with columns that have a row for each positioner in use, ascending."""
+    """The plan of a field; its columns have a value for each positioner in use, in ascending order of positioners."""
 
     instrument: Instrument
     """The instrument, with the circles that no arm may cover as obstacles."""
@@ -43,16 +43,16 @@ class FieldPlan(NamedTuple):
     positioner: np.ndarray
     """Row of each positioner with a target."""
     target: np.ndarray
-    """Row of its target in the field, -1 for blank sky."""
+    """Row in the field of the target of each positioner; -1 for blank sky."""
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
-    """Directions, ICRS; longitudes from 0 to 2 pi."""
+    """Directions in ICRS; longitudes are from 0 to 2 pi."""
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
     carried: dict
-    """Priority, category and further columns of the targets, where there are any. Blank sky has NaN, empty text, False
-    or -1."""
+    """Priority, category and further columns of the targets, if the catalog has them. Blank sky has NaN, empty text,
+    False or -1."""
     seconds: dict
     """Computing time of each stage in seconds."""
 
@@ -65,11 +65,11 @@ def field_radius_rad(instrument: Instrument) -> float:
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the positions of targets on the focal plane (mm), and the fiber types that they require (None: any)."""
+    """Return the positions (mm) of targets on the focal plane, and their required fiber types (None: any type)."""
     if instrument.focal_plane.fiber_types == ("",):
         fiber_type = None  # a single unnamed fiber type can observe all targets
     elif isinstance(instrument.distortion, dict):
-        # each type has its own image of the sky: a target without a type uses the first
+        # each type has its own image of the sky; a target without a type uses the image of the first type
         first = next(iter(instrument.distortion))
         given = np.full(len(vectors), "") if fiber_type is None else fiber_type
         fiber_type = np.where(given == "", first, given)
@@ -88,7 +88,7 @@ def assign_field(
 
 
 def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:
-    """Assign the targets of a field to the positioners of an instrument whose obstacles are those of the field."""
+    """Assign the targets of a field to the positioners of an instrument that includes the obstacles of this field."""
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}

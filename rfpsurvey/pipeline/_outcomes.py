@@ -20,7 +20,7 @@ class Outcome(IntEnum):
 
 
 OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
-# Largest numbers of priorities and categories that are counted separately; more priorities are combined to ranges.
+# Largest numbers of priorities and of categories that are counted separately; more priorities are combined into ranges.
 MOST_CLASSES, N_RANGES = 20, 10
 
 
@@ -33,9 +33,9 @@ def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) 
 
 
 def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, with the most important class first, and the names of the classes.
+    """Return the class of each target, and the names of the classes; the most important class is the first.
 
-    Only priorities of targets that count are considered.
+    Only the priorities of targets for which ``counts`` is true are considered.
     """
     if priority is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
@@ -52,7 +52,7 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
 
 
 def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, and the names of the categories; those with the fewest targets share a class."""
+    """Return the class of each target, and the class names; the categories with the fewest targets share a class."""
     if category is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, place = np.unique(category, return_inverse=True)

@@ -16,7 +16,7 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot the usable science fibers of each allocator, those lost to collisions, and those missing for requirements.
+    """Plot the numbers of fibers of each allocator: usable, lost to collisions, and missing for requirements.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
 
 
 def _in_words(seconds):
-    """Return a time as text with two digits."""
+    """Return a time as text with two significant digits."""
     if seconds < 0.0995:
         return f"{1e3 * seconds:.2g} ms"
     return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds:.0f} s"

@@ -17,8 +17,8 @@ MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach":
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
     """Draw the inner and outer edge of each patrol area, and yield legend entries.
 
-    Edges are thin, and ``gray`` around filled cells. With ``alike``, all edges are drawn in this way, below dots of
-    targets.
+    With ``gray``, edges are gray and thinner, which suits cells that are filled. With ``alike``, all edges are drawn in
+    this way, which suits dots of targets.
     """
     gray = gray or alike
     free = scene.with_target | (scene.status == "usable") | alike
@@ -42,7 +42,7 @@ def draw_obstacles(ax, scene: Scene) -> Iterator:
 
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
-    """Draw both arms of each positioner and the space around the one that can collide, and yield legend entries."""
+    """Draw both arms of each positioner and the shade around the colliding segment, and yield legend entries."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch

@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 WIDTH = 7.0  # inches, for a page
-PAD = 0.08  # inches around everything
+PAD = 0.08  # inches, margin around everything
 LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, for labels, the title and a legend
 
 
@@ -108,7 +108,7 @@ def points_per_unit(ax: "Axes") -> float:
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
-    """Return the typical distance between neighboring centers; for a single one, the diameter of its patrol area."""
+    """Return the typical distance between neighboring centers, or the patrol diameter of a single positioner."""
     from scipy.spatial import cKDTree
 
     if len(centers) <= 1:
@@ -168,7 +168,7 @@ def check_columns(table: QTable, columns: set[str], maker: str | None = None) ->
 
 
 def values_of(table: QTable, name: str) -> np.ndarray:
-    """Return a column of numbers without its unit, masked ones as NaN."""
+    """Return a column of numbers without its unit; masked values become NaN."""
     try:
         return to_plain(table[name]).astype(float)
     except ValueError:

@@ -21,9 +21,9 @@ def stacked_bars(
     *,
     columns: int = 2,
 ) -> None:
-    """Draw a bar for each class, from 0 to 1, and to the right how many are ``counted`` (observed), of all.
+    """Draw a bar from 0 to 1 for each class; the number of ``counted`` (observed) ones and the total are on the right.
 
-    ``pieces`` are numbers, a label and a style each, from the left to the right.
+    Each of ``pieces``, from the left to the right, consists of the numbers for all classes, a label and a style.
     """
     left, handles = np.zeros(len(y)), []
     style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}

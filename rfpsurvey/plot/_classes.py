@@ -34,16 +34,16 @@ OUTCOME_COLORS = {
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
-"""Ratio of the size of a dot to the typical distance between dots, and limits in points: other and assigned targets."""
+"""Ratio of the size of a dot to the distance between dots, and limits in points, for other and assigned targets."""
 ON_ARMS = 7.0  # points: largest dot with a white edge, on the end of an arm
 MANY = 3000
-"""Number of dots from which on vector files contain them as an image."""
+"""Smallest number of dots that vector files contain as an image."""
 LONGEST = 74  # letters in three columns of a legend
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Targets that are drawn alike; a layer without a label belongs to the one before."""
+    """Targets that are drawn in the same way; a layer without a label has the legend entry of the preceding layer."""
 
     label: str
     rows: np.ndarray
@@ -56,9 +56,9 @@ class Layer:
 
 
 def layers_of(color: str, outcome: np.ndarray, columns: dict) -> list[Layer]:
-    """Return layers by outcome or by class, with separate layers for targets that are not assigned and assigned ones.
+    """Return layers by outcome or by class, with separate layers for assigned targets and for other targets.
 
-    ``outcome`` holds indices of ``OUTCOMES``; ``columns`` may have ``kind``, ``category`` and ``priority``.
+    ``outcome`` contains indices of ``OUTCOMES``; ``columns`` can contain ``kind``, ``category`` and ``priority``.
     """
     if color == "outcome":
         return list(_by_outcome(outcome))

@@ -37,15 +37,16 @@ def plot_collision_map(
 ) -> "Axes":
     """Plot the collision probability of each positioner or, for one configuration, the positioners in collision.
 
-    Each positioner is a disk, which is open if the positioner is not counted. The colors of probabilities extend from
-    the smallest to the largest one. Inside a regular lattice without gaps, the expected probability is the same
-    everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of positioners
-    in collision are hatched, and lines connect those that collide with each other.
+    Each positioner is a disk; the disk is not filled if the positioner is not counted. The colors of probabilities
+    extend from the smallest to the largest one. Inside a regular lattice without gaps, the expected probability is the
+    same everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of
+    positioners in collision are hatched, and lines connect those that collide with each other.
 
     Parameters
     ----------
     collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
-        Result to plot. An array contains a probability (NaN if it is not counted) or a boolean for each positioner.
+        Result to plot. An array contains a probability (NaN if the positioner is not counted) or a boolean for each
+        positioner.
     focal_plane : FocalPlane, Instrument or str, optional
         The positioners; a str is the name of a preset. It is not allowed for a Tile, which has its own.
     ax : matplotlib.axes.Axes, optional
@@ -66,7 +67,8 @@ def plot_collision_map(
     Raises
     ------
     InputError
-        If the focal plane is missing or has another number of positioners, or values are not probabilities.
+        If the focal plane is missing, its number of positioners differs from the number of values, or a value is not a
+        probability.
 
     Examples
     --------
@@ -113,7 +115,7 @@ def _places(collisions, focal_plane):
 
 
 def _values(collisions):
-    """Return a value for each positioner, colliding pairs, the name of the values, and a title."""
+    """Return the value of each positioner, the colliding pairs, the name of the values, and a title."""
     none = np.empty((0, 2), dtype=int)
     if isinstance(collisions, Estimate):
         e = collisions
@@ -153,7 +155,7 @@ def _flags(flags, pairs):
 
 
 def _draw_probabilities(ax, centers, radius, values, label, kwargs):
-    """Color disks by value, between the smallest and the largest one, with a color bar."""
+    """Color disks by value, from the smallest to the largest value, and draw a color bar."""
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
     # slightly below the smallest value, whose color would otherwise be that of the background

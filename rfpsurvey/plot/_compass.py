@@ -28,10 +28,11 @@ def position_angle_of(thing: object) -> float | None:
 
 
 def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> None:
-    """Draw arrows toward north and east in a corner of a focal plane, with the position angle.
+    """Draw arrows toward north and east in a corner of a focal plane, and write the position angle.
 
     The position angle (degrees) turns +y from north toward east; +x is 90 deg farther in the same direction. Nothing is
-    drawn if it is None. The corner is the one that hides fewest of the points ``avoid``, shape (n, 2), in mm.
+    drawn if it is None. The compass is in the corner where it hides the fewest of the points ``avoid``, shape (n, 2),
+    in mm.
     """
     from matplotlib.patches import Circle, FancyArrowPatch
     from matplotlib.transforms import Affine2D, ScaledTranslation
@@ -60,7 +61,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner, in fractions of the axes, with the fewest points nearby; of equal ones, the upper left one."""
+    """Return the corner (fractions of the axes) with the fewest points nearby; if all are equal, the upper left one."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]

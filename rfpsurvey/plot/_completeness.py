@@ -20,7 +20,7 @@ __all__ = ["draw_survey", "plot_completeness"]
 
 
 def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot the completeness of a survey against the number of tiles, and that of each priority after each pass.
+    """Plot the completeness of a survey against the number of tiles, and of each priority after each pass.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
 
 
 def draw_survey(survey: Survey) -> "Figure":
-    """Return a figure with the tiles of a survey, colored by completeness, beside its completeness by tiles."""
+    """Return a figure with a map of the tiles colored by completeness, and the completeness against the tiles."""
     from matplotlib.figure import Figure
 
     wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))

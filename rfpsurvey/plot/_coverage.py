@@ -31,7 +31,7 @@ def plot_coverage(
     orientation: str = "sky",
     **kwargs: object,
 ) -> "Axes":
-    """Plot the number of positioners that reach each point; darker colors are larger numbers.
+    """Plot the number of positioners that reach each point; darker colors show larger numbers.
 
     The dashed line is the footprint; no positioner reaches the white points inside it. The legend shows the fractions
     of the footprint, as computed by `~rfpsurvey.FocalPlane.coverage`. The colors extend from white to dark blue,
@@ -116,7 +116,7 @@ def _colors(most):
 
 
 def _parts(plane, top):
-    """Return the fractions of the footprint that 0, 1, ..., top or more positioners reach; None without a footprint."""
+    """Return the fractions of the footprint within reach of 0, 1, ... and at least ``top`` positioners, or None."""
     try:
         parts = plane.coverage(n_points=N_POINTS)
     except InputError:

@@ -41,9 +41,8 @@ def plot_designs(
 ) -> "Axes":
     """Plot two columns of all designs against each other, with the Pareto front.
 
-    Large points with black edges are on the Pareto front: no other design is better in both objectives. If the color
-    column has only a few values, each value has its own marker. A star with a name is the instrument of
-    `~rfpsurvey.design.explore_around`.
+    Large points with black edges are on the Pareto front. If the color column has only a few values, each value has its
+    own marker. A star with a name is the instrument of `~rfpsurvey.design.explore_around`.
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ def _mark(ax, name, across, up):
 
 
 def _names(table):
-    """Return for each row the name of the instrument with this design, empty for all others."""
+    """Return the name of the instrument for rows that are designs of instruments, and empty text for other rows."""
     if "instrument" not in table.colnames:
         return np.full(len(table), "")
     return np.asarray(np.ma.filled(table["instrument"], "")).astype(str)
@@ -172,7 +171,7 @@ def _parameter(table):
 
 
 def _label(table, name, *, short=False):
-    """Return the label of a column, with its unit; ``short`` for an entry of a legend."""
+    """Return the label of a column, with its unit; a ``short`` label is for a legend."""
     text, unit = LABELS.get(name, name.replace("_", " ")), getattr(table[name], "unit", None)
     if short:
         return f"{'arm ratio' if name == 'ratio' else text}" + (f" [{unit:unicode}]" if unit else "")

@@ -43,9 +43,9 @@ def plot_focal_plane(
 ) -> "Axes":
     """Plot a focal plane: patrol areas and obstacles and, for a tile, arms and collisions.
 
-    The shade around an arm is half the minimum separation wide, to scale: two arms collide if their shades overlap.
-    Arms in collision are thick, with a hatched shade; arms without a target are dashed. Marks at centers show
-    positioners that are disabled, stuck, or have a target out of reach.
+    The shade around an arm extends to half the minimum separation on each side, to scale; two arms collide if their
+    shades overlap. Arms in collision are thick, with a hatched shade; arms without a target are dashed. Marks at
+    centers show positioners that are disabled, stuck, or have a target out of reach.
 
     If arms would be shorter than 5 points, as on the whole focal plane of an instrument with thousands of
     positioners, there is a dot for each positioner, at its target or, without a target, at its center. Diamonds are
@@ -74,7 +74,7 @@ def plot_focal_plane(
     targets : {"outcome", "kind", "category", "priority"} or Quantity, shape (n, 2), optional
         Column of `outcomes <rfpsurvey.Tile.outcomes>` that determines the colors of all targets of a planned tile.
         Targets that are not requested have no position on the focal plane. A Quantity contains positions to draw as
-        small crosses; those of other targets are ``instrument.projection(center).to_focal_plane(coord)``.
+        small crosses; ``instrument.projection(center).to_focal_plane(coord)`` returns such positions.
     arms : bool, optional
         Whether to draw arms, or a dot for each positioner; by default arms are drawn if they are long enough to be
         visible.
@@ -92,8 +92,8 @@ def plot_focal_plane(
     Raises
     ------
     InputError
-        If ``thing``, ``color`` or ``orientation`` is not one of these, ``region`` or ``targets`` has another shape,
-        or the tile has no outcomes or no such column.
+        If ``thing``, ``color`` or ``orientation`` is not one of the listed types or values, ``region`` or ``targets``
+        has a wrong shape, or the tile has no outcomes or no column ``targets``.
 
     See Also
     --------
@@ -154,7 +154,7 @@ def plot_focal_plane(
 
 
 def _draw_targets(ax, scene, targets):
-    """Draw small crosses below arms and dots, and return their legend entry."""
+    """Draw targets as small crosses below arms and dots, and return their legend entry."""
     points = to_points_mm(targets, "targets")
     size = min(max(0.35 * spacing_of(scene.centers, scene.outer) * points_per_unit(ax), 1.5), 5.0)
     return ax.scatter(
@@ -163,7 +163,7 @@ def _draw_targets(ax, scene, targets):
 
 
 def _targets_of(thing, color):
-    """Return the positions (mm) of the targets of a tile that have one, and their rows of the outcomes."""
+    """Return the positions (mm) of the targets that have a position, and their rows in the outcomes."""
     check_choice(color, COLORINGS, "targets")
     if not isinstance(thing, Tile):
         raise InputTypeError(f"thing must be a Tile to draw its targets by {color}, got {type(thing).__name__}")

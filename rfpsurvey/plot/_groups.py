@@ -12,11 +12,11 @@ from rfpsurvey.plot._style import GROUP_COLORS
 __all__ = ["draw_groups"]
 
 PALE = 0.4
-"""Opacity of fills below arms or dots, which can have the same color."""
+"""Opacity of fills below arms or dots, whose colors can equal those of the fills."""
 
 
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
-    """Color the cell of each positioner by its group, and write the name of the group there or yield a legend entry.
+    """Color the cell of each positioner by group; write the names of groups on the cells, or yield legend entries.
 
     Pale fills leave the arms or dots on top of them visible.
     """

@@ -21,7 +21,7 @@ REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
 def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot the fractions of positioners of each instrument that observe a target, have one but collide, or have none.
+    """Plot the fractions of positioners of each instrument that observe a target, collide, or have no target.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _draw_probability(table, ax):
 
 
 def _places(table):
-    """Return the height of each row, with a gap between instruments, and its label."""
+    """Return the place of each row on the y axis, with gaps between instruments, and its label."""
     names = np.asarray(table["instrument"])
     changes = np.concatenate([[False], names[1:] != names[:-1]])
     y = -np.arange(len(names)) - 0.5 * np.cumsum(changes)

@@ -38,9 +38,9 @@ def plot_probability(
     x : str, optional
         Column along the axis, such as ``ratio`` or ``pitch``.
     values : str or list of str, optional
-        Columns to plot. The interval of ``value`` is from ``low`` to ``high``, or 1.96 ``standard_error`` to either
-        side. That of another column, such as ``formula``, is from ``formula_low`` to ``formula_high``, or 1.96
-        ``formula_error`` to either side. Without such columns, there is only a line.
+        Columns to plot. The interval of ``value`` is from ``low`` to ``high`` or, without these columns, 1.96 times
+        ``standard_error`` to either side. For another column, such as ``formula``, the columns are ``formula_low`` and
+        ``formula_high``, or ``formula_error``. Without any such columns, there is only a line.
     by : str, optional
         Column that defines groups; each group has its own lines.
     ax : matplotlib.axes.Axes, optional
@@ -173,7 +173,7 @@ def plot_residuals(
 
 
 def _words(group, name, names, by):
-    """Yield the parts of a label."""
+    """Yield the parts of the label of a line: the group, and the name of the column."""
     if group is not None:
         yield group if isinstance(group, str) else f"{by.replace('_', ' ')} {group}"
     if len(names) > 1 or group is None:
@@ -181,7 +181,7 @@ def _words(group, name, names, by):
 
 
 def _interval(table, name):
-    """Return the ends of the interval of a column, or (None, None)."""
+    """Return the ends of the interval of a column, or (None, None) if the table has no interval."""
     before = "" if name == "value" else f"{name}_"
     if {f"{before}low", f"{before}high"} <= set(table.colnames):
         return values_of(table, f"{before}low"), values_of(table, f"{before}high")

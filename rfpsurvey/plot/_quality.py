@@ -26,47 +26,50 @@ MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
-"""Range of whole numbers that have a bar each, and the number of bins of other columns."""
+"""Largest range of whole numbers for which each number has a bar, and number of bins for other columns."""
 FEW_PER_RING, MOST_RINGS = 40, 12
 UNEVEN = 20.0
-"""Available over assigned targets, above which numbers are drawn on a logarithmic scale."""
+"""Ratio of available to assigned targets above which numbers are drawn on a logarithmic scale."""
 FIBER_COLORS = (SERIES[3], SERIES[2], SERIES[5], SERIES[4], SERIES[1], SERIES[6])
 
 
 def plot_quality(
     result: Tile | Survey, *, column: str | None = None, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
 ) -> "tuple[Axes, ...]":
-    """Draw how many targets of a tile or of a survey are observed, and what the fibers are used for, in four panels.
+    """Plot the observed targets of a tile or of a survey, and the use of its fibers, in four panels.
 
     Parameters
     ----------
     result : Tile or Survey
-        What to draw. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
+        Tile or survey to plot. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     column : str, optional
-        Column of the outcomes of a tile, of numbers, for the histogram; by default the priority, else the first further
-        column of the catalog that holds numbers.
+        Column of numbers in the outcomes of a tile, for the histogram. By default it is the priority or, without
+        priorities, the first further column of the catalog that contains numbers.
     axes : tuple of matplotlib.axes.Axes, optional
-        Where to draw the four panels; a new figure by default.
+        Four axes to draw on; by default those of a new figure.
     **kwargs
         Passed to the bars of the first panel, for example ``height``.
 
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        The axes of four panels.
+        The axes of the four panels.
 
-        Of a tile, the first shows the fraction of each class, a row of
-        `Tile.completeness <rfpsurvey.Tile.completeness>`, with each outcome, and to the right how many targets are
-        observed, of all. The second shows the fibers on sky and standard stars in each spectrograph, or those of each
-        requirement, whose minimum is a dashed line; without any, it shows fibers on science targets. The third is a
-        histogram of ``column`` for all science targets and for those that are assigned; it is empty where there is no
-        column of numbers. The fourth is the fraction of science targets in reach and assigned against the distance
-        from the center of the focal plane, in rings of equal area, with intervals of 68 %.
+        For a tile, the first panel has one bar for each class (a row of `Tile.completeness
+        <rfpsurvey.Tile.completeness>`). It shows the fraction of the targets with each outcome; the numbers of observed
+        targets and of all targets are on the right. The second panel shows the number of fibers on sky and on standard
+        stars in each spectrograph. If the tile has requirements, it shows the number of fibers that each of them
+        counts, with its minimum as a dashed line. Without such fibers and requirements, it shows fibers on science
+        targets. The third panel is a histogram of ``column`` for all science targets and for those that are assigned;
+        it is empty if there is no column of numbers. The fourth panel shows the fractions of science targets that are
+        in reach and that are assigned, in rings of equal area around the center of the focal plane, with 68 %
+        intervals.
 
-        Of a survey, the first shows the fraction of the visits of each class, a row of ``Survey.completeness``, that
-        each pass observed, and to the right how many visits are observed, of those wanted. The second shows the number
-        of targets with each outcome. The third shows the fibers of each pass on science targets, standard stars and
-        sky. The fourth shows which fraction of its fibers each tile uses, and its collision rate.
+        For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). It shows the
+        fraction of the visits that each pass observed; the numbers of observed and requested visits are on the right.
+        The second panel shows the number of targets with each outcome. The third panel shows the number of fibers on
+        science targets, standard stars and sky in each pass. The fourth panel shows the fraction of its fibers that
+        each tile uses, and its collision rate.
 
     Raises
     ------
@@ -76,9 +79,9 @@ def plot_quality(
 
     See Also
     --------
-    plot_focal_plane : Where the targets of each outcome are, with ``targets="outcome"``.
-    plot_targets : Where they are on the sky.
-    plot_completeness : The completeness of a survey, tile by tile.
+    plot_focal_plane : Plot the targets on the focal plane by outcome, with ``targets="outcome"``.
+    plot_targets : Plot the targets on the sky by outcome.
+    plot_completeness : Plot the completeness of a survey against the number of tiles.
 
     Examples
     --------
@@ -117,7 +120,7 @@ def plot_quality(
 
 
 def _four_axes(given, n_rows):
-    """Return the axes that were given, if there are four, or four axes in a figure of their own."""
+    """Return the given axes, or four axes of a new figure; raise an error unless there are four."""
     if given is None:
         return _new_axes(n_rows)
     if len(given) != 4:
@@ -126,7 +129,7 @@ def _four_axes(given, n_rows):
 
 
 def _new_axes(n_rows):
-    """Return four axes in a figure of their own."""
+    """Return four axes of a new figure."""
     from matplotlib.figure import Figure
 
     heights = 1.7 + 0.24 * max(n_rows, 6), 3.4
@@ -136,7 +139,7 @@ def _new_axes(n_rows):
 
 
 def _column_of(table, name) -> str | None:
-    """Return the column of the histogram, None where there is none."""
+    """Return the name of the column of the histogram, or None if the outcomes have no column of numbers."""
     numbers = [c for c in table.colnames if c == "priority" or c not in OUTCOMES_COLUMNS]
     numbers = [c for c in numbers if np.asarray(table[c]).dtype.kind in "iuf"]
     if name is None:
@@ -199,7 +202,7 @@ class Series(NamedTuple):
 
 
 def _series_of(tile) -> list[Series]:
-    """Return what the requirements of a tile count, else sky and standard stars, else science targets."""
+    """Return the positioners that each requirement counts; without any, those on sky and standards, or on science."""
     t = tile.table
     asked = tile.provenance["parameters"].get("requirements") or []
     found = [Requirement.parse(text) for text in asked if isinstance(asked, list)]
@@ -224,7 +227,7 @@ def _series_of(tile) -> list[Series]:
 
 
 def _draw_fibers(ax, tile):
-    """Draw the number of fibers on sky and standard stars in each spectrograph, and how many are required."""
+    """Draw the number of fibers on sky and standard stars in each spectrograph, and the required number."""
     from matplotlib.lines import Line2D
     from matplotlib.ticker import MaxNLocator
 
@@ -331,7 +334,7 @@ def _draw_radius(ax, table, outcome):
 
 
 def _fraction(part, whole):
-    """Return fractions, and how far the ends of their Wilson intervals of 68 % are away."""
+    """Return fractions, and their distances to the lower and upper ends of their 68 % Wilson intervals."""
     n, p = np.maximum(whole, 1), part / np.maximum(whole, 1)
     middle, half = (p + 0.5 / n) / (1 + 1 / n), np.sqrt(p * (1 - p) / n + 0.25 / n**2) / (1 + 1 / n)
     return p, np.maximum([p - middle + half, middle + half - p], 0)

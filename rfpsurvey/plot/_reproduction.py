@@ -26,7 +26,7 @@ def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, 
 
 
 def _small(tables):
-    """Plot the probability against arm ratio and pitch; below, formula and simulation are scaled to 0 and 1."""
+    """Plot the probability against arm ratio and pitch; lower panels show formula and simulation, scaled to 0 and 1."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))
@@ -70,7 +70,7 @@ def _large(tables):
 
 
 def _poisson(tables):
-    """Plot the relative difference for every reading of Poisson targets as a function of ratio and pitch."""
+    """Plot the relative difference for each interpretation of Poisson targets as a function of ratio and pitch."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)
@@ -129,7 +129,7 @@ def _one_sky(tables):
         part = table[rows & np.isfinite(table["coverage"])]
         style = {"color": SERIES[k % 8], "marker": MARKERS[(k + k // 8) % 8], "linestyle": ":", "capsize": 2}
         label = f"{group[0]}, {group[1]:g} target{'' if group[1] == 1 else 's'} per positioner, {group[2]}"
-        # beside each other, because many groups have the same value
+        # draw groups beside each other, because many of them have the same value
         beside = np.asarray(part["positioners"]) * BESIDE ** (k - (len(groups) - 1) / 2)
         ax.errorbar(beside, part["coverage"], yerr=_within_one(part), label=label, **style)
     ax.axhline(0.95, color="0.4", lw=0.8)

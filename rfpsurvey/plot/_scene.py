@@ -1,4 +1,4 @@
-"""The content of a plot of a focal plane: positioners, arms, obstacles and their states, in mm."""
+"""The content of a plot of a focal plane: positioners and their states, arms, and obstacles, in mm."""
 
 from dataclasses import dataclass, replace
 
@@ -42,7 +42,7 @@ class Scene:
 
     @property
     def points(self) -> np.ndarray:
-        """Points that should remain visible: centers and arms; those in collision count four times."""
+        """Points of centers and arms that should remain visible; points of arms in collision occur four times."""
         arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
         points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
         return points[np.isfinite(points).all(axis=1)]

@@ -25,8 +25,8 @@ __all__ = ["draw_field", "draw_tiles", "plot_tiling", "radius_of"]
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
 FLAT = 0.45
-"""Opacity of tiles that all have the same color, so that their overlaps are visible. Others are opaque, so that their
-colors are those of the color bar on every background."""
+"""Opacity of tiles that all have the same color, so that their overlaps are visible. Tiles of several colors are
+opaque, so that they have the colors of the color bar on every background."""
 
 
 def plot_tiling(
@@ -141,7 +141,7 @@ def _filled_part(number):
 
 
 def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
-    """Fill tiles by a column, with a color bar beside the axes: steps for a few whole numbers, none for one value."""
+    """Color tiles by a column; draw a color bar, with steps for a few whole numbers, unless there is only one value."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import BoundaryNorm
 
@@ -163,10 +163,10 @@ def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: 
         edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
         style["norm"] = BoundaryNorm(edges, 256)
     elif len(levels) == 1:
-        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the center of the scale, neither dark nor pale
+        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the center of the scale, which is neither dark nor pale
     elif len(levels):
         style["clim"] = (levels[0], levels[-1])
-    if whole:  # projected here: the axes would put thousands of points on every edge
+    if whole:  # the edges are projected here, because the axes would put thousands of points on every edge
         polygons = [ax.transProjection.transform(polygon) for polygon in polygons]
         style["transform"] = ax.transAffine + ax.transAxes
     drawn = PolyCollection(polygons, array=values, **{**style, **kwargs})

@@ -39,9 +39,9 @@ def plot_speed_accuracy(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Both axes. Bars are standard errors of the fraction, from the square root of the number of misclassified
-        pairs. If no pair is misclassified, an arrow points down from an upper limit, which is one divided by the
-        number of colliding pairs. Methods to the lower left are better.
+        Both axes. Bars show the standard error of the fraction, computed from the square root of the number of
+        misclassified pairs. If no pair is misclassified, an arrow points down from an upper limit, which is one divided
+        by the number of colliding pairs. Methods to the lower left are better.
 
     Raises
     ------
@@ -87,15 +87,15 @@ def plot_speed_accuracy(
 
 
 def _draw_methods(ax, table, values, limits, uncertain, style):
-    """Draw a line for each method, zeros as upper limits with arrows, and return all points with their labels."""
+    """Draw a line for each method, and zeros as upper limits with arrows; return all points with their labels."""
     time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
     heights = np.where(values > 0, values, limits)
     for k, method in enumerate(dict.fromkeys(table["method"])):
         rows = np.flatnonzero(table["method"] == method)
         own = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
-        own["markerfacecolor"] = own["color"] if k == 0 else "none"  # so that others remain visible
+        own["markerfacecolor"] = own["color"] if k == 0 else "none"  # so that other markers remain visible
         (line,) = ax.plot(time[rows], heights[rows], **{**own, **style})
-        line.set_linestyle("none")  # limits are not connected
+        line.set_linestyle("none")  # upper limits are not connected by lines
         some = rows[values[rows] > 0]
         ax.plot(time[some], heights[some], color=own["color"], linestyle=":", linewidth=line.get_linewidth(), zorder=1)
         if uncertain is not None and len(some):
@@ -133,7 +133,8 @@ def plot_probability_accuracy(
     -------
     tuple of matplotlib.axes.Axes
         The axes. Bars are one standard error. Open markers are formulas, whose errors do not depend on the effort.
-        Errors below the gray line are smaller than that of the reference value. Methods to the lower left are better.
+        Errors below the gray line are smaller than the error of the reference value. Methods to the lower left are
+        better.
 
     Raises
     ------
@@ -193,7 +194,7 @@ def _draw_errors(ax, part, method, style, options):
 
 
 def _bars(values, uncertain):
-    """Return the lengths of bars down and up, which stay above zero, in the form for older versions of matplotlib."""
+    """Return the downward and upward lengths of bars that stay above zero, as older versions of matplotlib require."""
     return [np.minimum(uncertain, 0.9 * values).tolist(), uncertain.tolist()]
 
 
@@ -209,7 +210,7 @@ def _set_ticks(ax):
 
 
 def _state(ax, table, number, legend, *, figure=False):
-    """Write above a plot what was measured on which machine, and which corner is better."""
+    """Write a title with the measured case and the machine, and note which corner of the plot is better."""
     meta = table.meta
     machine = f"{meta['machine']}; " if "machine" in meta else ""
     first = f"{meta.get('instrument', '')}: {meta.get('n_positioners', '?')} positioners, {number}"

@@ -14,7 +14,7 @@ from rfpsurvey.survey import Survey
 __all__ = ["class_rows", "draw_survey_quality"]
 
 MOST_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
-"""Bars of classes, those of categories, and passes that have a color each."""
+"""Largest numbers of bars of classes, of bars of categories, and of passes with different colors."""
 MOST_DOTS = 3000
 KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
 
@@ -38,7 +38,7 @@ def class_rows(survey: Survey) -> QTable:
 
 
 def _after(survey, k) -> QTable:
-    """Return the rows of the completeness after a pass, by its place in the order of planning, categories first."""
+    """Return the rows of the completeness after the k-th planned pass; categories precede priorities."""
     passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
     rows = survey.completeness[np.asarray(survey.completeness["pass"]) == passes[k]]
     if "category" not in rows.colnames:
@@ -55,7 +55,7 @@ def _draw_visits(ax, survey, kwargs):
     passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
     rows = class_rows(survey)
     wanted, observed = (np.asarray(rows[name], float) for name in ("n_wanted", "n_observed"))
-    # where there are many passes, the last color stands for several of them
+    # if there are many passes, the last color stands for several of them
     ends = [*range(min(len(passes), MOST_PASSES) - 1), len(passes) - 1]
     colors = [ARM] if len(ends) == 1 else light_scale()(np.linspace(0.0, 0.85, len(ends)))
     pieces, before = [], np.zeros(len(rows))
@@ -97,19 +97,19 @@ def _draw_outcomes(ax, survey):
     ax.set_yticks(y, list(counts), fontsize="small")
     around = 0.6 + max(4 - len(counts), 0) / 2
     ax.set_ylim(y.min(initial=0) - around, around)
-    ax.set_xlim(0, 1.35 * max(counts.values(), default=1))  # with room for the numbers
+    ax.set_xlim(0, 1.35 * max(counts.values(), default=1))  # make room for the numbers
     ax.set_xlabel("targets of the catalog")
 
 
 def _draw_fibers(ax, survey):
-    """Draw the fibers of each pass by what they observe."""
+    """Draw the numbers of fibers on science targets, standard stars and sky in each pass."""
     from matplotlib.ticker import MaxNLocator
 
     tiles, s = survey.tiles, survey.summary
     passes, place = np.unique(np.asarray(tiles["pass"]), return_inverse=True)
     n_fibers = s["n_fibers"] / max(s["n_tiles"], 1) * np.bincount(place)
     bottom, handles = np.zeros(len(passes)), []
-    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}  # old surveys have science only
+    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}  # old surveys: only n_science
     for kind, name in columns.items():
         n = np.bincount(place, weights=np.asarray(tiles[name], float))
         if n.any():

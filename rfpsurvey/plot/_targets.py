@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["codes_of", "outcomes_of", "plot_targets"]
 
 LARGEST = 6.2  # inches: longer side of the axes
-MARGIN = 0.03  # of the extent of the targets
+MARGIN = 0.03  # fraction of the extent of the targets
 ROW = 0.23  # inches, of a legend
 
 
@@ -36,8 +36,8 @@ def plot_targets(
     """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
     The legend contains the numbers of targets. In plots by class, assigned targets are larger dots, and other targets
-    are smaller dots of the same color. The axes of a tile are offsets from its center. Those of a survey are as in
-    `plot_tiling`, and circles are its fields, except on a map of the whole sky.
+    are smaller dots of the same color. The axes of a tile are offsets from its center. The axes of a survey are those
+    of `plot_tiling`, and circles show its fields, except on a map of the whole sky.
 
     Parameters
     ----------
@@ -61,7 +61,8 @@ def plot_targets(
     Raises
     ------
     InputError
-        If the tile has no outcomes, the catalog is missing or is not that of the survey, or it has no such column.
+        If the tile has no outcomes, the catalog is missing or is not that of the survey, or there is no column
+        ``color``.
 
     See Also
     --------
@@ -162,7 +163,7 @@ def _new_axes(sky_map, xy, rims, rows):
     height = min(LARGEST * tall * sky_map.aspect / wide, LARGEST)
     width = min(LARGEST, height * wide / (tall * sky_map.aspect))
     ax = new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
-    ax.set_anchor("N")  # the rest of the height is for the legend
+    ax.set_anchor("N")  # the remaining height is for the legend
     return ax
 
 

@@ -21,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Facts:
-    """Labels and values; an indented label is a part of the one above."""
+    """Labels and values; the value of an indented label is a part of the value above it."""
 
     caption: str
     values: dict
@@ -32,8 +32,8 @@ class Rows:
     """A table that can be sorted.
 
     ``where`` names the file or attribute that contains all rows, if not all are shown; ``left_out`` is the number of
-    rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A ``complete``
-    table shows all rows unless there is a limit; a long one is collapsed, and its cells are rounded to keep pages
+    rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A ``complete`` table
+    shows all rows unless there is a limit. If it is long, it is collapsed, and its cells are rounded to keep pages
     small.
     """
 

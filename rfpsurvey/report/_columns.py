@@ -13,10 +13,10 @@ ROUNDED = {"deg": 3, "mm": 3}  # decimals of other columns with these units
 
 
 def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
-    """Return the unit of a column, whether it holds numbers, and text and sorting key of each cell.
+    """Return the unit of a column, whether it contains numbers, and the text and sorting key of each cell.
 
-    The key is the full value where the text may be shorter, "" for a value that is missing, and None where the text
-    is the key.
+    If the text may have fewer digits than the value, the key is the full value. It is "" for a missing value, and None
+    if the text itself is the key.
     """
     unit = str(getattr(column, "unit", None) or "")
     values = column.value if isinstance(column, Quantity) else column
@@ -41,7 +41,7 @@ def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]
 
 
 def rounded_cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
-    """Return what `cells_of` does, with rounded texts as keys: 3 decimals of angles and lengths, 6 of ra and dec."""
+    """Return the results of `cells_of` with rounded values: 3 decimals for angles and lengths, 6 for ra and dec."""
     unit, numbers, cells = cells_of(column, name)
     if unit in ROUNDED and numbers:
         decimals = SKY.get(name, ROUNDED[unit])
@@ -50,10 +50,10 @@ def rounded_cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str 
 
 
 def _cell(text: str, key: str | None = None) -> tuple[str, str | None]:
-    """Return text and key; a cell without text is a missing one."""
+    """Return the text and key of a cell; a cell without text is a missing value."""
     return (text, key) if text.strip() else (MISSING, "")
 
 
 def _key(value: float) -> str:
-    """Return a number as both Python and a browser read it."""
+    """Return a number as text that both Python and a browser can read."""
     return repr(value) if np.isfinite(value) else "Infinity" if value > 0 else "-Infinity"

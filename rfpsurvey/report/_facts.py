@@ -1,4 +1,4 @@
-"""Labels and values of results; a label that begins with two blanks is a part of the one above."""
+"""Labels and values of results; a label with two leading blanks is for a part of the value above it."""
 
 import numpy as np
 
@@ -64,7 +64,7 @@ ZERO_IS_LEFT_OUT = (
 
 
 def tile_facts(tile: Tile) -> dict:
-    """Return the counts and rates of a tile, without most zeros."""
+    """Return the counts and rates of a tile; most counts that are 0 are omitted."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
     if np.isnan(tile.summary["collision_rate"]):
@@ -83,7 +83,7 @@ def tile_facts(tile: Tile) -> dict:
 
 
 def _required(summary: dict) -> dict:
-    """Return how many of the required targets are observed, if any are required."""
+    """Return the number of required targets that are observed, if any are required."""
     n = summary.get("n_required", 0)
     return {"required targets observed": f"{summary['n_required_observed']} of {n}"} if n else {}
 
@@ -138,7 +138,7 @@ def survey_facts(survey: Survey) -> dict:
 
 
 def tiling_facts(tiling: Tiling) -> dict:
-    """Return the values in the summary of a tiling; those without a label have their key as a label."""
+    """Return the values in the summary of a tiling; a value without a label is labeled by its key."""
     return {TILING.get(key, key.replace("_", " ")): value for key, value in tiling.summary.items() if value != ""}
 
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["html_of"]
 
-BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # where a name may go on in the next line
-MOST_ITEMS = 30  # of a list in the provenance
-MAX_ROWS = 1000  # of a table, by default
+BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
+MOST_ITEMS = 30  # largest number of values of a list in the provenance
+MAX_ROWS = 1000  # largest number of rows of a table, by default
 
 
 def html_of(page: Page, max_rows: int | None) -> str:
@@ -80,13 +80,13 @@ def _asset(name: str) -> str:
 
 
 def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
-    """Return the number of rows of a table that are shown, and its columns."""
+    """Return the number of rows to show of a table, and its columns."""
     most = max_rows if max_rows is not None else len(block.table) if block.complete else MAX_ROWS
     table = block.table[:most]
     columns = []
     for name in table.colnames:
         unit, numbers, cells = (rounded_cells_of if block.complete else cells_of)(table[name], name)
-        # numbers are to the right; in a rounded table all cells are, but for text
+        # numbers are aligned to the right, as are all cells except text in a rounded table
         look = ("" if numbers else "text") if block.complete else ("number" if numbers else "")
         columns.append({"name": name, "unit": unit, "numbers": numbers, "cells": cells, "look": look})
     return len(table), columns
@@ -118,7 +118,7 @@ def _groups(values: dict, name: str) -> dict[str, dict]:
     for key, value in values.items():
         if isinstance(value, dict):
             for title, group in _groups(value, f"{name} {key}".strip().replace("_", " ")).items():
-                while title in groups and groups[title] and group:  # dicts whose names read alike
+                while title in groups and groups[title] and group:  # dicts whose names are equal as text
                     title += "'"
                 groups[title] = groups.get(title, {}) | group
     return groups

@@ -7,7 +7,7 @@ import numpy as np
 __all__ = ["column_texts", "number_text"]
 
 DIGITS = 4
-SMALL, LARGE = 1e-4, 1e7  # numbers outside have an exponent
+SMALL, LARGE = 1e-4, 1e7  # numbers outside of this range have an exponent
 WIDE = 100  # a column whose numbers differ by more cannot have the same decimals
 
 

@@ -27,7 +27,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),
         Picture("Completeness after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
-    model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions have none
+    model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions do not contain it
     after = "Completeness after each pass, of each class of priority and of all."
     sections = [
         Section("Result", [Facts("", survey_facts(survey) | model)]),
@@ -82,6 +82,6 @@ def _about_curves(survey) -> str:
         "The line is the fraction of all visits that are observed, in the order in which tiles are planned. Crosses "
         "are the fraction of targets with all of their visits, after each pass; gray lines mark the ends of passes."
     )
-    if len(set(survey.completeness["priority"].tolist())) > 2:  # "all" is one of them
+    if len(set(survey.completeness["priority"].tolist())) > 2:  # "all" is one of the classes
         words += " Dotted lines join the completeness of each priority after each pass."
     return words

@@ -16,7 +16,7 @@ __all__ = ["dark_grays", "svg_of"]
 MOST_POINTS = 60_000
 MANY_POINTS = 2000
 DPI = 200
-WIDE = 9  # inches: a wider figure has its caption below
+WIDE = 9  # inches: the caption of a wider figure is below the figure
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "rfpsurvey", "svg.image_inline": True}
 ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # in XML
 IMAGE = "data:image/png;base64,"
@@ -29,7 +29,7 @@ DARK_INK, DARK_PAPER = np.array([226, 229, 233]), np.array([22, 25, 29])
 
 
 def svg_of(figure, name: str) -> dict:
-    """Return the content of the SVG of a figure, its box and width, and whether it is wide; ids begin with a name."""
+    """Return the content, box and width of the SVG of a figure, and whether it is wide; its ids begin with ``name``."""
     from matplotlib import rc_context
 
     figure = getattr(figure, "figure", figure)

@@ -47,7 +47,7 @@ NARROW = 25
 MARGIN = 4  # radii of patrol areas around the point that is shown enlarged
 MOST_OBJECTIVES = 12
 TITLE = 0.35  # inches, height of the title that a caption replaces
-LITTLE = 60  # positioners; a larger focal plane has a part shown enlarged
+LITTLE = 60  # positioners; of a larger focal plane, a part is also shown enlarged
 
 
 def page_of_tile(tile: Tile, where: str) -> Page:
@@ -94,7 +94,7 @@ def _title(name, parameters) -> str:
 
 
 def _asked(tile) -> dict:
-    """Return the request as labels and values, with units."""
+    """Return the parameters of the tile as labels and values, with units."""
     p, catalog = tile.provenance["parameters"], tile.provenance["catalog"]
     asked = {"instrument": tile.provenance["instrument"]["name"], "allocator": p["allocator"]}
     if "ra_deg" in p:
@@ -189,7 +189,7 @@ def _crowded(tile) -> u.Quantity:
     else:
         clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
         center = xy[clearance.argmin()]
-    # not beyond the outermost positioners
+    # do not extend beyond the outermost positioners
     center = np.clip(center, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
     return np.stack([center - half, center + half]) * u.mm
 

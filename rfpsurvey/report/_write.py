@@ -36,13 +36,13 @@ PAGES: dict[type, Callable[..., Page]] = {
     Estimate: page_of_estimate,
     Table: page_of_table,
 }
-"""Type of a result to the function (result, name of the file with the whole result) that returns its page."""
+"""For each type of result, the function that makes its page from the result and the name of the file with all rows."""
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
     "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
-"""``meta["made_by"]`` of a table to its function and required columns; other tables have a plain page."""
+"""For each ``meta["made_by"]``, the function for the page of the table, and columns that the table must have."""
 ENDINGS = (".html", ".htm")
 
 
@@ -121,7 +121,7 @@ def write_report(
 
 
 def _page_of(result, where: str) -> Page:
-    """Return the page for a result of this kind."""
+    """Return the page on a result."""
     for kind, build in PAGES.items():
         if isinstance(result, kind):
             made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None

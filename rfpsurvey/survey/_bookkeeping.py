@@ -33,7 +33,7 @@ class Tally:
         self.n_complete = np.zeros_like(self.n_observed)
 
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Add visits of a pass, by slot, and the targets that are complete, each with its last pass."""
+        """Add the visits of a pass (slots of targets), and the complete targets with the number of their last pass."""
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
 
@@ -48,7 +48,7 @@ class Bookkeeping:
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
-        Which of the targets that are not science targets are in use; None for none of them.
+        Which of the targets that are not science targets are in use; with None, they are not used.
     in_turn : bool
         Whether the passes are planned one after the other.
     """
@@ -56,7 +56,7 @@ class Bookkeeping:
     def __init__(self, visits, priority, kind, category, *, n_passes: int, others, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
-        # all tiles with such requirements may use sky positions and standards
+        # all tiles with requirements for sky positions and standards may use them
         self.left = self.wanted.copy()
         self._spend = None
         if science is not None and others is not None:
@@ -67,14 +67,14 @@ class Bookkeeping:
         classes = category_classes(category, self.wanted)
         if len(classes[1]) > 1:
             self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
-        # the number of the last pass with a visit of each target; if passes are planned in turn, it is that of the
-        # last tile
+        # the number of the last pass in which each target was visited; if passes are planned in turn, this is the pass
+        # of the last recorded tile, and no array is required
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
-        """Enter a tile of the pass ``number``: its field, and the slots of its visits, -1 for none of the catalog.
+        """Record a tile of pass ``number``: its field, and the slots of its visits (-1 for blank sky).
 
-        Returns the number of visits that count.
+        Return the number of visits that count.
         """
         self.flags[field.slot] |= np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
         slot, observed = slot[slot >= 0], observed[slot >= 0]
@@ -109,7 +109,7 @@ class Bookkeeping:
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return those of some targets without a visit that counts, and their outcomes, which state the reasons."""
+        """Return the given targets without a visit that counts, and their outcomes, which state the reasons."""
         slot = slot[(self.flags[slot] & DONE) == 0]
         code = _outcomes_by_flags(self.flags[slot])
         code[self.left[slot] == 0] = Outcome.NOT_REQUESTED

@@ -1,6 +1,6 @@
 """A survey on disk: a part for each tile, an index of checksums, and the request.
 
-A part gets its name when it is complete, and a line of the index is written after it. Parts without a line are
+A part gets its final name when it is complete, and its line of the index is written afterward. Parts without a line are
 therefore not used, and incomplete lines are ignored.
 """
 
@@ -92,7 +92,7 @@ class Folder:
             if n_strange or len(self._known) < len(known):
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
                 warn(text)
-        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # remains of a run that was killed
+        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # temporary files of a run that was killed
             if left_over.is_dir():
                 shutil.rmtree(left_over, ignore_errors=True)
             else:
@@ -136,7 +136,7 @@ class Folder:
         self.put(name, content)
 
     def put(self, name: str, content: bytes) -> None:
-        """Write a file, followed by its line of the index."""
+        """Write a file, and then its line of the index."""
         write_bytes(self.path / name, content)
         self._known[name] = len(content), hashlib.sha256(content).hexdigest()
         with self._told(), (self.path / INDEX).open("a") as file:

@@ -26,18 +26,18 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
 
 
 def _by_color(index, reach_rad, passes):
-    """Return rounds of passes one after the other, and in each pass of colors; tiles of a color do not overlap."""
+    """Return the round of each tile: pass after pass, and color after color; tiles of a color do not overlap."""
     color = _number(index, reach_rad, passes, smallest=True)
     return np.unique(np.column_stack([passes, color]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _as_given(index, reach_rad, passes):
-    """Return rounds in the order of the list: a tile is planned after all earlier tiles that overlap it."""
+    """Return the round of each tile; a tile is planned after all earlier tiles in the list that overlap it."""
     return _number(index, reach_rad, passes, smallest=False)
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Name to function from the index of tiles, the largest distance of overlapping tiles, and passes to rounds."""
+"""Functions that return rounds, from the index of tiles, the largest distance of overlapping tiles, and passes."""
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:
@@ -46,6 +46,6 @@ def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order
         return []
     index = SkyIndex(vectors)
     round_of = ORDERS[order](index, reach_rad, passes)
-    # neighbors on the sky follow each other, so that partitions just read are used again
+    # neighbors on the sky follow each other, so that partitions in memory are used again
     along = index.order[np.argsort(round_of[index.order], kind="stable")]
     return np.split(along, np.cumsum(np.bincount(round_of))[:-1])

@@ -56,10 +56,10 @@ def plan_survey(
     """Plan the tiles of a survey such that each target is observed the requested number of times.
 
     Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other;
-    an executor plans all others at the same time. The plan does not depend on the executor. Required targets
-    (`AllocationOptions`) take precedence in every tile as long as visits of them remain. Those that are standards or
-    sky positions can be used any number of times, even without requirements. Circles that no arm may cover are
-    obstacles for the tiles whose arms can touch them.
+    an executor plans all other tiles at the same time. The plan does not depend on the executor. Required targets
+    (`AllocationOptions`) take precedence in every tile as long as visits of them remain. Required targets that are
+    standards or sky positions can be used any number of times, even without requirements. Circles that no arm may cover
+    are obstacles for the tiles whose arms can touch them.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def plan_survey(
         Whether targets whose arms collide count as not observed, so that they are observed again.
     order : {"color", "given"}, optional
         ``color``: pass after pass. In each pass, tiles are colored such that those of a color do not overlap, and the
-        colors are planned in turn. ``given``: of two tiles that overlap, the one earlier in the list is planned
+        colors are planned in turn. ``given``: if two tiles overlap, the one that is earlier in the list is planned
         first, independent of the passes.
     folder : str or path-like, optional
         Folder to which each tile is written as FITS, which allows only ASCII text. Without a folder, all visits are
@@ -99,8 +99,8 @@ def plan_survey(
         Show the progress on the standard error, or call a function with the number of finished tiles and of all
         tiles. The rate and the remaining time only include tiles that are planned in this run.
     rng : int, Generator or None, optional
-        Seed or random number generator; each tile has its own stream of random numbers. A seed that is drawn is
-        recorded in ``provenance`` and ``survey.json``, and is used to continue the survey.
+        Seed or random number generator; each tile has its own stream of random numbers. With None, a seed is drawn; it
+        is recorded in ``provenance`` and ``survey.json``, and is used to continue the survey.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The validated request of a survey, and its identity."""
+"""The validated request of a survey, and a dict that identifies it."""
 
 import json
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Request:
 
     @cached_property
     def rounds(self) -> list[np.ndarray]:
-        """Rounds of tiles (rows) that may be planned at the same time."""
+        """Tiles (rows) of each round; tiles of a round may be planned at the same time."""
         return make_rounds(self.tiling.vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
 
     @cached_property
@@ -63,16 +63,16 @@ class Request:
         return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units, self.epoch)
 
     def open_state(self) -> Bookkeeping:
-        """Return the state before the first visit."""
+        """Return the state of all targets before the first visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        # standards and sky positions in use: all if there are requirements, otherwise the required ones
+        # standards and sky positions in use: all if there are requirements, otherwise only those that are required
         others = True if self.options.requirements else self.is_required
         in_turn = self.order == "color"
         return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row), with the remaining visits of the targets."""
-        # blank sky avoids all targets, complete or not
+        # blank sky avoids all targets, also those without remaining visits
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
         if self.is_required is not None:

@@ -41,7 +41,7 @@ OUTCOME = {
 
 
 def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, outcomes: QTable) -> QTable:
-    """Return a row for each tile, with the summary and the provenance of the survey."""
+    """Return a table with a row for each tile, and with the summary and the provenance of the survey in its meta."""
     table = QTable(request.tiling.table[["tile", "ra", "dec", "position_angle", "pass"]])
     table["round"] = round_of
     for name, values in counts.items():
@@ -109,7 +109,7 @@ def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
 
 
 def completeness_table(request, state: Bookkeeping) -> QTable:
-    """Return a row for each pass, and for its classes of priority and category where there are several."""
+    """Return a table with a row for each pass and, if there are several, for each class of priority and category."""
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
     columns = ("priority", "category") if "category" in state.tallies else ("priority",)
     names = ("n_targets", "n_wanted", "n_observed", "n_complete")
@@ -128,7 +128,7 @@ def completeness_table(request, state: Bookkeeping) -> QTable:
 
 
 def outcome_table(request, state: Bookkeeping) -> QTable:
-    """Return a row for each target, in the order of the catalog."""
+    """Return a table with a row for each target, in the order of the catalog."""
     source = request.source
     table = QTable({"target_id": source.ids()}, copy=False)
     table["wanted"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())

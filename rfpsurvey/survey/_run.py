@@ -83,7 +83,7 @@ def _plan_round(request, tiles, state, folder, executor) -> Iterator:
 
 
 def _begin(job, executor):
-    """Do the work, or submit it to an executor."""
+    """Do the work of a job, or submit the job to an executor."""
     with _told(job):
         if executor is None:
             return work(job)
@@ -102,7 +102,7 @@ def _take(waiting: deque):
 
 @contextmanager
 def _told(job):
-    """Add the tile to errors, and a remedy if a worker ended abruptly."""
+    """Add the name of the tile to errors, and a remedy if a worker ended abruptly."""
     try:
         yield
     except BrokenExecutor as error:
@@ -124,7 +124,7 @@ def _read(folder, tile, job) -> Done | None:
         lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
         if lacking:
             raise InputError(f"it lacks {', '.join(lacking)}")
-    except InputError as error:  # whoever wrote it entered it into the index, too
+    except InputError as error:  # the checksum is correct, because the index was also changed
         folder.distrust(tile, str(error))
         return None
     given = visits["target_row"] >= 0

@@ -32,7 +32,7 @@ class InMemory:
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
         self._index = SkyIndex(catalog.arrays.vectors)
-        catalog.arrays.__dict__.pop("vectors", None)  # the index has them: avoids two copies
+        catalog.arrays.__dict__.pop("vectors", None)  # the index contains these values, so that there are no two copies
         self.meta = catalog.meta
 
     def __len__(self):
@@ -41,7 +41,7 @@ class InMemory:
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
     ) -> Field:
-        """Return the targets inside a circle with visits ``left`` (by slot, or by row), and optionally the ``rest``."""
+        """Return the targets in a circle with visits ``left`` (by slot or row); with ``rest``, also complete ones."""
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
         if rest:
@@ -127,7 +127,7 @@ class Partitioned:
 
     @cached_property
     def _margin_rad(self) -> float:
-        """Upper limit of the motion of targets."""
+        """Upper limit, in radians, of the motion of targets."""
         if self._epoch is None or not self._parts.part(0).has_proper_motion:
             return 0.0
         parts = range(len(self._parts.files))
@@ -145,7 +145,7 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets inside a circle with visits ``left`` (by slot), and optionally the ``rest``."""
+        """Return the targets in a circle with visits ``left`` (by slot); with ``rest``, also complete targets."""
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
@@ -196,7 +196,7 @@ class Partitioned:
         return self._part(0).units
 
     def text_columns(self) -> dict:
-        """Return no columns, which would require all partitions; invalid text raises an error when it is written."""
+        """Return no columns, because all partitions would have to be read; writing invalid text raises an error."""
         return {}
 
     def ids(self) -> np.ndarray:
@@ -213,7 +213,7 @@ class Partitioned:
         return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
     def digest(self) -> str:
-        """Return a digest that identifies the catalog, from the columns that a survey requires in all files."""
+        """Return a digest that identifies the catalog, from those columns of its files that a survey requires."""
         return self._parts.digest()
 
 

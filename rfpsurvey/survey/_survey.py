@@ -18,7 +18,7 @@ from rfpsurvey.tile import with_unit
 
 __all__ = ["Survey"]
 
-# Columns that the tables of a folder and the part of a tile must have.
+# Columns that must be in the tables of a folder and in the file of a tile.
 COLUMNS = (
     ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
     ("pass", "priority", "n_targets", "n_wanted", "n_observed", "n_complete", "completeness"),
@@ -35,13 +35,13 @@ class Survey:
     ----------
     tiles : QTable
         Table with a row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``,
-        ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets that still require
-        visits), ``n_reachable`` (those in reach), ``n_assigned`` (positioners with a target), ``n_science``,
-        ``n_standard``, ``n_sky`` (those with each kind of target), ``n_colliding``, ``n_counted`` (positioners with a
-        target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements
-        that are not met; all required targets of a tile count as one), ``n_observed`` (visits that count),
-        ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field, divided
-        by the requested visits; NaN without targets). Its ``meta`` contains ``summary`` and ``provenance``.
+        ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets that still require visits),
+        ``n_reachable`` (those in reach), ``n_assigned`` (positioners with a target), ``n_science``, ``n_standard``,
+        ``n_sky`` (those with each kind of target), ``n_colliding``, ``n_counted`` (positioners with a target, or parked
+        as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements that are not met; all
+        required targets of a tile count as one requirement), ``n_observed`` (visits that count), ``collision_rate``,
+        ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field, divided by the requested
+        visits; NaN without targets). Its ``meta`` contains ``summary`` and ``provenance``.
     completeness : QTable
         Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if
         there are several, ``category`` (``all`` stands for all of them), ``n_targets``, ``n_wanted`` and
@@ -80,7 +80,7 @@ class Survey:
         """Numbers of tiles, targets, visits, fibers, collisions and outcomes, and a description of the model.
 
         ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of those with a visit that
-        counts; ``unmet`` is a list of sentences on the others, one for each outcome.
+        counts; ``unmet`` is a list of sentences on the other required targets, one sentence for each outcome.
         """
         return self.tiles.meta["summary"]
 
@@ -91,12 +91,12 @@ class Survey:
 
     @property
     def targets(self) -> QTable:
-        """Table of all visits, with a row for each; for large surveys, use `visits` tile by tile.
+        """Table with a row for each visit; for large surveys, read the visits of each tile by `visits`.
 
-        Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``,
-        ``ra``, ``dec``, ``in_collision``, ``observed`` (whether the visit counts), ``fiber_type`` if there are
-        several, ``kind`` if the catalog has kinds or blank sky was searched for, and ``priority``, ``category`` and
-        the further columns (``extra``) of the catalog, if it has them. In these, blank sky has the values NaN, empty
+        Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``, ``ra``,
+        ``dec``, ``in_collision``, ``observed`` (whether the visit counts), ``fiber_type`` if there are several,
+        ``kind`` if the catalog has kinds or blank sky was searched for, and ``priority``, ``category`` and the further
+        columns (``extra``) of the catalog, if it has them. In these columns, the values of blank sky are NaN, empty
         text, False or -1.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()

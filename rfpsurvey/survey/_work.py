@@ -1,4 +1,4 @@
-"""The work on one tile, a function of its arguments only, which can run on any machine and can be repeated."""
+"""The work on one tile: a function that depends only on its arguments, can run on any machine, and can be repeated."""
 
 import pickle
 from functools import cached_property, lru_cache
@@ -118,7 +118,7 @@ class Done(NamedTuple):
     visits: np.ndarray | None
     """The visits as an array, otherwise."""
     target: np.ndarray
-    """Index in the field of the target of each visit, -1 for sky positions in gaps."""
+    """Index in the field of the target of each visit; -1 for blank sky."""
     observed: np.ndarray
     in_reach: np.ndarray
     """Whether at least one positioner reaches each target of the field."""

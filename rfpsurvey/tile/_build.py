@@ -40,9 +40,9 @@ def build_tile(
 ) -> Tile:
     """Return a tile with all of its columns.
 
-    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` are their rows, -1
-    for none. The columns in ``carried`` have a value for each positioner; ``targets`` are all targets of the field.
-    ``software`` lists packages in use in addition to the usual ones.
+    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
+    target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner;
+    ``targets`` are all targets of the field. ``software`` lists packages in use in addition to the usual ones.
     """
     plane = instrument.focal_plane
     n = len(plane)
@@ -116,7 +116,7 @@ def build_tile(
 
 
 def _partners(plane, report):
-    """Return the identifiers of everything that each positioner collides with as one string."""
+    """Return for each positioner one string with the identifiers of everything that it collides with."""
     partners = {}
     for i, j in report.pairs.tolist():
         partners.setdefault(i, []).append(str(plane.id[j]))

@@ -11,7 +11,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
 
-# names of columns (with a single value) or of entries in the meta of a table in which planners write the field
+# names of columns (with a single value) or of entries in the meta of a table, in which planners write the field
 FIELD = {
     "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
     "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),

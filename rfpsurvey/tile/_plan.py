@@ -41,7 +41,7 @@ from rfpsurvey.tile._tile import Tile
 
 __all__ = ["plan_tile"]
 
-# Number of objectives that a summary lists; the last line is the sum of all others.
+# Largest number of objectives that a summary lists; the last line is the sum of all further objectives.
 MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
@@ -87,8 +87,8 @@ def plan_tile(
         Show the progress of the searches of ``sdss`` and ``optimal`` on the standard error, or call a function with
         the finished fraction and 1.
     rng : int, Generator or None, optional
-        Seed or random number generator for allocators that use random numbers. With the default, all calls give the
-        same tile.
+        Seed or random number generator for allocators that use random numbers. With the default seed, all calls give
+        the same tile.
 
     Returns
     -------
@@ -227,7 +227,7 @@ def _outside(required: tuple, ids: np.ndarray) -> list[str]:
 
 
 def _objectives(levels: list) -> list:
-    """Return name, value and bound of each objective; if there are many, the last line is the sum of the rest."""
+    """Return name, value and bound of each objective; if there are many, the last item is the sum of the rest."""
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows

@@ -54,7 +54,8 @@ def score_tile(
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
-        Field center, as in `plan_tile`; by default that of the columns or meta entries ``racen`` and ``deccen``.
+        Field center, as in `plan_tile`; by default it is read from the columns or meta entries ``racen`` and
+        ``deccen``.
     position_angle : Quantity, optional
         Position angle of +y, measured from north in the frame of the center; by default ``position_angle`` or
         ``field_pa`` of the table.
@@ -180,7 +181,7 @@ def score_tile(
 
 
 def _positioners(find: Finder, plane):
-    """Return the rows that assign a positioner, the positioners, and the name of their column."""
+    """Return the rows that assign a positioner, their positioners, and the name of the column of positioners."""
     name = find.name_of("positioner")
     if name is None:
         raise find.missing("positioner")
@@ -193,7 +194,7 @@ def _positioners(find: Finder, plane):
     if plane.id.dtype.kind == "i":  # columns of CSV files can have leading zeros
         names = np.array([str(int(v)) if v.isdecimal() else v for v in names.tolist()], dtype=str)
     index = {str(i): k for k, i in enumerate(plane.id)}
-    # blank, and -1 if this is not an identifier, mean that the row assigns no positioner
+    # blank text, and -1 unless it is an identifier, mean that the row assigns no positioner
     rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))
     names = names[rows].tolist()
     unknown = [v for v in names if v not in index]
@@ -219,7 +220,7 @@ def _is_ours(table) -> bool:
 
 
 def _assigned(table) -> np.ndarray:
-    """Mark the rows that assign a fiber: those of the column ``assigned`` if it exists, otherwise all."""
+    """Return which rows assign a fiber: those marked in the column ``assigned`` if it exists, otherwise all rows."""
     if _is_ours(table):
         return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
     if "assigned" not in table.colnames:

@@ -33,7 +33,7 @@ class TargetsOfField(NamedTuple):
     outcome: np.ndarray
     """Index of ``OUTCOMES``."""
     positioner: np.ndarray
-    """Row of the positioner, -1 for none."""
+    """Row of the positioner of each target; -1 for targets without a positioner."""
 
     def table(self, positioner_id: np.ndarray) -> QTable:
         """Return a table with a row for each target, with units."""
@@ -49,7 +49,7 @@ class TargetsOfField(NamedTuple):
 
 
 def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> TargetsOfField:
-    """Return all targets of a field, the ``rows`` of the catalog; the allocator received those that are ``given``."""
+    """Return all targets of a field (``rows`` of the catalog); ``given`` are those that the allocator received."""
     allocation, n = plan.allocation, len(given)
     place = np.arange(n) if n == len(rows) else np.searchsorted(rows, given)
     outcome, positioner = np.full(len(rows), Outcome.NOT_REQUESTED, dtype=np.uint8), np.full(len(rows), -1)
@@ -69,7 +69,7 @@ def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan
 
 
 def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
-    """Return the numbers of targets of each kind in the field (``rows``), assigned, and without a collision."""
+    """Return the numbers of targets of each kind: in the field (``rows``), assigned, and assigned without collision."""
     free = ~plan.report.in_collision[plan.positioner]
     found = {}
     for kind in KINDS:

@@ -135,8 +135,8 @@ class Tile:
         """Table of the outcome of each target of the field; None for tiles that were scored, or read from ECSV.
 
         Columns: ``target_id``, ``ra``, ``dec``, ``x``, ``y`` (on the focal plane; NaN for targets that are not
-        requested), ``outcome`` (one of `OUTCOMES`), ``positioner`` (masked or empty without one), and ``kind``,
-        ``category``, ``priority`` and the further columns of the catalog, if it has them.
+        requested), ``outcome`` (one of `OUTCOMES`), ``positioner`` (masked or empty if there is no positioner), and
+        ``kind``, ``category``, ``priority`` and the further columns of the catalog, if it has them.
         """
         made = self.field_targets
         return made.table(np.asarray(self.table["id"])) if hasattr(made, "table") else made
@@ -269,7 +269,7 @@ def _plain(table: QTable) -> QTable:
 
 
 def _same_table(a, b) -> bool:
-    """Return whether two tables are equal; a missing one, as from ECSV, equals any other."""
+    """Return whether two tables are equal; a missing table, as of a tile from ECSV, equals any table."""
     return a is None or b is None or (a.colnames == b.colnames and all(_same(a[name], b[name]) for name in a.colnames))
 
 

@@ -99,7 +99,7 @@ def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
 
 
 def _conservative(region, exclude, reach, radius):
-    """Return HEALPix centers such that each point of the region has one nearby, and the largest distance to it."""
+    """Return HEALPix centers that sample the region, and the largest distance of its points to the nearest center."""
     nside = _healpix.nside_for(FINE * radius)
     area = region.area.to_value("sr")
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
@@ -141,7 +141,7 @@ def _needed(index, centers, radius, margin):
 
 
 def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Move centers to the nearest allowed ones, and add others as long as they cover more of the points."""
+    """Move centers to the nearest allowed ones, and add allowed centers as long as they cover further points."""
     from scipy.spatial import cKDTree
 
     chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)
@@ -149,7 +149,7 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
 
 
 def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the chosen ones of the allowed centers, with further ones as long as they cover more of the points."""
+    """Return the chosen allowed centers, and further allowed centers as long as these cover further points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

@@ -33,7 +33,7 @@ def dither(number: int) -> np.ndarray:
 
 
 def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -> np.ndarray:
-    """Return a hexagonal lattice in Lambert's equal-area map around a center, out to ``reach``, the nearest first."""
+    """Return a hexagonal lattice in Lambert's equal-area map around a center, out to ``reach``, sorted by distance."""
     limit = 2 * np.sin(min(reach, np.pi - 1e-9) / 2)
     n = int(np.ceil(limit / pitch * 2 / np.sqrt(3))) + 2
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")

@@ -1,4 +1,4 @@
-"""The methods of LAMOST, which place tiles one after the other where targets are dense, until none is left."""
+"""The methods of LAMOST, which place tiles one after the other where targets are dense, until no target is left."""
 
 from collections.abc import Callable
 
@@ -48,7 +48,7 @@ def mean_shift(problem: TilingProblem) -> TilingState:
 
 
 def _follow(problem: TilingProblem, move: Callable) -> TilingState:
-    """Run a method that starts at the target with the most targets around it."""
+    """Place tiles by a method that starts each tile at the target with the most targets around it."""
     state = TilingState(problem)
     seeds = _Candidates(state, _grid(problem), SEED * problem.radius)
     allowed = None if problem.allowed is None else _Candidates(state, problem.allowed, problem.radius)
@@ -97,12 +97,12 @@ class _Candidates:
         most = self.sum.max(initial=0.0)
         if most <= 0.5:
             return None
-        # of equal ones the first by row, independent of the order on the sky
+        # of equal candidates, the one with the first row, independent of the order on the sky
         top = np.flatnonzero(self.sum >= most - 1e-9)
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
-        """Return the best candidate within half a radius of a direction or, if there is none, the best of all."""
+        """Return the best candidate within half a radius of a direction or, if there is none, of all candidates."""
         near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5:
             return self.best()

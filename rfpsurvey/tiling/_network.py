@@ -18,14 +18,14 @@ __all__ = ["sdss"]
 # As fractions of the radius: the largest distance of a target outside a tile, and the size of the cells.
 OUTSIDE = 0.2
 CELL = 0.15
-# Costs of a visit: almost 0 inside the field, from 1 to 3 beyond the edge, and the cost of a visit not made.
+# Costs of a visit: almost 0 inside the field, and from 1 to 3 beyond its edge; then the cost if it is not made.
 INSIDE_COST, EDGE_COST, STEEP, UNASSIGNED = 0.01, 1.0, 2.0, 10.0
 MOST_ROUNDS = 20
 GAIN = 2e-3
 
 
 def sdss(problem: TilingProblem) -> TilingState:
-    """Place a number of tiles by network flow; for a completeness, the smallest number that reaches it."""
+    """Place a given number of tiles by network flow, or the smallest number that reaches a given completeness."""
     if problem.n_tiles is not None and problem.completeness is None:
         return _attempt(problem, problem.n_tiles)
     if problem.completeness is None:
@@ -142,7 +142,7 @@ def _cost(distance: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
-    """Alternate flows and moves of the centers until the cost no longer decreases."""
+    """Alternately compute flows and move the centers until the cost no longer decreases."""
     radius, last = problem.radius, np.inf
     for _ in range(MOST_ROUNDS):
         cell, tile, amount, total = _flow(problem, cells, centers)

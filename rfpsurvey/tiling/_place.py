@@ -105,17 +105,17 @@ def place_tiles(
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function after each tile: with the number of tiles and
         ``n_tiles`` if that is given, otherwise with the completeness reached and its goal. Methods that try several
-        numbers of tiles start again for each.
+        numbers of tiles restart the progress for each number.
     rng : int, Generator or None, optional
         Seed or random number generator for allocators that use random numbers.
 
     Returns
     -------
     Tiling
-        The tiles. For targets, they are in the order in which they were placed, with the columns ``n_targets``
-        (number of targets in the field that still require a visit), ``n_new`` (number of targets served) and
-        ``completeness`` (after the tile). A survey with the same allocator reaches this completeness if it plans the
-        tiles in this order (``order="given"``), and nearly the same one in another order.
+        The tiles. For targets, they are in the order in which they were placed, with the columns ``n_targets`` (number
+        of targets in the field that still require a visit), ``n_new`` (number of targets served) and ``completeness``
+        (after the tile). A survey with the same allocator reaches this completeness if it plans the tiles in this order
+        (``order="given"``), and nearly the same one in another order.
 
     Raises
     ------

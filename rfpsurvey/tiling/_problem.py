@@ -43,7 +43,7 @@ class TilingProblem:
         return self.n_tiles is None and self.completeness is None
 
     def circle(self) -> tuple[np.ndarray, float]:
-        """Return center and radius of a circle around the targets."""
+        """Center and radius of a circle around the targets."""
         vectors = self.index.vectors[self.wanted > 0]
         center = vectors.sum(axis=0)
         length = np.linalg.norm(center)
@@ -92,7 +92,7 @@ class TilingState:
         return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)
 
     def observe(self, center: np.ndarray, number: int | None = None, *, every: bool = False) -> np.ndarray:
-        """Place a tile and return the positions that it serves; without ``every``, not if it serves no target.
+        """Place a tile and return the positions that it serves; a tile without targets is placed only with ``every``.
 
         By default, the number of the pass is 1 plus the number of tiles with the same center.
         """

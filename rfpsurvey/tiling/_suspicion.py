@@ -19,8 +19,8 @@ MANY = 1000
 def warn_of_targets(table, n_targets: int) -> None:
     """Warn if a table that is given as tiles looks like one of targets; the survey has ``n_targets`` targets.
 
-    There is no warning where a column is one that lists of tiles have, and lists of targets do not. Otherwise there is
-    one if a column is one of targets, such as a magnitude, or if there are more than ``MANY`` rows, and more than
+    There is no warning if the table has a column that occurs only in lists of tiles. Otherwise there is a warning if it
+    has a column of targets, such as a magnitude, or if it has more than ``MANY`` rows and more rows than the survey has
     targets.
     """
     names = [name.lower() for name in table.colnames]

@@ -103,7 +103,7 @@ class Tiling:
 
     @property
     def summary(self) -> dict:
-        """How the tiling was made, and its quality; empty for a list of tiles from another source."""
+        """Description of the method and quality of the tiling; empty for a list of tiles from another source."""
         return self.table.meta.get("summary", {})
 
     @cached_property
@@ -157,7 +157,7 @@ class Tiling:
         n, found = len(table), {}
         for role in ("ra", "dec", "position_angle"):
             if role in names:
-                # the finder uses roles of a catalog: any role of an angle serves
+                # the finder has the roles of a catalog, of which any role of an angle can be used here
                 as_angle = {"ra": names[role]}
                 unit = {"ra": units[role]} if role in units else {}
                 found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")

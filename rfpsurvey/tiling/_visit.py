@@ -12,10 +12,9 @@ __all__ = ["visit_all", "visit_given"]
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
     """Observe the tiles of one pass until no more are needed; return the number of tiles placed.
 
-    Tiles that serve no target are omitted; with ``every``, only tiles without any requested visit are omitted.
-
-    Numbers of remaining targets only decrease. The tile with the largest known number is therefore the next one if an
-    update does not change its number.
+    Tiles that serve no target are omitted; with ``every``, only tiles without any requested visit are omitted. The
+    number of remaining targets of a tile can only decrease. The tile with the largest known number is therefore the
+    next one if its number does not change when it is computed again.
     """
     index, radius = state.problem.index, state.problem.radius
     state.chances = np.zeros(len(index))
