@@ -8,7 +8,7 @@ from rfpsurvey._kernels.reach import cell_of
 
 @kernel
 def bin_points(x, y, x0, y0, size, nx, ny, start, order):
-    """Sort points into cells: ``order[start[c]:start[c + 1]]`` lists cell c; points outside are omitted."""
+    """Sort points into cells: ``order[start[c]:start[c + 1]]`` lists cell c; points outside the grid are omitted."""
     start[:] = 0
     right, top = x0 + nx * size, y0 + ny * size
     for step in range(2):

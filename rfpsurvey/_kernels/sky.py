@@ -14,7 +14,7 @@ HORIZON = 1e-15
 
 @kernel
 def project(vectors, basis, focal_length, out):
-    """Project unit vectors gnomonically; ``basis`` has the rows +x, +y and center. No image gives NaN."""
+    """Project unit vectors gnomonically (NaN without an image); ``basis`` has the rows +x, +y and center."""
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
