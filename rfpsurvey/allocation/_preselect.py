@@ -34,8 +34,8 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
 
     Each other positioner can take at most one target from a positioner. If k others share targets with a positioner,
     at least one of its best k + 1 targets of each code is therefore always free. This makes the preselection exact if
-    arms may pass through each other. With collisions, the best plan of the kept pairs may be worse than the best plan of
-    all pairs; `replaceable` is used to bound the difference.
+    arms may pass through each other. With collisions, the best plan of the kept pairs may be worse than the best plan
+    of all pairs; `replaceable` is used to bound the difference.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Columns: (expected) positioners in collision, positioners that count, and both for assigned ones."""
+    """Columns: (expected) positioners in collision, counted positioners, assigned ones in collision, assigned ones."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
