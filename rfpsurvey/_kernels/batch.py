@@ -25,7 +25,7 @@ class CollisionSetup(NamedTuple):
     idle: np.ndarray
     """Elbow and tip of each positioner without a target, NaN if it is not an obstacle, shape (4, n)."""
     parked: np.ndarray
-    """Whether the positioner counts if it has no target."""
+    """Whether each positioner is counted if it has no target."""
     obstacle_pairs: np.ndarray
     obstacles: np.ndarray
     clearance: float

@@ -31,9 +31,9 @@ class Limits(NamedTuple):
     slack: float
     """Distance that the broad phase adds to the minimum separation."""
     near: float
-    """Largest distance of the midpoints of a pair that can collide, slack included."""
+    """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
-    """Largest difference from separation^2 of squared distances that rounding could put on either side of it."""
+    """If a squared distance differs from separation^2 by no more than this, rounding could decide the comparison."""
 
 
 def limits(separation, length, extent):

@@ -23,18 +23,18 @@ class Options(NamedTuple):
     own: np.ndarray
     target: np.ndarray
     rank: np.ndarray
-    """Class, 0 the most important."""
+    """Class of each candidate; 0 is the most important."""
     cost: np.ndarray
-    """Preference among candidates of equal rank: the lower the better."""
+    """Preference among candidates of equal rank; lower costs are better."""
     key: np.ndarray
     as_good: np.ndarray
-    """``as_good[key[a], key[b]]``: a does for all requirements what b does."""
+    """``as_good[key[a], key[b]]`` is whether a is at least as good as b for all requirements."""
     t_indptr: np.ndarray
     t_candidate: np.ndarray
-    """Candidates of target t, from ``t_indptr[t]`` on."""
+    """Candidates of all targets; those of target t begin at ``t_indptr[t]``."""
     indptr: np.ndarray
     other: np.ndarray
-    """Candidates that collide with c, from ``indptr[c]`` on."""
+    """Candidates that collide with each candidate; those that collide with c begin at ``indptr[c]``."""
 
 
 @kernel

@@ -29,7 +29,7 @@ class Entries(NamedTuple):
     total: np.ndarray
     """Sum of the weights of each queue."""
     free: np.ndarray
-    """Probability of each entry to be without a collision."""
+    """Probability that each entry is without a collision."""
     hit: np.ndarray
     """Weight of the entries of one neighbor that collide with each entry; zero between calls."""
     ahead: np.ndarray

@@ -191,7 +191,7 @@ class Group:
     requirement: Requirement
     spectrograph: int | None
     targets: np.ndarray
-    """Whether each target counts, shape (n_targets,)."""
+    """Whether the requirement counts each target, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
         """Mark the pairs of a target (-1 for no target) and a spectrograph that the requirement counts."""

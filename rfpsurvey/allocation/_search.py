@@ -75,7 +75,7 @@ def _plan(candidates, chosen, collide):
 
 class _Found(NamedTuple):
     chosen: np.ndarray
-    """Candidates in use, -1 for those for which no time was left."""
+    """Candidate in use of each positioner; -1 if there was no time to find one."""
     values: np.ndarray
     bounds: np.ndarray
     complete: bool

@@ -63,7 +63,7 @@ class Simulation:
     source: Source
     options: AllocationOptions
     most_entries: int | None = None
-    """Maximum number of entries of each queue that `expect` uses; None: all."""
+    """Maximum number of entries of each queue that `expect` uses; None means all entries."""
 
     @property
     def compiled(self) -> bool:

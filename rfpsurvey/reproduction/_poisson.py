@@ -103,7 +103,7 @@ def _averages(table, name):
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
-    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # NaN if undefined
+    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # else no drop
     drop = 100 * (uniform / own - 1)
     return part, np.array([drop, (100 + drop) * np.hypot(error / uniform, own_error / own)])
 
