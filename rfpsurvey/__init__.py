@@ -1,7 +1,7 @@
 """Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
 
 The names below are the whole public interface. Data flow from the catalog through projection, reach, allocation,
-poses of the arms and collisions to the score of a tile.
+arm poses and collisions to the score of a tile.
 """
 
 from importlib import import_module
@@ -72,7 +72,7 @@ __all__ = [
     "write_report",
 ]
 
-_IMPORTED_ON_USE = {  # not imported by a script that only plans a tile
+_IMPORTED_ON_USE = {  # imported on first use, because a script that only plans a tile does not need them
     "benchmark": (),
     "compare": ("compare_allocators", "compare_instruments"),
     "design": (),

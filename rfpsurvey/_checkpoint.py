@@ -15,9 +15,9 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
     path : Path
         File or folder of the unfinished work.
     before, now : dict
-        The requests, in the form that JSON represents.
+        The earlier and the present request, with only values that JSON can represent.
     work, place : str
-        The kind of work, and the parameter to change for new work, for the error message.
+        The kind of work, and the parameter that the user can change to begin new work; both are for the error message.
 
     Raises
     ------

@@ -13,7 +13,7 @@ __all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
-    """Yield the results of a function in the order of its arguments; without an executor it runs in this thread."""
+    """Yield the results of a function in the order of its arguments; without an executor, calls are in this thread."""
     if not isinstance(executor, Executor | None):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
@@ -40,7 +40,7 @@ def submit(executor: Executor, function: Callable, *arguments: object) -> Future
 
 @cache
 def end_with_parent() -> None:
-    """Make this process end within a second after the process that started it, even if that one is killed.
+    """Make this process end within a second after its parent process ends, even if the parent is killed.
 
     Otherwise, workers of a `concurrent.futures.ProcessPoolExecutor` would wait for work forever.
     """
@@ -69,7 +69,7 @@ class _InWorker:
 
 
 def _for_workers(executor, function):
-    """Return the function to submit; for process pools, it makes the workers end with this process."""
+    """Return the function to submit; in a process pool, it also makes each worker end when this process ends."""
     from concurrent.futures import ProcessPoolExecutor
 
     return _InWorker(function) if isinstance(executor, ProcessPoolExecutor) else function

@@ -40,7 +40,7 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
     """Return the pixels whose centers are at most ``margin`` away from an object on the sky, sorted.
 
-    Starting with the twelve largest pixels, those that are too far away are dropped with all pixels inside them.
+    The search begins with the twelve largest pixels. A pixel that is too far away is dropped with all pixels inside it.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
 
 
 def to_nested(nside: int, pixels: np.ndarray) -> np.ndarray:
-    """Return nested numbers of pixels in ring order."""
+    """Return the numbers in the nested order of pixels that are numbered in the ring order."""
     from astropy_healpix import healpy
 
     return np.atleast_1d(healpy.ring2nest(nside, pixels)).astype(np.int64)

@@ -55,7 +55,7 @@ def write_table(
     """Write a table as FITS or ECSV.
 
     ``cards`` are further cards of the FITS header (a value, or a value and a comment), ``name`` is the name of the
-    extension, and ``others`` are tables for further extensions, by name; ECSV files contain only one table.
+    extension, and ``others`` maps the names of further extensions to their tables; ECSV files contain only one table.
     """
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
@@ -71,7 +71,7 @@ def write_table(
 
 
 def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
-    """Return the path of an output if it is allowed and has one of these endings (before any .gz)."""
+    """Return the path of an output file; raise an error if it must not be written or its ending is invalid."""
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
     if suffix_of(path) not in endings or (zipped and (path.suffix.lower() != ".gz" or endings is not WRITABLE)):
@@ -104,8 +104,8 @@ def check_fits_text(columns: dict, remedy: str) -> None:
 def _in_place_of(path: Path, *, overwrite: bool = True):
     """Provide a temporary path on the same disk as ``path``, which is renamed to it on success and always removed.
 
-    It is in a new folder with a random name and without write permission for other users, so that no other thread or
-    process writes there, and no link with its name can exist.
+    The temporary path is in a new folder with a random name and without write permission for other users. Therefore no
+    other thread or process writes there, and no link with the name of the path can exist.
     """
     room = None
     try:
@@ -165,7 +165,7 @@ def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str |
 
 
 def _to_hdus(table, cards, name, others):
-    """Return a table and others as header-data units; the meta of the first table is one card."""
+    """Return FITS header-data units of one or more tables; one card contains the metadata of the first table."""
     from astropy.io import fits
 
     meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
@@ -175,7 +175,7 @@ def _to_hdus(table, cards, name, others):
         plain.meta = {}
         about = {column.info.name: column.info.description for column in plain.itercols()}
         for column in plain.itercols():
-            column.info.description = None  # goes into the header
+            column.info.description = None  # the description is written to the header instead
         hdu = fits.table_to_hdu(plain)
         hdu.header.update(table_cards(title, list(about), about))
         hdu.header.update({**(cards or {}), **meta} if one is table else {})
@@ -184,7 +184,7 @@ def _to_hdus(table, cards, name, others):
 
 
 def table_cards(name: str | None, columns: list[str], about: dict, units: dict | None = None) -> dict:
-    """Return cards with the name of an extension, and with the descriptions and units of columns, if there are any."""
+    """Return FITS cards with the name of an extension and the existing descriptions and units of its columns."""
     cards = {} if name is None else {"EXTNAME": (name, "name of this table")}
     for k, column in enumerate(columns, 1):
         if about.get(column):
@@ -195,7 +195,7 @@ def table_cards(name: str | None, columns: list[str], about: dict, units: dict |
 
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
-    """Write a file atomically; with ``sync``, the content is on disk before the file gets its name."""
+    """Write a file atomically; with ``sync``, the content is on disk before the file is renamed."""
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
     try:
         # a new file with a random name: no other process writes to it, and no link is followed
@@ -218,15 +218,15 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
 
-    This is fast for thousands of small tables of one kind: astropy makes the header of the first one, with the
-    ``fixed`` cards (pairs of a name and a value, or a value and a comment); for the others, only ``cards`` are
-    replaced.
+    This is fast for thousands of small tables with the same columns: astropy makes the header of the first table, with
+    the ``fixed`` cards (pairs of a name and a value, or a value and a comment). For further tables, only ``cards``
+    are replaced or added.
     """
     primary, header, places, disk = _fits_template(rows.dtype, fixed)
     image = bytearray(header)
     for name, card in {"NAXIS2": len(rows), **cards}.items():
         value, comment = card if isinstance(card, tuple) else (card, "")
-        place = places.get(name, len(image))  # new cards follow the others
+        place = places.get(name, len(image))  # new cards follow the existing cards
         image[place : place + 80] = fits_card(name, value, comment)
     image += f"{'END':80}".encode("ascii")
     image += b" " * (-len(image) % 2880)
@@ -257,7 +257,7 @@ def _fits_template(dtype: np.dtype, fixed: tuple):
 
 
 def fits_card(name: str, value: object, comment: str = "") -> bytes:
-    """Return a card of a FITS header as astropy writes it, but faster; astropy writes the cards that are not simple."""
+    """Return a card of a FITS header as astropy formats it; simple cards are formatted here, which is faster."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return _slow_card(name, value, comment)
     if isinstance(value, str):
@@ -279,7 +279,7 @@ def fits_card(name: str, value: object, comment: str = "") -> bytes:
 
 
 def _float_text(value: float) -> str | None:
-    """Return a number in the format of FITS headers, in at most 20 characters; None if this simple way fails."""
+    """Return a number in the format of FITS headers, in at most 20 characters; None if this simple method fails."""
     text = str(value)
     if "e" in text or "n" in text or len(text) > 20:
         return None

@@ -1,9 +1,10 @@
-"""The one numba decorator of the package, and the switches of its on-disk cache.
+"""The numba decorator that all kernels use, and the settings of its on-disk cache.
 
 Numba identifies an entry of its cache by the modification time and size of the file that defines a kernel. After an
-edit of another file with functions that the kernel calls, or an upgrade that changes neither time nor size, it would
-therefore run old code. Here, a digest of the source of all kernels is part of the version of the cache, which numba
-compares before it reads anything else, because the cache of other kernels may refer to classes that no longer exist.
+edit of another file with functions that the kernel calls, or an upgrade that changes neither time nor size, numba
+would therefore run old code. Here, a digest of the source of all kernels is part of the version of the cache. Numba
+compares the version before it reads anything else; this is necessary because the cache of other kernels may refer to
+classes that no longer exist.
 """
 
 import hashlib

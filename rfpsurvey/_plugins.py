@@ -1,4 +1,4 @@
-"""Plugins: objects that other packages add by entry points, and functions of users; they are loaded on first use."""
+"""Plugins: objects that other packages provide by entry points, and functions of users; loaded on first use."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -35,7 +35,7 @@ class Plugin:
 
     @contextmanager
     def answering(self) -> Iterator[None]:
-        """Replace an exception of the plugin by an InputError that names the plugin."""
+        """Convert an exception of the plugin to an InputError that names the plugin."""
         try:
             yield
         except InputError as error:
@@ -45,7 +45,7 @@ class Plugin:
 
 
 def plugin_names(group: str) -> set[str]:
-    """Return the names in a group of entry points, without importing any."""
+    """Return the names in a group of entry points, without importing any plugin."""
     return entry_points(group=group).names
 
 

@@ -12,8 +12,7 @@ EVERY = 0.1  # seconds between two updates of the line
 class Progress:
     """Shows the progress of a run with the rate and the remaining time, or passes it to a function.
 
-    The rate includes only the work of this run and its time, because reading the results of an earlier run is much
-    faster.
+    The rate includes only the work and time of this run, because reading the results of an earlier run is much faster.
 
     Parameters
     ----------
@@ -35,7 +34,7 @@ class Progress:
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 
     def __call__(self, done: float, *, new: bool = True, note: str = "") -> None:
-        """Update the amount of work done; ``new=False`` if the last part was read from an earlier run.
+        """Update the amount of work done; ``new=False`` means that the last part was read from an earlier run.
 
         The line ends with the ``note``, such as the stage of a run.
         """

@@ -65,7 +65,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
 def to_scalar(
     value: object, unit: u.UnitBase, name: str, *, low: float = -np.inf, high: float = np.inf, closed: bool = False
 ) -> float:
-    """Return one finite number in ``unit`` above ``low`` (or equal to it, if ``closed``) and below ``high``."""
+    """Return one finite number in ``unit`` that is above ``low`` (or equal to it, if ``closed``) and below ``high``."""
     number = to_unit(value, unit, name)
     if number.shape != ():
         raise InputError(f"{name} must be one value, got the shape {number.shape}")
@@ -143,7 +143,7 @@ def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.n
     direction = SkyCoord(direction.frame.realize_frame(direction.data.without_differentials()))
     try:
         icrs = direction.icrs
-    except Exception as error:  # frames can raise any exception if an observer or a time is missing
+    except Exception as error:  # some frames raise exceptions of any type if an observer or a time is missing
         raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be brought to ICRS: {error}") from error
     xyz = icrs.represent_as(UnitSphericalRepresentation).to_cartesian().xyz.value
     return np.ascontiguousarray(np.atleast_2d(xyz.T), dtype=np.float64)
@@ -156,7 +156,7 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_plain(column: object, name: str = "the values", what: str = "numbers or text") -> np.ndarray:
-    """Return a table column or array without unit and mask: masked numbers become NaN, and masked text is empty."""
+    """Return a table column or array without unit and mask: masked numbers become NaN, masked text becomes empty."""
     values = getattr(column, "value", column)
     mask = np.asarray(getattr(column, "mask", False))
     values = np.asarray(getattr(values, "unmasked", values))
@@ -177,7 +177,7 @@ def to_plain(column: object, name: str = "the values", what: str = "numbers or t
 
 
 def _plain_object(value: object, name: str, what: str) -> object:
-    """Return a number or text unchanged, and missing values as empty text."""
+    """Return a number or text unchanged; return empty text for a missing value."""
     if value is None or value is np.ma.masked:
         return ""
     if isinstance(value, bytes):
@@ -221,7 +221,7 @@ def to_labels(value: object, name: str) -> np.ndarray:
 
 
 def rows_of(mask: np.ndarray) -> str:
-    """Return a phrase for marked rows: the number of rows, and the first few row numbers, counted from 1."""
+    """Return a phrase with the number of marked rows and the first few of their numbers, counted from 1."""
     rows = np.flatnonzero(mask)
     few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"

@@ -28,7 +28,8 @@ __all__ = [
 
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
-# Parameters of earlier versions: if the function has a parameter with the second name, the message suggests the third.
+# Parameters of earlier versions: old name, a present parameter, and the parameter that the message
+# suggests if the function has the present parameter.
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
@@ -87,14 +88,14 @@ def warn(text: str) -> None:
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return a question with the choice most similar to ``name``, or empty text if none is similar."""
+    """Return a hint (a question) with the choice most similar to ``name``, or empty text if no choice is similar."""
     lower = {str(one).lower(): str(one) for one in choices}
     close = get_close_matches(str(name).lower(), sorted(lower), n=1, cutoff=cutoff)
     return f"did you mean {lower[close[0]]!r}?" if close else ""
 
 
 def number_of(n: int, noun: str, plural: str = "") -> str:
-    """Return a number and its noun, such as "1 target" and "2 targets"; the plural needs to be given if it is no -s."""
+    """Return a number and its noun, such as "1 target" and "2 targets"; an irregular plural must be given."""
     return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
@@ -125,14 +126,14 @@ def refusal(text: str, value: object, *types: type) -> InputError:
 def short(value: object) -> str:
     """Return a value as one short line of text; a table is described by its type and length."""
     name = type(value).__name__
-    if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, also one of another package
+    if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, possibly of another package
         return f"a {name} of {number_of(len(value), 'row')}"
     text = " ".join(repr(value).split())
     return text if len(text) < LONGEST else f"{name} {text[:40]}..."
 
 
 def check_keywords(function: T) -> T:
-    """Make a function or the constructor of a class suggest a parameter in the error for an unknown one."""
+    """Make the error for an unknown parameter of a function or constructor suggest a similar parameter."""
     if inspect.isclass(function):
         function.__init__ = _checked(function.__init__, function.__qualname__)
         return function
@@ -153,7 +154,7 @@ def _checked(function, title):
 
 
 def _instead_of(name, parameters):
-    """Return a hint at the parameter that may have been meant by an unknown one."""
+    """Return a hint at the parameter that was possibly meant by an unknown parameter."""
     for old, needed, new in RENAMED:
         if old == name and needed in parameters:
             return f"write {new}"

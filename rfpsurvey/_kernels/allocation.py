@@ -10,7 +10,7 @@ MOST = 2**62
 
 @kernel
 def balanced(indptr, owner, r2, count, positioner_of_target):
-    """Add each target, in catalog order, to the queue that is the shortest, then the nearest, then of lowest index."""
+    """Add each target, in catalog order, to the shortest queue in reach; ties: the nearest, then the lowest index."""
     count[:] = 0
     for t in range(indptr.size - 1):
         best = -1
@@ -31,7 +31,7 @@ def balanced(indptr, owner, r2, count, positioner_of_target):
 
 @kernel
 def fill_queues(positioner_of_target, count, indptr, queue):
-    """Fill in the queues of all positioners one after the other, each in catalog order."""
+    """List the targets of all queues, one positioner after the other, in catalog order within each queue."""
     indptr[0] = 0
     for i in range(count.size):
         indptr[i + 1] = indptr[i] + count[i]
@@ -45,7 +45,7 @@ def fill_queues(positioner_of_target, count, indptr, queue):
 
 @kernel
 def draw_configuration(indptr, queue, uniform, target_of_positioner):
-    """Draw one target from each queue that is not empty, with one uniform number in [0, 1) per positioner."""
+    """Draw one target from each queue that is not empty; ``uniform`` has a number in [0, 1) for each positioner."""
     for i in range(indptr.size - 1):
         n = indptr[i + 1] - indptr[i]
         target_of_positioner[i] = -1
@@ -57,8 +57,8 @@ def draw_configuration(indptr, queue, uniform, target_of_positioner):
 def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
     """Sort the best targets of each positioner by class (rank 0 first), then distance, then catalog order.
 
-    Pairs come as rows of targets. Positioner i keeps at most ``start[i + 1] - start[i]`` of them, from ``start[i]`` on;
-    ``count`` is how many.
+    The input lists the positioners that reach each target. Positioner i keeps at most ``start[i + 1] - start[i]``
+    targets, which are stored from ``start[i]`` on; ``count[i]`` is the number of targets that it keeps.
     """
     count[:] = 0
     for t in range(indptr.size - 1):
@@ -81,17 +81,18 @@ def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
 
 @kernel
 def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted, keep, shortened):
-    """Mark the best targets of each positioner and code, and some that are spread over the rest of their class.
+    """Mark the best targets of each positioner and code, and some targets spread over the rest of the last class.
 
-    Pairs come as rows of targets. Positioner i keeps at most ``start[cell + 1] - start[cell]`` targets of a code as the
-    best ones by rank, then distance, then catalog order, where ``cell = i * n_codes + code``; and of those left of the
-    rank of the last one, ``n_spread`` at equal steps of the catalog; and the target ``wanted[i]``. ``shortened`` marks
-    cells of which targets were left out. Returns the number of pairs that are kept.
+    The input lists the positioners that reach each target. A cell is a positioner i and a code, with the index
+    ``cell = i * n_codes + code``. Each cell keeps its best targets by rank, then distance, then catalog order, at most
+    ``start[cell + 1] - start[cell]`` of them. It also keeps ``n_spread`` of the remaining targets with the rank of the
+    last of these, at equal steps in the catalog. Positioner i always keeps the target ``wanted[i]``. ``shortened``
+    marks the cells from which some targets were left out. Returns the number of pairs that are kept.
     """
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
     end = start[:-1].copy()
-    # rank and distance of the last of the best ones, if their number is the largest allowed
+    # rank and distance of the last of the best targets of each cell that has the largest allowed number of them
     cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
     for t in range(indptr.size - 1):
         c = rank[t]
@@ -156,9 +157,10 @@ def nominate(
 ):
     """Assign targets with the method of LAMOST, in rounds of nomination, class after class.
 
-    Every free positioner nominates its nearest unassigned target of the class; a target nominated by several
-    goes to the one with the fewest unassigned targets in reach, then the nearest, then the lowest index. ``free_reach``
-    must be the number of targets in reach of each positioner; candidates may be fewer.
+    Every free positioner nominates its nearest unassigned target of the class. A target that several positioners
+    nominate is assigned to the one with the fewest unassigned targets in reach, then the nearest, then the one with the
+    lowest index. ``free_reach`` must be the number of targets in reach of each positioner; the list of candidates may
+    contain fewer than these.
     """
     n = indptr.size - 1
     cursor[:] = indptr[:-1]
@@ -215,9 +217,9 @@ def nominate(
 def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
     """Assign the closest pairs first, class after class, where candidates are sorted by class, then distance.
 
-    Each positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has
-    proposed to it: deferred acceptance, which ends in the plan that takes the closest pair of the top class first, then
-    the closest of those left, and so on.
+    The method is deferred acceptance: each positioner proposes to its candidates in this order, and a target keeps the
+    nearest positioner that has proposed to it. The result is the same as assigning the closest pair of the first class,
+    then the closest remaining pair, and so on.
     """
     n = indptr.size - 1
     cursor = indptr[:-1].copy()
@@ -266,9 +268,9 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
 
 @kernel
 def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
-    """Match the targets in the given order, each if there is an augmenting path; a matched target remains matched.
+    """Match each target, in the given order, for which there is an augmenting path; matched targets remain matched.
 
-    The targets that are matched in the end are the best that any matching has, in lexicographic order.
+    No matching has better targets, compared lexicographically in the given order.
     """
     n = target_of_positioner.size
     target_of_positioner[:] = -1

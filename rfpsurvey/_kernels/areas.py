@@ -9,7 +9,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return the angle about the direction of a circle's center, at distance d, within which radius r is inside it."""
+    """Return half the angle of the arc of radius r that lies inside a circle; d is the distance of their centers."""
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:
@@ -19,9 +19,10 @@ def half_angle(r, d, radius):
 
 @kernel
 def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
-    """Return the fraction of the patrol area of positioner i that lies in that of at least one of its neighbors.
+    """Return the fraction of positioner i's patrol area that at least one neighbor's patrol area also covers.
 
-    On circles about the center, halfway through rings of equal area, the arcs in other annuli are exact.
+    The patrol area is divided into rings of equal area. On a circle halfway through each ring, the arcs that lie in the
+    annuli of neighbors are computed exactly.
     """
     total = 0.0
     low2, high2 = inner[i] ** 2, outer[i] ** 2
@@ -36,7 +37,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
             if wide <= narrow:
                 continue
             direction = math.atan2(dy, dx)
-            for sign in (-1.0, 1.0):  # an arc on each side of the direction
+            for sign in (-1.0, 1.0):  # the arc extends to both sides of the direction of the circle's center
                 a = direction + sign * (wide if sign < 0.0 else narrow)
                 a -= 2.0 * math.pi * math.floor(a / (2.0 * math.pi))
                 b = a + wide - narrow

@@ -1,7 +1,7 @@
 """Kinematics of a two-arm positioner: from targets to elbows, and from elbows to colliding segments.
 
-Segments are columns here, rows x0, y0, x1, y1 of an array (4, n), and loops have no branches: both let the
-compiler work on several positioners at a time.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. Loops have no branches. Both allow
+the compiler to process several positioners at a time.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Arms whose lengths differ by less than this (mm) are treated as equal; they reach their own center.
+# Arms whose lengths differ by less than this (mm) are treated as equal; such a positioner reaches its center.
 EQUAL_ARMS = 1e-9
 
 # Parts of an arm that can collide.
@@ -19,7 +19,7 @@ ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
 class Geometry(NamedTuple):
-    """Columns of the positioners on which poses depend, and the direction of theta where they are parked."""
+    """Positions and arm lengths, on which poses depend, and the direction of the central arm in the parked pose."""
 
     cx: np.ndarray
     cy: np.ndarray
@@ -46,11 +46,12 @@ def inner_difference(l1, l2):
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the elbow (relative to the center), and sine and cosine of phi times a common positive factor.
+    """Return the elbow (relative to the center), and the sine and cosine of phi times a common factor > 0.
 
-    ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. A tip outside the annulus gets
-    the pose that points to it from the nearest reachable radius. At r = 0 the direction (home_x, home_y) of the
-    parked pose is used, for equal arms as that of the central arm. NaN tips give NaN.
+    ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose is
+    that of the nearest reachable point in the same direction. At r = 0, where no direction is defined, the direction
+    (home_x, home_y) of the parked central arm is used in its place; with equal arms, the central arm then has this
+    direction. NaN tips give NaN.
     """
     total = l1 + l2
     difference = inner_difference(l1, l2)
@@ -75,7 +76,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Compute the joint angles of each positioner for its tip, rows of (n, 2); NaN tips give NaN."""
+    """Compute the joint angles of each positioner for its tip; ``tips`` has the shape (n, 2), and NaN gives NaN."""
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -97,7 +98,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Compute the elbow of each positioner for its tip, rows of (n, 2); NaN tips give NaN."""
+    """Compute the elbow of each positioner for its tip; ``tips`` has the shape (n, 2), and NaN gives NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
@@ -110,7 +111,7 @@ def place(tips, geometry, side, segments):
 
 @kernel
 def capsule_end(ex, ey, x, y, length, cosine, sine):
-    """Return the end of a segment from the elbow, rotated counter-clockwise from the direction of the tip."""
+    """Return the end of a segment that starts at the elbow, rotated counter-clockwise from the direction of the tip."""
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
     return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
@@ -130,7 +131,7 @@ def shape(segments, model, length, cosine, sine):
 
 @kernel
 def check(tips, geometry, bounds, assigned, far):
-    """Mark positioners with a tip, and those whose tip is out of reach; returns the number of the latter."""
+    """Mark positioners with a tip, and those whose tip is out of reach; returns the number of tips out of reach."""
     n = 0
     cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):
@@ -145,7 +146,7 @@ def check(tips, geometry, bounds, assigned, far):
 
 @kernel
 def fill_idle(assigned, idle, segments):
-    """Copy the segments of idle arms, NaN if there is none, to positioners without a tip; in place."""
+    """Copy the segments of idle arms (NaN for arms that are no obstacles) to positioners without a tip, in place."""
     for row in range(4):
         own, other = segments[row], idle[row]
         for i in range(assigned.size):

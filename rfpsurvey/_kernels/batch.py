@@ -1,4 +1,4 @@
-"""Count the collisions of many configurations of one focal plane, with memory for one of them at a time."""
+"""Count the collisions of many configurations of one focal plane, with memory for one configuration at a time."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ class CollisionSetup(NamedTuple):
     idle: np.ndarray
     """Elbow and tip of each positioner without a target, NaN if it is not an obstacle, shape (4, n)."""
     parked: np.ndarray
-    """Whether the positioner counts if it has no target."""
+    """Whether each positioner is counted if it has no target."""
     obstacle_pairs: np.ndarray
     obstacles: np.ndarray
     clearance: float
@@ -46,7 +46,7 @@ class Workspace(NamedTuple):
 
 @kernel
 def count(setup, workspace, counts, times):
-    """Count the collisions of the arms in the workspace, and add 1 to ``times`` for each positioner that collides."""
+    """Count the collisions of the arms in the workspace, and add 1 to ``times[i]`` for each colliding positioner i."""
     n = borderline = 0
     if setup.runs.shape[0] > 0:
         halve(workspace.segments, workspace.halves)
@@ -99,14 +99,14 @@ def count(setup, workspace, counts, times):
 
 @kernel
 def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
-    """Count for configurations given by their tips, (m, n, 2); returns the number of tips that are out of reach.
+    """Count the collisions of configurations of tips, shape (m, n, 2); returns the number of tips out of reach.
 
-    ``side`` has one row for all configurations, or one for each.
+    ``side`` has a single row for all configurations, or one row for each configuration.
     """
     far = 0
     for c in range(tips.shape[0]):
         far += check(tips[c], geometry, bounds, workspace.assigned, workspace.far)
-        if setup.runs.shape[0] > 0 or setup.obstacle_pairs.shape[0] > 0:  # else nothing can collide
+        if setup.runs.shape[0] > 0 or setup.obstacle_pairs.shape[0] > 0:  # otherwise nothing can collide
             place(tips[c], geometry, side[min(c, side.shape[0] - 1)], workspace.segments)
             fill_idle(workspace.assigned, setup.idle, workspace.segments)
             shape(workspace.segments, setup.model, setup.length, setup.cosine, setup.sine)
@@ -116,9 +116,10 @@ def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
 
 @kernel
 def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
-    """Count for configurations that take one entry from each queue, by uniform numbers in [0, 1), shape (m, n).
+    """Count the collisions of m configurations with one entry of each queue, drawn by ``uniform``, shape (m, n).
 
-    ``entries`` are the segments of all queues, one after the other; ``idle`` those of the positioners without one.
+    ``uniform`` contains numbers in [0, 1). ``entries`` are the segments of all queues, one after the other; ``idle``
+    are the segments of the positioners that have no queue.
     """
     n = indptr.size - 1
     for i in range(n):

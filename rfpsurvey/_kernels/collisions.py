@@ -1,9 +1,9 @@
-"""Find arms closer than the minimum separation by a broad phase, and by distances with a proven error limit.
+"""Find arms closer than the minimum separation: a broad phase, then distances with a proven error limit.
 
-Segments are columns: rows x0, y0, x1, y1 of an array (4, n); an arm that is not there is NaN.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1; the column of an absent arm is NaN.
 
-In all bounds u = 2^-53 is the unit roundoff, and S the longest of the six differences of the four ends of a pair.
-The accuracy page of the documentation has the proofs.
+In all bounds, u = 2^-53 is the unit roundoff, and S is the largest of the six distances between the four ends of a
+pair of segments. The proofs are on the accuracy page of the documentation.
 """
 
 import math
@@ -18,29 +18,29 @@ UNIT = 2.0**-53
 DISTANCE_ERROR = 20.0 * UNIT
 # The sign of an orientation is certain where it exceeds this times the sum of the magnitudes of its two products.
 ORIENTATION_ERROR = 4.0 * UNIT
-# The broad phase may err by less than this times (largest coordinate + S): pairs so near to the limit stay in.
+# The broad phase may err by less than this times (largest coordinate + S): closer pairs are kept.
 REJECT_ERROR = 64.0 * UNIT
 # Runs of neighbors shorter than this are not vectorized.
 SHORT_RUN = 8
 
 
 class Limits(NamedTuple):
-    """Minimum separation, and what rounding adds to it, for segments up to a length and distance from the origin."""
+    """Minimum separation and allowances for rounding, for segments of limited length and distance from the origin."""
 
     separation: float
     slack: float
     """Distance that the broad phase adds to the minimum separation."""
     near: float
-    """Largest distance of the midpoints of a pair that can collide, slack included."""
+    """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
-    """Largest difference from separation^2 of squared distances that rounding could put on either side of it."""
+    """If a squared distance differs from separation^2 by no more than this, rounding could decide the comparison."""
 
 
 def limits(separation, length, extent):
     """Return limits for segments no longer than ``length`` with ends within ``extent`` of the origin (mm)."""
-    size = 2.0 * length + separation  # S of a pair at the limit; farther ones are farther from it, too
+    size = 2.0 * length + separation  # S of a pair at the limit; pairs with a larger S are also farther from the limit
     slack = REJECT_ERROR * (extent + size)
-    error = 1.2 * DISTANCE_ERROR * size  # the rounding of separation^2 and of the comparison included
+    error = 1.2 * DISTANCE_ERROR * size  # this includes the rounding of separation^2 and of the comparison
     return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
 
 
@@ -59,7 +59,7 @@ def point_segment_squared(px, py, ax, ay, bx, by):
 
 @kernel
 def orientation(ax, ay, bx, by, px, py):
-    """Return the side of the line a -> b that p is on: 1 left, -1 right, 0 if rounding could decide."""
+    """Return on which side of the line a -> b the point p is: 1 left, -1 right, 0 if rounding could decide."""
     left = (bx - ax) * (py - ay)
     right = (by - ay) * (px - ax)
     slack = ORIENTATION_ERROR * (abs(left) + abs(right))
@@ -68,7 +68,7 @@ def orientation(ax, ay, bx, by, px, py):
 
 @kernel
 def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Return the least squared distance of an end of one segment to the other one: the distance, unless they cross."""
+    """Return the least squared distance from an end of a segment to the other one: their distance unless they cross."""
     return min(
         min(point_segment_squared(ax, ay, cx, cy, dx, dy), point_segment_squared(bx, by, cx, cy, dx, dy)),
         min(point_segment_squared(cx, cy, ax, ay, bx, by), point_segment_squared(dx, dy, ax, ay, bx, by)),
@@ -77,10 +77,10 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 
 @kernel
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Return the squared distance of the segments a-b and c-d, its root within DISTANCE_ERROR * S of the true one.
+    """Return the squared distance of the segments a-b and c-d; the error of its root is at most DISTANCE_ERROR * S.
 
-    It is 0 if they certainly cross. If rounding could decide whether they cross, the distance of an end is accurate
-    enough.
+    The result is 0 if the segments certainly cross. If rounding could decide whether they cross, the least distance
+    from an end of one segment to the other segment is accurate enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
         orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0
@@ -106,11 +106,11 @@ def pair_squared(segments, i, j):
 
 @kernel
 def apart(mx, my, ax, ay, bx, by, squared):
-    """Return whether an axis separates two segments by more than the root of ``squared``.
+    """Return whether an axis separates two segments by more than the square root of ``squared``.
 
-    Their midpoints differ by m, and a and b are their halves. The axes are m and the normals of both segments; along
-    any axis a segment lies within the projection of its half of that of its midpoint. Normals of segments whose
-    squared length could underflow are ignored.
+    m is the vector between the midpoints, and a and b are half the vectors from end to end. The axes tested are m and
+    the normals of both segments. Along any axis, no point of a segment is farther from the midpoint than the projection
+    of the half vector. Normals of segments whose squared length could underflow are ignored.
     """
     # no branches: a mispredicted one takes longer than the tests of all three axes
     m2 = mx * mx + my * my
@@ -128,7 +128,7 @@ def apart(mx, my, ax, ay, bx, by, squared):
 
 @kernel
 def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
-    """Return the squared distance of a-b and c-d; infinity if an axis separates them by the root of ``squared``."""
+    """Return the squared distance of a-b and c-d, or infinity if `apart` is true for them."""
     mx, my = 0.5 * ((cx + dx) - (ax + bx)), 0.5 * ((cy + dy) - (ay + by))
     if apart(mx, my, 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (dx - cx), 0.5 * (dy - cy), squared):
         return math.inf
@@ -137,7 +137,7 @@ def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
 
 @kernel
 def halve(segments, halves):
-    """Compute the midpoint and half of each segment: rows mx, my, hx, hy."""
+    """Compute the midpoint (mx, my) and half vector (hx, hy) of each segment, as rows of ``halves``."""
     for k in range(2):
         first, second, midpoint, half = segments[k], segments[k + 2], halves[k], halves[k + 2]
         for i in range(first.size):
@@ -147,7 +147,7 @@ def halve(segments, halves):
 
 @kernel
 def keep_near(halves, m, squared, first, second):
-    """Keep those of m pairs that no axis separates by the root of ``squared``; returns how many."""
+    """Keep those of the first m pairs that `apart` does not exclude; returns their number."""
     n = 0
     for k in range(m):
         i, j = first[k], second[k]
@@ -159,10 +159,10 @@ def keep_near(halves, m, squared, first, second):
 
 @kernel
 def near_pairs(halves, runs, limits, first, second):
-    """List neighbors that may be closer than the minimum separation in ``first`` and ``second``; returns how many.
+    """List pairs that may be closer than the minimum separation in ``first`` and ``second``; returns their number.
 
-    ``runs`` lists neighbors as rows (i, j, n): i with j, i + 1 with j + 1, and so on, n pairs. Arms whose midpoints are
-    too far apart are left out, and so are those that an axis separates.
+    Each row (i, j, n) of ``runs`` stands for n pairs of neighbors: i and j, i + 1 and j + 1, and so on. Pairs of arms
+    whose midpoints are too far apart, or that an axis separates, are left out.
     """
     m = 0
     marks = np.empty(halves.shape[1], np.bool_)
@@ -178,7 +178,7 @@ def near_pairs(halves, runs, limits, first, second):
         xi, yi, xj, yj = halves[0, i : i + n], halves[1, i : i + n], halves[0, j : j + n], halves[1, j : j + n]
         for k in range(n):
             dx, dy = xj[k] - xi[k], yj[k] - yi[k]
-            marks[k] = dx * dx + dy * dy <= near2  # not for NaN
+            marks[k] = dx * dx + dy * dy <= near2  # false for NaN
         for k in range(n):
             first[m], second[m] = i + k, j + k
             m += marks[k]
@@ -187,9 +187,9 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs closer than the minimum separation, and those within the band about it, which rounding could decide.
+    """List pairs closer than the minimum separation, and pairs so near to it that rounding could decide (the band).
 
-    Returns their number and how many of them are within the band.
+    Returns the number of all these pairs, and the number of pairs within the band.
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
@@ -205,9 +205,9 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, distance):
-    """List pairs (positioner, obstacle) whose arm is nearer than ``clearance + slack`` to the circle's edge.
+    """List pairs (positioner, obstacle) where the arm is closer than ``clearance + slack`` to the edge of the circle.
 
-    Returns their number; ``distance`` is that of the circle's center.
+    Returns the number of pairs. ``distance`` receives the distance from each arm to the center of the circle.
     """
     n = 0
     for k in range(pairs.shape[0]):
@@ -223,7 +223,7 @@ def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, dista
 
 @kernel
 def nearest_arm(segments, halves, order, out):
-    """Compute the distance of each arm to the nearest other one; NaN where it is absent, infinity where it is alone.
+    """Compute the distance from each arm to the nearest other arm: NaN for absent arms, infinity without another arm.
 
     ``order`` sorts the arms that are present by the x of their midpoints; from each arm the search goes
     left and right until the gap in x alone exceeds the best distance.

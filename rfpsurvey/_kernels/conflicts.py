@@ -1,6 +1,7 @@
-"""Candidates, which are the poses that each arm may take, and the pairs of them that exclude each other.
+"""Candidates, which are the possible poses of each arm, and the pairs of candidates that exclude each other.
 
-Candidates are sorted by positioner: those of i from ``start[i]`` up to ``start[i + 1]``. Exactly one of them is in use.
+Candidates are sorted by positioner: those of positioner i have the indices from ``start[i]`` up to, but not including,
+``start[i + 1]``. Exactly one candidate of each positioner is in use.
 """
 
 import math
@@ -16,32 +17,32 @@ BATCH = 2048
 
 
 class Options(NamedTuple):
-    """Candidates with their classes and costs, and the pairs that exclude each other; an idle arm has the target -1."""
+    """Candidates with their classes, costs and mutually exclusive pairs; the target of an idle arm is -1."""
 
     start: np.ndarray
     own: np.ndarray
     target: np.ndarray
     rank: np.ndarray
-    """Class, 0 the most important."""
+    """Class of each candidate; 0 is the most important."""
     cost: np.ndarray
-    """Preference among candidates of equal rank: the lower the better."""
+    """Preference among candidates of equal rank; lower costs are better."""
     key: np.ndarray
     as_good: np.ndarray
-    """``as_good[key[a], key[b]]``: a does for all requirements what b does."""
+    """``as_good[key[a], key[b]]`` is whether a is at least as good as b for all requirements."""
     t_indptr: np.ndarray
     t_candidate: np.ndarray
-    """Candidates of target t, from ``t_indptr[t]`` on."""
+    """Candidates of all targets; those of target t begin at ``t_indptr[t]``."""
     indptr: np.ndarray
     other: np.ndarray
-    """Candidates that collide with c, from ``indptr[c]`` on."""
+    """Candidates that collide with each candidate; those that collide with c begin at ``indptr[c]``."""
 
 
 @kernel
 def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, second, borderline):
-    """List pairs of candidates of neighbors that collide, from neighbor pair ``p`` on.
+    """List pairs of colliding candidates of neighbors, beginning with neighbor pair ``p``.
 
-    Returns how many there are, and the neighbor pair at which the lists were full. ``borderline`` marks pairs that
-    rounding could decide.
+    Returns the number of listed pairs, and the first neighbor pair for which there was no space in the lists.
+    ``borderline`` marks pairs that rounding could decide.
     """
     n = 0
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
@@ -100,7 +101,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 
 @kernel
 def adjacency(first, second, indptr, other):
-    """List both directions of the pairs, as rows of an array."""
+    """List each pair in both directions, as rows of an array."""
     indptr[:] = 0
     for k in range(first.size):
         indptr[first[k] + 1] += 1
@@ -118,11 +119,13 @@ def adjacency(first, second, indptr, other):
 
 @kernel
 def clique_rows(edges, n_pairs, pair_start, row_start, column):
-    """Cover the conflicts of each pair of positioners with cliques: all of A excludes all of B, one of A + B is in use.
+    """Cover the conflicts of each pair of positioners with cliques, in each of which at most one candidate is in use.
 
-    ``edges`` are conflicts (a, b) sorted by the pair of positioners, then a; those of pair p from ``pair_start[p]`` on.
-    A clique begins with one candidate a and all that it excludes, and takes in every other candidate of its positioner
-    that excludes as much. Returns the number of cliques; with an empty ``column`` their sizes alone are found.
+    ``edges`` are conflicts (a, b), sorted by the pair of positioners, then by a; those of pair p begin at
+    ``pair_start[p]``. A clique consists of candidates of one positioner, and of candidates of the other positioner that
+    all of these exclude. It begins with one candidate a and all candidates that a excludes; then every other candidate
+    of the positioner of a that excludes all of these is added. Returns the number of cliques. If ``column`` is empty,
+    only their sizes are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0
@@ -134,7 +137,7 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
         for k in range(lo, hi):
             table[np.searchsorted(a, first[k]), np.searchsorted(b, second[k])] = True
         by_a, by_b = distinct_rows(table), distinct_rows(table.T)
-        turned = by_b.sum() < by_a.sum()  # as few cliques as possible
+        turned = by_b.sum() < by_a.sum()  # the side with fewer distinct rows gives fewer cliques
         rows, columns = (b, a) if turned else (a, b)
         matrix = table.T.copy() if turned else table
         new = by_b if turned else by_a
@@ -161,7 +164,7 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
 
 @kernel
 def distinct_rows(table):
-    """Mark the first of equal rows."""
+    """Mark each row that differs from all earlier rows."""
     new = np.ones(table.shape[0], np.bool_)
     for r in range(table.shape[0]):
         for q in range(r):

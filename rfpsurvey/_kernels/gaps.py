@@ -8,7 +8,7 @@ from rfpsurvey._kernels.reach import cell_of
 
 @kernel
 def bin_points(x, y, x0, y0, size, nx, ny, start, order):
-    """Sort points into cells: ``order[start[c]:start[c + 1]]``; those outside the grid, and NaN, are left out."""
+    """Sort points into cells: ``order[start[c]:start[c + 1]]`` lists cell c; points outside the grid are omitted."""
     start[:] = 0
     right, top = x0 + nx * size, y0 + ny * size
     for step in range(2):
@@ -21,7 +21,7 @@ def bin_points(x, y, x0, y0, size, nx, ny, start, order):
                     start[c] -= 1
                     order[start[c]] = k
         if step == 0:
-            # ends of the cells, from which the second pass fills downward
+            # ends of the cells; the second pass fills each cell from its end
             for c in range(nx * ny):
                 start[c + 1] += start[c]
             for c in range(nx * ny):
@@ -30,7 +30,7 @@ def bin_points(x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
-    """Return whether no point is nearer than ``separation``."""
+    """Return whether no point (x, y) is closer to (px, py) than ``separation``."""
     left, right = cell_of(px - separation, x0, size, nx), cell_of(px + separation, x0, size, nx)
     for row in range(cell_of(py - separation, y0, size, ny), cell_of(py + separation, y0, size, ny) + 1):
         for k in range(start[row * nx + left], start[row * nx + right + 1]):
@@ -42,9 +42,10 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """List up to ``most`` clear points of each positioner in ``own``, at given fractions of its area; returns how many.
+    """List up to ``most`` clear points of each positioner in ``own``; returns the total number of points.
 
-    Successive points are rotated by the golden angle about the center.
+    ``fraction`` lists which fractions of the patrol area lie inside the circles through the tested points. Successive
+    points are rotated by the golden angle about the center.
     """
     x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))

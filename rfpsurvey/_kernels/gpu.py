@@ -1,8 +1,8 @@
 """Collisions of many configurations on a GPU; this module is imported on request only.
 
 Poses and the pair test are those of the processor: the same scalar functions, compiled for the device. Each thread
-tests one positioner of one configuration against all its neighbors, those before it in the list too, so that it
-finds its flag without waiting for other threads.
+tests one positioner of one configuration against all its neighbors, including those with lower indices, so that it can
+determine whether the positioner collides without waiting for other threads.
 """
 
 import math
@@ -29,9 +29,10 @@ THREADS = 128
 
 @cuda.jit
 def pose_tips(tips, geometry, side, home_x, home_y, idle, model, length, angles, segments, far):
-    """Fill the segments (m, 4, n) for tips (m, n, 2), NaN without one; ``far`` counts those out of reach.
+    """Compute the segments (m, 4, n) of arms with the given tips (m, n, 2); ``far[0]`` counts the tips out of reach.
 
-    ``geometry`` has the rows cx, cy, l1, l2, and the squared radii that just pass; ``angles`` cosine and sine.
+    A tip is NaN for a positioner without a target. The rows of ``geometry`` are cx, cy, l1, l2, and the smallest and
+    largest squared radius in reach; ``angles`` are the cosine and sine of the angle of the capsule.
     """
     c, i = cuda.blockIdx.y, cuda.grid(1)
     if i >= tips.shape[1]:
@@ -59,8 +60,8 @@ def count(
 ):
     """Count the collisions of each configuration, and how often each positioner collides.
 
-    ``indptr`` and ``neighbor`` list all neighbors of each positioner; ``circles`` the obstacles (x, y, radius) in
-    its way.
+    ``indptr`` and ``neighbor`` list all neighbors of each positioner; ``circle_indptr`` and ``circles`` list the
+    obstacles (x, y, radius) that it can touch.
     """
     c, i = cuda.blockIdx.y, cuda.grid(1)
     inside = i < parked.size

@@ -1,8 +1,8 @@
-"""Collision probabilities where every positioner has a queue of poses that its arm may take.
+"""Collision probabilities of positioners that each have a queue of possible poses.
 
 One entry of each queue is in use, with a probability proportional to its weight, independent of all other queues.
-Given the entry of a positioner, its neighbors are independent, and the probability of no collision is a product over
-them.
+For a given entry of a positioner, collisions with different neighbors are independent, and the probability of no
+collision is a product over the neighbors.
 """
 
 import math
@@ -19,7 +19,7 @@ BATCH = 2048
 
 
 class Entries(NamedTuple):
-    """Entries of all queues, those of positioner i from ``start[i]`` up to ``stop[i]``, and arrays to write to."""
+    """Entries of all queues (of positioner i: ``start[i]:stop[i]``), and arrays to write to."""
 
     start: np.ndarray
     stop: np.ndarray
@@ -29,7 +29,7 @@ class Entries(NamedTuple):
     total: np.ndarray
     """Sum of the weights of each queue."""
     free: np.ndarray
-    """Probability of each entry to be without a collision."""
+    """Probability that each entry is without a collision."""
     hit: np.ndarray
     """Weight of the entries of one neighbor that collide with each entry; zero between calls."""
     ahead: np.ndarray
@@ -58,10 +58,10 @@ def place_queues(x, y, indptr, queue, geometry, side, model, length, cosine, sin
 
 @kernel
 def prepare_entries(indptr, idle, entries):
-    """Set where queues begin and end, and all fields that follow from the segments and weights.
+    """Set the start and end of each queue, and all fields that follow from the segments and weights.
 
-    The segments of the queues are in ``entries.segments`` already; those of idle arms are written behind them. A
-    positioner without a queue has one entry for its idle arm, if that is an obstacle, and none else.
+    ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. A
+    positioner without a queue has one entry if its idle arm is an obstacle, and otherwise no entry.
     """
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):
@@ -83,11 +83,11 @@ def prepare_entries(indptr, idle, entries):
 
 @kernel
 def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entries, probability, pair_probability):
-    """Compute the collision probability of each positioner, NaN without a queue, and of each pair.
+    """Compute the collision probability of each positioner (NaN without a queue) and of each pair.
 
-    Along the line between the centers of i and j, no entry of i comes nearer to j than its foremost point, and no
-    entry of j nearer to i: entries that cannot come near enough are skipped. This is a single function, because
-    passing the arrays to another one takes longer than testing short queues.
+    The gap between two entries along the line between the two centers is a lower limit of their distance. Entries for
+    which this gap is too large for all entries of the other positioner are skipped. This is a single function, because
+    passing the arrays to another function takes longer than testing short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead

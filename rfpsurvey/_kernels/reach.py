@@ -1,11 +1,11 @@
-"""Pairs of positioners and targets within reach: a grid of the positioners that reach each cell, then annulus tests."""
+"""Find pairs of positioners and targets within reach, with a grid of cells and a test of each annulus."""
 
 import math
 
 from rfpsurvey._jit import kernel
 
 OUTSIDE, INSIDE, BORDERLINE = 0, 1, 2
-# Relative error of r^2 - R^2 as computed below is under 5 units of rounding (2^-53); 16 is on the safe side.
+# The relative error of r^2 - R^2 as computed below is less than 5 units of rounding (2^-53); 16 leaves a margin.
 BAND = 16 * 2.0**-53
 
 
@@ -17,9 +17,9 @@ def cell_of(value, origin, size, n):
 
 @kernel
 def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
-    """List for each cell the positioners that reach into it: ``order[start[c]:start[c + 1]]``, ascending.
+    """List the positioners that reach into each cell c as ``order[start[c]:start[c + 1]]``, in ascending order.
 
-    With an empty ``order`` only ``start`` is filled in.
+    If ``order`` is empty, only ``start`` is computed.
     """
     if order.size == 0:
         start[:] = 0
@@ -45,7 +45,7 @@ def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def annulus(r2, inner, outer):
-    """Return whether the squared radius is in the closed annulus; BORDERLINE where rounding could decide."""
+    """Return INSIDE or OUTSIDE for a squared radius and a closed annulus, or BORDERLINE if rounding could decide."""
     outer2 = outer * outer
     inner2 = inner * inner
     possible = (r2 <= outer2 * (1.0 + BAND)) & (r2 >= inner2 * (1.0 - BAND))
@@ -57,9 +57,9 @@ def annulus(r2, inner, outer):
 def reachable_pairs(
     tx, ty, accepts, cx, cy, inner, outer, offers, x0, y0, size, nx, ny, start, order, indptr, owner, r2, code
 ):
-    """List pairs (target, positioner), targets ascending, positioners ascending within a target.
+    """List the pairs within reach in ascending order of the target, then of the positioner.
 
-    Returns the number of pairs; where it exceeds the size of ``owner``, the surplus is not stored. ``accepts``
+    Returns the number of pairs; if it exceeds the size of ``owner``, the additional pairs are not stored. ``accepts``
     and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
     """
     n = 0
@@ -67,7 +67,7 @@ def reachable_pairs(
     for t in range(tx.size):
         indptr[t] = n
         x, y = tx[t], ty[t]
-        if not (x0 <= x <= right and y0 <= y <= top):  # also NaN
+        if not (x0 <= x <= right and y0 <= y <= top):  # this is also true for NaN
             continue
         cell = cell_of(y, y0, size, ny) * nx + cell_of(x, x0, size, nx)
         for k in range(start[cell], start[cell + 1]):
@@ -78,7 +78,7 @@ def reachable_pairs(
             place = annulus(d2, inner[i], outer[i])
             if n < owner.size:
                 owner[n], r2[n], code[n] = i, d2, place
-            n += (place != OUTSIDE) & (accepts[t] & offers[i] != 0)  # no branch: it would be mispredicted
+            n += (place != OUTSIDE) & (accepts[t] & offers[i] != 0)  # no branch, because it would be mispredicted
     indptr[tx.size] = n
     return n
 
@@ -98,7 +98,7 @@ def take_pairs(indptr, owner, r2, keep, out_indptr, out_owner, out_r2):
 
 @kernel
 def transpose(indptr, owner, n_owners, out_indptr, out_target, out_source):
-    """Convert rows of targets to rows of owners; ``out_source`` is the position of each pair in the input."""
+    """Sort pairs by positioner instead of by target; ``out_source`` is the position of each pair in the input."""
     out_indptr[:] = 0
     for k in range(owner.size):
         out_indptr[owner[k] + 1] += 1

@@ -1,6 +1,6 @@
-"""Remove candidates that no best plan needs, and assign positioners that have one candidate left.
+"""Remove candidates that an optimal plan does not need, and assign the last candidate of a positioner.
 
-A candidate excludes those that its arm would collide with, and those of the same target.
+A candidate excludes all candidates with which its arm would collide, and all candidates of the same target.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def dominates(a, b, i, alive, options, mark):
-    """Return whether b excludes all that a excludes; ``mark`` is b for candidates that collide with b."""
+    """Return whether b excludes all candidates that a excludes; ``mark[c]`` equals b if candidate c collides with b."""
     own, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
     indptr, other = options.indptr, options.other
     for k in range(indptr[a], indptr[a + 1]):
@@ -26,7 +26,7 @@ def dominates(a, b, i, alive, options, mark):
 
 @kernel
 def enqueue(i, waiting, queue, tail):
-    """Append a positioner to the queue, unless it is in it; returns the end of the queue."""
+    """Append a positioner to the queue unless the queue already contains it; returns the end of the queue."""
     if not waiting[i]:
         waiting[i] = True
         queue[tail % queue.size] = i
@@ -36,10 +36,11 @@ def enqueue(i, waiting, queue, tail):
 
 @kernel
 def reduce_candidates(options, alive):
-    """Mark candidates that no best plan needs as not ``alive``.
+    """Set ``alive`` to False for the candidates that an optimal plan does not need.
 
     A candidate b is not needed if another candidate a of its positioner is at least as good and excludes nothing that
-    b does not exclude. A positioner with one candidate left takes it, and all that this candidate excludes is removed.
+    b does not exclude. If only one candidate of a positioner is left, it is in use, and all candidates that it excludes
+    are removed.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
@@ -87,7 +88,7 @@ def reduce_candidates(options, alive):
                         alive[c] = False
                         removed[n_removed] = c
                         n_removed += 1
-        # positioners that lost a candidate, or that have one that a removed one excluded, are reduced again
+        # repeat for positioners that lost a candidate, and for those with a candidate that a removed one excluded
         for m in range(n_removed):
             c = removed[m]
             tail = enqueue(own[c], waiting, queue, tail)

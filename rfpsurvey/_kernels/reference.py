@@ -8,7 +8,7 @@ from rfpsurvey._kernels.collisions import endpoints_squared, pair_squared, segme
 
 @kernel
 def sampled_squared(segments, i, j, n):
-    """Return the least squared distance between n points on either arm, ends included, over all pairs of points."""
+    """Return the least squared distance between n points on one arm and n points on the other, ends included."""
     ax, ay, cx, cy = segments[0, i], segments[1, i], segments[0, j], segments[1, j]
     ux, uy = (segments[2, i] - ax) / (n - 1), (segments[3, i] - ay) / (n - 1)
     vx, vy = (segments[2, j] - cx) / (n - 1), (segments[3, j] - cy) / (n - 1)
@@ -23,14 +23,14 @@ def sampled_squared(segments, i, j, n):
 
 @kernel
 def sampled(segments, first, second, n, squared):
-    """Compute `sampled_squared` of all pairs."""
+    """Compute `sampled_squared` for all pairs."""
     for k in range(first.size):
         squared[k] = sampled_squared(segments, first[k], second[k], n)
 
 
 @kernel
 def endpoints(segments, first, second, squared):
-    """Compute squared distances of all pairs by their four ends alone, which misses crossings."""
+    """Compute squared distances of all pairs only from the four ends of the segments; crossings are missed."""
     for k in range(first.size):
         a, b = segments[:, first[k]], segments[:, second[k]]
         squared[k] = endpoints_squared(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
@@ -45,10 +45,10 @@ def all_pairs(segments, first, second, squared):
 
 @kernel
 def swept(poses, moving, first, second, squared):
-    """Compute the least squared distance between two arms over all pairs of poses on their paths, at any times.
+    """Compute the least squared distance between two arms over all pairs of poses on their paths, whatever their times.
 
-    ``poses`` has the shape (steps, 4, n), the last one at the target; of arms that do not move only the last one is
-    used.
+    ``poses`` has the shape (steps, 4, n); the last pose is at the target. For arms that do not move, only the last pose
+    is used.
     """
     last = poses.shape[0] - 1
     for k in range(first.size):

@@ -7,7 +7,11 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def put(i, c, options, chosen, blocked, holder):
-    """Assign candidate c, -1 for none, to positioner i; ``blocked`` counts what collides with each candidate."""
+    """Assign candidate c (-1: no candidate) to positioner i, and update ``chosen``, ``blocked`` and ``holder``.
+
+    ``blocked`` is the number of candidates in use that collide with each candidate, and ``holder`` is the positioner of
+    each target.
+    """
     indptr, other, target = options.indptr, options.other, options.target
     old = chosen[i]
     if old >= 0:
@@ -32,7 +36,7 @@ def put_all(plan, options, chosen, blocked, holder):
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Return the best candidate of i that nothing blocks and that is as good as the candidate ``least``; -1: none."""
+    """Return the best unblocked candidate of i that is at least as good as candidate ``least``, or -1 if none is."""
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -47,7 +51,7 @@ def best_free(i, least, options, chosen, blocked, holder):
 
 @kernel
 def sole_blocker(c, i, options, chosen, holder):
-    """Return the one positioner that keeps i from taking c; -1 if there is none, -2 if there are several."""
+    """Return the only positioner that blocks candidate c of i; -1 if no positioner blocks it, -2 if several do."""
     blocker = -1
     if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
         blocker = holder[options.target[c]]
@@ -63,7 +67,11 @@ def sole_blocker(c, i, options, chosen, holder):
 
 @kernel
 def displace(i, floor, better, options, chosen, blocked, holder):
-    """Assign i a candidate as good as ``floor``, or better, if its one blocker has another as good as its own."""
+    """Assign i a candidate at least as good as ``floor`` that one positioner blocks, by a move of that positioner.
+
+    That positioner must have another candidate at least as good as the one that it gives up. With ``better=1``, the new
+    candidate of i must be of a more important class. Returns whether such a move was made.
+    """
     rank, key, as_good = options.rank, options.key, options.as_good
     mine = chosen[i]
     for c in range(options.start[i], options.start[i + 1]):
@@ -88,7 +96,7 @@ def displace(i, floor, better, options, chosen, blocked, holder):
 
 @kernel
 def give_up_target(i, options, chosen, blocked, holder, fixed):
-    """Assign positioner i the best candidate that is free, else the idle arm, which is then fixed."""
+    """Assign the best unblocked candidate to positioner i; if there is none, assign its idle arm and set ``fixed``."""
     idle = options.start[i + 1] - 1
     c = best_free(i, idle, options, chosen, blocked, holder)
     if c < 0:
@@ -101,7 +109,8 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
     """Assign candidates of a group to positioners in the given order, if possible, until there are enough.
 
-    ``count[g]`` of the candidates in use belong to group g, ``held[g]``, and ``most[g]`` of them may.
+    ``held[g]`` marks the candidates of group g. ``count[g]`` is the number of candidates of group g in use, and
+    ``most[g]`` is the largest number allowed.
     """
     for i in order:
         if need <= 0:
@@ -125,10 +134,10 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 @kernel
 def repair(options, order, chosen, blocked, holder, most_rounds):
-    """End the collisions of a plan, in place; then assign idle positioners, and better targets to others.
+    """Remove the collisions of a plan, in place; then assign better targets, also to idle positioners.
 
-    ``order`` lists positioners, those that shall move first at the front. Returns how many have another candidate that
-    is as good, and how many lost their target.
+    ``order`` lists the positioners in the order in which they are moved. Returns the number of positioners that were
+    moved to a candidate as good as before, and the number of positioners that lost their target.
     """
     start, rank = options.start, options.rank
     n = order.size
@@ -145,7 +154,7 @@ def repair(options, order, chosen, blocked, holder, most_rounds):
         elif displace(i, chosen[i], 0, options, chosen, blocked, holder):
             moved += 1
     while True:
-        # first the positioner that collides with most others
+        # begin with the positioner that collides with the largest number of others
         worst = -1
         for i in order:
             if not fixed[i] and blocked[chosen[i]] > 0 and (worst < 0 or blocked[chosen[i]] > blocked[chosen[worst]]):

@@ -23,7 +23,7 @@ class Sky(NamedTuple):
 
 
 class Positioners(NamedTuple):
-    """Data on which reach and poses depend: columns, elbows, the grid of the reach, segments of idle arms."""
+    """Data on which reach and poses depend: positions, elbows, the grid of cells, segments of idle arms."""
 
     geometry: Geometry
     side: np.ndarray
@@ -35,7 +35,7 @@ class Positioners(NamedTuple):
 
 
 class Realization(NamedTuple):
-    """Targets, the positioners that reach them, and queues; arrays that one thread writes to."""
+    """Arrays that one thread writes to: targets, the positioners that reach them, and queues."""
 
     x: np.ndarray
     y: np.ndarray
@@ -64,11 +64,11 @@ def scatter(rng, sky, x, y):
 
 @kernel
 def scatter_apart(rng, sky, cells, x, y):
-    """Draw points no nearer than the separation, by random sequential addition; returns how many were placed.
+    """Draw points at least the separation apart by random sequential addition; returns the number of points placed.
 
     Points up to twice the separation beyond the circle are drawn too, since without neighbors there the density would
-    be larger at its edge. ``cells`` has the point of each cell of a grid so fine that there is one at most; NaN for
-    none. Ends after 10,000 points in a row that are too near to others.
+    be larger at its edge. ``cells`` is a grid so fine that each cell contains at most one point; empty cells are
+    NaN. The function ends early if 10,000 points in a row are too close to other points.
     """
     n = int(math.sqrt(cells.shape[1]))
     wide = sky.radius + 2.0 * sky.separation
@@ -85,7 +85,7 @@ def scatter_apart(rng, sky, cells, x, y):
         near = False
         for r in range(max(row - steps, 0), min(row + steps + 1, n)):
             for k in range(r * n + max(column - steps, 0), r * n + min(column + steps + 1, n)):
-                near |= (cells[0, k] - a) ** 2 + (cells[1, k] - b) ** 2 < limit  # not for NaN
+                near |= (cells[0, k] - a) ** 2 + (cells[1, k] - b) ** 2 < limit  # false for NaN
         misses = misses + 1 if near else 0
         if not near:
             cells[0, row * n + column], cells[1, row * n + column] = a, b
@@ -97,7 +97,7 @@ def scatter_apart(rng, sky, cells, x, y):
 
 @kernel
 def realize(rng, number, sky, positioners, realization):
-    """Draw targets, and make queues by `balanced`."""
+    """Draw targets and distribute them to queues with `balanced`."""
     x, y, g = realization.x[:number], realization.y[:number], positioners.geometry
     if sky.separation > 0.0:
         found = scatter_apart(rng, sky, realization.cells, x, y)
@@ -140,7 +140,7 @@ def thin(rng, most, indptr, queue):
         size = stop - begin
         for k in range(min(size, most)):
             pick = begin + k
-            if size > most:  # else all stay, in their order
+            if size > most:  # otherwise all entries remain, in their order
                 pick += min(int(rng.random() * (size - k)), size - k - 1)
             queue[pick], queue[n] = queue[begin + k], queue[pick]
             n += 1
@@ -150,7 +150,7 @@ def thin(rng, most, indptr, queue):
 
 @kernel
 def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
-    """Count the collisions of one configuration of each realization; add 1 to ``counted`` where a positioner counts."""
+    """Count the collisions of one configuration per realization; add 1 to ``counted`` for each counted positioner."""
     n = positioners.side.size
     uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
     for c in range(numbers.size):
@@ -171,9 +171,11 @@ def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace
 
 @kernel
 def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_probability, sums, times, counted):
-    """Sum the expected collisions of one realization, and how often each positioner counts.
+    """Write the expected collisions of one realization to ``sums``, and add those per positioner to ``times``.
 
-    ``sums`` has the columns expected colliding, counted, expected colliding assigned, assigned, pairs.
+    The elements of ``sums`` are numbers: expected colliding positioners, counted positioners, expected colliding
+    assigned positioners, assigned positioners, and expected colliding pairs. 1 is added to ``counted`` for each counted
+    positioner.
     """
     expect(
         pairs,
@@ -219,7 +221,7 @@ def queue_and_expect(
     times,
     counted,
 ):
-    """Compute expectations over the entries of the queues, at most ``most`` of each, of each realization."""
+    """Compute the expected collisions of each realization from at most ``most`` entries of each queue."""
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, positioners, realization)
         thin(rng, most, realization.queues, realization.queue)
@@ -252,7 +254,7 @@ def queue_and_expect(
 
 @kernel
 def expect_given(indptr, pairs, positioners, setup, entries, probability, pair_probability, sums, times, counted):
-    """Compute expectations over all entries of given queues, whose segments are in ``entries``."""
+    """Compute the expected collisions from all entries of given queues; their segments are in ``entries``."""
     prepare_entries(indptr, positioners.idle, entries)
     sum_realization(
         indptr, pairs, positioners.geometry, setup, entries, probability, pair_probability, sums, times, counted

@@ -1,4 +1,4 @@
-"""Unit vectors on the sky to points on the focal plane, and back."""
+"""Convert unit vectors on the sky to points on the focal plane, and vice versa."""
 
 import math
 
@@ -14,7 +14,7 @@ HORIZON = 1e-15
 
 @kernel
 def project(vectors, basis, focal_length, out):
-    """Project unit vectors gnomonically; ``basis`` has the rows +x, +y and center. No image: NaN."""
+    """Project unit vectors gnomonically (NaN without an image); ``basis`` has the rows +x, +y and center."""
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
@@ -69,7 +69,7 @@ def radii(theta, form, coefficients, argument, inner, output, limit, out):
 
 @kernel
 def invert_radius(r, form, coefficients, argument, inner, output, limit):
-    """Return the field angle at radius ``r``, by Newton steps inside a shrinking bracket; NaN outside the map."""
+    """Return the field angle at radius ``r``, by Newton's method within a shrinking interval; NaN outside the map."""
     low, high = 0.0, limit
     edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
     if not 0.0 <= r <= edge:
@@ -99,7 +99,7 @@ def angles(r, form, coefficients, argument, inner, output, limit, out):
 
 @kernel
 def project_radial(vectors, basis, form, coefficients, argument, inner, output, limit, out):
-    """Project unit vectors by a radial map. No image (beyond ``limit``): NaN."""
+    """Project unit vectors by a radial map; directions without an image (beyond ``limit``) become NaN."""
     cosine_limit = math.cos(limit) - 1e-12
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
@@ -130,7 +130,7 @@ def unproject_radial(xy, basis, form, coefficients, argument, inner, output, lim
 
 @kernel
 def within(vectors, center, half_chord_squared, out):
-    """Mark the directions whose squared half chord to ``center`` is at most the given one."""
+    """Mark the directions whose squared half chord to ``center`` is at most the given value."""
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
         out[i] = 0.25 * (a * a + b * b + c * c) <= half_chord_squared

@@ -1,7 +1,8 @@
-"""Directions near a center, from an index by zones of declination.
+"""Find directions near a center with an index of declination zones.
 
-The directions are sorted by ``zone + right ascension / 2 pi``; a circle is a run of right ascension, or two across the
-origin, in each zone that it touches, and whole zones where it holds a pole.
+The directions are sorted by ``zone + right ascension / 2 pi``. In each zone that a circle touches, the directions that
+can be inside the circle form one run of the index, or two runs if the circle contains right ascension 0. If the circle
+contains a pole, the runs are whole zones.
 """
 
 import math
@@ -10,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Largest error by rounding of the ends of a run, as a fraction of the circle of right ascension.
+# Largest rounding error of the ends of a run, as a fraction of the circle of right ascension.
 SLACK = 1e-12
 
 
@@ -27,7 +28,7 @@ def make_keys(vectors, n_zones, key):
 
 @kernel
 def list_runs(key, n_zones, center, radius, runs):
-    """List the runs of the index that hold a circle, rows (first, last + 1), and return their number."""
+    """List the runs of the index that cover a circle, as rows (first, last + 1), and return their number."""
     dec = math.atan2(center[2], math.hypot(center[0], center[1]))
     phase = math.atan2(center[1], center[0]) / (2.0 * math.pi)
     low, high = dec - radius - 1e-9, dec + radius + 1e-9
@@ -60,7 +61,8 @@ def list_runs(key, n_zones, center, radius, runs):
 def find_near(vectors, key, n_zones, center, radius, limit, left, out):
     """List the directions with ``left`` above 0 whose squared half chord to the center is at most ``limit``.
 
-    ``out`` has their positions. Returns their number, also where ``out`` is too short to hold them all.
+    Their positions in the index are written to ``out``. Returns their number, even if ``out`` is too short for all of
+    them.
     """
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     n = 0
@@ -94,8 +96,9 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
 def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
     """Assign numbers to directions so that no two near each other have the same number, in the order of their rows.
 
-    Each takes the number after the largest of those before it that are near; or, with ``smallest``, the smallest that
-    none of those in its group has taken. ``order`` has the row of each position in the index.
+    Only earlier directions near a direction matter. Its number is one more than the largest of their numbers; or, with
+    ``smallest``, the smallest number that no such direction of the same group has. ``order`` contains the row of each
+    position in the index.
     """
     n = order.size
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)

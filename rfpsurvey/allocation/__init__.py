@@ -1,4 +1,4 @@
-"""Allocation of targets to positioners: a table of allocators behind `allocate`."""
+"""Allocation of targets to positioners: `allocate`, its options and results, and the built-in allocators."""
 
 from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation

@@ -280,11 +280,11 @@ def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) 
 
 
 def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:
-    """Return the columns of the allocation, without the sky positions that no positioner uses."""
+    """Return the columns of an `Allocation`, without the sky positions that no positioner observes."""
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
     rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
-    new = np.full(len(problem.xy) + 1, -1)  # the last entry stands for no target
+    new = np.full(len(problem.xy) + 1, -1)  # the last entry is for positioners without a target
     new[rows] = np.arange(len(rows))
     points = problem.xy[rows]
     levels = answer.levels

@@ -24,10 +24,10 @@ class Allocation:
     allocator : str
         Name of the allocator that made the allocation.
     target_of_positioner : ndarray of int, shape (n_positioners,)
-        Row of the target of each positioner, -1 for none. Rows from ``n_given`` on are sky positions that were found
-        in gaps between the targets.
+        Row of the target of each positioner, -1 if it has no target. Rows from ``n_given`` on are sky positions that
+        were found in gaps between the targets.
     positioner_of_target : ndarray of int, shape (n_targets,)
-        Row of the positioner of each target, -1 for none.
+        Row of the positioner of each target, -1 if no positioner observes it.
     handedness : ndarray of str, shape (n_positioners,)
         Handedness of each arm, "right" or "left".
     tips : Quantity, shape (n_positioners, 2)
@@ -45,12 +45,12 @@ class Allocation:
     n_given : int
         Number of given targets.
     target_fiber_type : ndarray of str, shape (n_targets,), or None
-        Fiber type that each target requires, ``""`` for any.
+        Fiber type that each target requires; ``""`` means any type.
     queues : tuple of ndarray or None
         For ``balanced``: ``indptr`` and targets of all queues, from which the configuration was drawn.
     levels : tuple of Level
-        Name, value and bound of each objective, in strict order of precedence. No plan that has the values of the
-        earlier objectives exceeds the bound; it is NaN where nothing is proven.
+        Name, value and bound of each objective, in strict order of precedence. The bound is an upper limit for all
+        plans with the same values of the earlier objectives; it is NaN if nothing is proven.
     unmet : tuple of Shortfall
         Requirements that are not met; ``str`` turns each into a sentence.
     meta : dict
@@ -102,16 +102,16 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """Upper bound of the objective for all plans with the same proven values; NaN where nothing is proven."""
-        # the bound of a class that is not proven includes all classes before it: take the largest gap, not the sum
+        """Upper bound of the objective over all plans with this plan's proven values; NaN if nothing is proven."""
+        # the bound of an unproven class includes all earlier classes: use the largest gap, not the sum of the gaps
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property
     def gap(self) -> float:
-        """Relative difference between bound and objective: 0 for a proven optimum, NaN where nothing is proven.
+        """Relative difference between bound and objective: 0 for a proven optimum, NaN if nothing is proven.
 
-        The bound of ``repair`` ignores collisions, so that its gap is an upper limit of the fraction of targets that
-        it lost to them.
+        The bound of ``repair`` ignores collisions. Its gap is therefore an upper limit of the fraction of targets that
+        are lost to collisions.
         """
         missing = self.bound - self.objective
         return missing / max(abs(self.bound), 1.0) if missing else 0.0
@@ -132,7 +132,7 @@ class Allocation:
         Raises
         ------
         InputError
-            If ``focal_plane`` is not a focal plane, or has other positioners.
+            If ``focal_plane`` is not the focal plane for which the allocation was made.
         """
         return place_arms(
             focal_plane,

@@ -1,4 +1,4 @@
-"""Poses of arms at candidates."""
+"""Poses of the arms that belong to candidates."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def place_segments(
 ) -> np.ndarray:
     """Return the colliding segments, shape (4, n), of positioners (by row) at targets.
 
-    ``idle`` lists the rows of idle arms, one for each positioner; their target is -1.
+    ``idle`` lists the rows that are idle arms, one row for each positioner; the target of these rows is -1.
     """
     plane, columns = problem.focal_plane, problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

@@ -1,4 +1,4 @@
-"""Candidates: the possible targets and elbows of each positioner, and which of them exclude each other."""
+"""Candidates: the possible targets and elbows of each positioner, and the pairs that exclude each other."""
 
 from dataclasses import dataclass
 
@@ -44,9 +44,9 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates whose best plan is at least as good as any plan, including plans with omitted candidates.
+        """Return candidates whose best plan is at least as good as any plan, even one that uses omitted candidates.
 
-        Candidates that represent omitted candidates have no conflicts.
+        The conflicts of candidates that represent omitted candidates are removed.
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
@@ -62,7 +62,7 @@ def find_candidates(
     squared_cost: bool = False,
     keep_target: np.ndarray | None = None,
 ) -> Candidates:
-    """Return the candidates of a problem: all of them, or those that `preselect` keeps.
+    """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
     Without ``collide``, arms may pass through each other, and each target has only one elbow. The targets in
     ``keep_target``, shape (n_positioners,), are always kept.
@@ -87,7 +87,7 @@ def find_candidates(
 
 
 def _assemble(problem, preselection, start, own, target, side, cost, pairs):
-    """Return the candidates with everything that follows from their columns."""
+    """Return candidates with all the data that follow from their columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
     held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
@@ -154,7 +154,7 @@ def _conflicts(plane, start, segments):
 
 
 def _keys(problem, target, held):
-    """Group candidates by the requirements that count them, and find groups that include the counts of others."""
+    """Group candidates that requirements count alike, and find groups that can replace a group without a loss."""
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)

@@ -10,7 +10,7 @@ from rfpsurvey.region import Region
 
 __all__ = ["as_keep_out", "as_required", "brief", "circle_text", "recorded"]
 
-# Results list at most this many identifiers or circles; of longer lists they hold the number and a digest.
+# Results list at most this many identifiers or circles; for longer lists, they contain the number and a digest.
 MOST_LISTED = 1000
 
 
@@ -48,7 +48,7 @@ def circle_text(region: Region) -> str:
 
 
 def recorded(texts: list[str]) -> list[str]:
-    """Return the identifiers or circles as a result records them: all of them, or their number and a digest."""
+    """Return the identifiers or circles in the form recorded in results: a complete list, or a number and a digest."""
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]

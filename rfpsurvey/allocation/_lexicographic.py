@@ -1,4 +1,4 @@
-"""Optimize objectives in strict order: each is proven before the next one is considered."""
+"""Optimize objectives in strict order: each objective is proven before the next one is considered."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -11,11 +11,11 @@ __all__ = ["Solution", "pursue"]
 
 # Objectives are combined as long as the product of their sizes is below this, so that rounding has no effect.
 LARGEST = 1e6
-# Otherwise this many proven objectives enter the goal of the next one, with weights that decrease by this factor.
+# Steepness of the weights, and number of proven objectives that are added to the goal of the next objective.
 STEEP, N_STEEP = 8.0, 4
-# Programs with at least this many variables.
+# Programs with more variables than this are large: some proven objectives are then part of the goal.
 LARGE = 500
-# Fraction of the time spent on objectives that cannot be proven in time, their least weight, and the gap allowed.
+# For objectives that cannot be proven in time: the fraction of the time, the least weight, and the allowed gap.
 FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 
 
@@ -48,7 +48,7 @@ class _Pursuit:
         """Return the upper bound of each objective, given the values of the objectives before it."""
         if self.limit is None:
             return self.high
-        # no plan has more targets of the first classes than the best matching has
+        # no plan has more targets of the first classes than the best matching
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
         if self.program.problem.any_required:
@@ -58,7 +58,7 @@ class _Pursuit:
         return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
-        """Return the best variables for a goal and its bound; try a linear program first where that can suffice."""
+        """Return the best variables for a goal, and its bound; a linear program is tried first if it can suffice."""
         x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
         self.n_programs += 1
         if not self.integral and x is not None:
@@ -75,7 +75,7 @@ class _Pursuit:
             self.x, self.values = x, values
 
     def next_pack(self, k, largest):
-        """Return how many objectives, from number k on, can be combined into one, and their weights."""
+        """Return how many objectives, beginning with number k, can be combined into one, and their weights."""
         sizes, product = [], 1.0
         for objective in self.program.objectives[k:]:
             product *= objective.high - objective.low + 1.0
@@ -85,7 +85,7 @@ class _Pursuit:
         return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
 
     def prove(self, k, deadline):
-        """Solve objective k and those combined with it; return how many are then proven, and a bound of the first."""
+        """Solve objective k and those combined with it; return how many are then proven, and a bound of objective k."""
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
@@ -93,7 +93,7 @@ class _Pursuit:
             if n:
                 self.solved += self.values[k : k + n].tolist()
                 return n, self.values[k]
-        # proven objectives become constraints; in large programs, which constraints slow down much, terms of the goal
+        # proven objectives become constraints, or terms of the goal in large programs, which constraints make very slow
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
         goal = program.goal(k, weights)
@@ -135,9 +135,9 @@ def pursue(
 ) -> Solution:
     """Return the best plan, or the best one found before the deadline; start from ``first`` if it is feasible.
 
-    ``limit``, if given, holds the objectives of a matching whose arms may collide. With ``squared_cost``, the last
-    objective is the least cost among all best plans. ``tell``, if given, is called with the number of objectives that
-    are proven, and their total number.
+    ``limit``, if given, contains the values of the objectives for a matching whose arms may collide. With
+    ``squared_cost``, the cost is minimized last, among all best plans. ``tell``, if given, is called with the number of
+    proven objectives and the total number of objectives.
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0

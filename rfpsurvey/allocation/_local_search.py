@@ -1,4 +1,4 @@
-"""Plans without a proof: the best matching of arms that may collide, and local moves that remove collisions."""
+"""Plans without a proof: the best matching if arms may collide, and local moves that remove collisions."""
 
 import numpy as np
 
@@ -13,14 +13,14 @@ ROUNDS = 10
 
 
 def match(candidates: Candidates) -> np.ndarray:
-    """Return the target of each positioner in the best plan of arms that may collide, without requirements."""
+    """Return the target of each positioner in the best plan that ignores collisions and requirements."""
     options, problem = candidates.options, candidates.problem
     n, m = len(options.start) - 1, len(problem.xy)
     classes = problem.rank
     if problem.any_required:
         classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    able = np.flatnonzero(np.diff(options.t_indptr))  # a few, where the field is crowded
+    able = np.flatnonzero(np.diff(options.t_indptr))  # only a few targets per positioner if the field is crowded
     order = able[np.argsort(classes[able], kind="stable")]
     rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
     return target_of
@@ -57,9 +57,10 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
 
 
 def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Return a plan without collisions, how many positioners kept a target as good, and how many lost their target.
+    """Return a plan without collisions, with the numbers of moved positioners and of positioners without their target.
 
-    The last candidate of each positioner must be its idle arm, which takes the place of no candidate (-1).
+    Moved positioners have another candidate that is as good; the others lost their target. The last candidate of each
+    positioner must be its idle arm, which replaces a missing candidate (-1).
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
@@ -82,7 +83,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
 
 
 def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
-    """Return a plan without collisions in which some positioners have more important targets, if moves find any."""
+    """Return a plan without collisions, improved by local moves that give positioners more important targets."""
     now, *state = _stand(candidates, chosen)
     order = np.argsort(-candidates.options.rank[now], kind="stable")
     moves.repair(candidates.options, order, now, *state, ROUNDS)

@@ -68,7 +68,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     first = pick(candidates, trim(problem, before), side)
     chosen, moved, dropped = repair_collisions(candidates, first)
     options, had = candidates.options, before >= 0
-    dropped += int((had & (first < 0)).sum())  # positioners at obstacles or beyond a maximum
+    dropped += int((had & (first < 0)).sum())  # positioners whose arms touch obstacles, or that exceed a maximum
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
     levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
@@ -87,7 +87,7 @@ METHODS = {
 
 
 def _bounded(problem, target_of, blind):
-    """Return the levels of a plan, with bounds from the plan whose arms may pass through each other, where known."""
+    """Return the levels of a plan, with bounds, where known, from a plan whose arms may pass through each other."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():
@@ -97,7 +97,7 @@ def _bounded(problem, target_of, blind):
 
 
 def _in_order(problem):
-    """Return the pairs that are assigned class by class, the class of each target, and the number of classes.
+    """Return the pairs to assign class after class, the class of each target, and the number of classes.
 
     Required targets of any kind form a class before all others.
     """
@@ -108,10 +108,11 @@ def _in_order(problem):
 
 
 def _best(problem, reach, rank):
-    """Return the candidates of each positioner, sorted by class and distance, and how many targets it reaches.
+    """Return the candidates of each positioner, sorted by class, then distance, and the number of targets in reach.
 
-    Only positioners that share a target with it can take one of its candidates, at most one each. With k such
-    positioners, a positioner therefore ends with one of its first k + 1 candidates; the others are omitted.
+    Only positioners that share a target with a positioner can take its candidates, at most one candidate each. With k
+    such positioners, a positioner therefore always ends with one of its first k + 1 candidates, and its further
+    candidates are omitted.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])

@@ -17,7 +17,7 @@ PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 
 
 class Objective(NamedTuple):
-    """A sum of variables to maximize, a row of `Program.matrix`."""
+    """A sum of variables to maximize; its coefficients are a row of `Program.matrix`."""
 
     low: float
     high: float
@@ -29,9 +29,9 @@ class Objective(NamedTuple):
 class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
-    ``others`` are candidates in use outside the program, which also count for the requirements; ``edges`` are the
-    conflicts among ``rows``, shape (2, m). The variables are the candidates, 1 if in use, and the number of fibers
-    missing for each requirement.
+    ``others`` are the candidates in use outside the program, which also count for the requirements. ``edges`` are the
+    conflicts among ``rows``, shape (2, m). There is a variable for each candidate, which is 1 if it is in use, and a
+    variable for each requirement, which is the number of missing fibers.
     """
 
     def __init__(self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray):
@@ -51,7 +51,7 @@ class Program:
         self.matrix, self.objectives = self._objectives()
 
     def variables(self, chosen: np.ndarray) -> np.ndarray:
-        """Return the variables of a plan, with the number of fibers that it lacks for each requirement."""
+        """Return the variables of a plan, including the number of missing fibers for each requirement."""
         x = np.zeros(self.n)
         x[self.index[chosen]] = 1.0
         matrix, low, _ = self.rows
@@ -78,9 +78,9 @@ class Program:
         return bool((total >= low - 1e-6).all() and (total <= high + 1e-6).all())
 
     def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, keep=(), gap: float = 0.0):
-        """Return the variables that maximize a goal, None if none were found in time, and the upper bound of the goal.
+        """Return the variables that maximize a goal (None without a solution in time), and the upper bound of the goal.
 
-        ``keep`` holds the values that the first objectives must not fall below; ``gap`` is the relative error allowed.
+        ``keep`` contains minimum values of the first objectives; ``gap`` is the relative error allowed.
         """
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -113,7 +113,10 @@ class Program:
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
-        """Add rows of ones with limits; ``row`` is counted from 0."""
+        """Add constraints whose coefficients are all 1, with their bounds.
+
+        ``row`` is the index of the constraint of each coefficient among the added constraints, starting at 0.
+        """
         n = len(high)
         self._parts.append(csr_array((np.ones(len(column)), (row, column)), shape=(n, self.n)))
         self._low.append(np.broadcast_to(low, n))
@@ -169,7 +172,7 @@ class Program:
             step += 1
 
     def _requirements(self, others):
-        """Add the constraints of the requirements: a plan may miss minima, but must not exceed maxima."""
+        """Add the constraints of the requirements: a plan may be below a minimum, but must not exceed a maximum."""
         held = self.candidates.held
         for g, group in enumerate(self.problem.groups):
             column = np.flatnonzero(held[g, self.candidate])
@@ -181,7 +184,7 @@ class Program:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
     def _objectives(self):
-        """Return the objectives in strict order: the coefficients of the variables, and limits."""
+        """Return the objectives in strict order, with the coefficients of their variables, and their limits."""
         problem, n_classes = self.problem, len(self.problem.classes)
         rank = self.candidates.options.rank[self.candidate]
         columns, worth, objectives = [], [], []

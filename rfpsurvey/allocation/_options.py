@@ -1,4 +1,4 @@
-"""The options of an allocation, which plans of tiles, surveys, tilings and comparisons share."""
+"""The options of an allocation, which are the same for plans of tiles, surveys, tilings and comparisons."""
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -68,12 +68,12 @@ class AllocationOptions:
     requirements : list of Requirement or str, or "instrument", optional
         Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets.
-        They are met as far as possible; those that are not met are reported. ``balanced`` and ``nearest`` only
-        report.
+        They are met as far as possible; minima that are not met are reported. ``balanced`` and ``nearest`` do not
+        consider requirements, and only report those that are not met.
     sky_separation : Quantity, optional
         Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is
-        known, an angle. Positions at least this far from all targets then also serve as sky, including those that
-        stuck positioners observe. They are only searched for if a requirement asks for ``sky``.
+        known, an angle. Positions at least this far from all targets then also serve as sky, including positions
+        that stuck positioners observe. Such positions are only searched for if a requirement asks for ``sky``.
     objective : {"priority", "count"}, optional
         ``priority``: maximize the number of targets class after class. ``count``: maximize the number of all science
         targets first, then class after class (``sdss``, ``optimal``).
@@ -157,7 +157,7 @@ class AllocationOptions:
         return isinstance(self.requirements, str) and self.requirements == "instrument"
 
     def check_for_fields(self, what: str) -> None:
-        """Raise an error for options that apply to a single field only.
+        """Raise an error if ``start`` is an allocation, which belongs to a single field.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class AllocationOptions:
         return float(self.time_limit.to_value(u.s))
 
     def for_instrument(self, instrument: object) -> "AllocationOptions":
-        """Return the options for an instrument: with its requirements, lengths for angles, and unused options reset.
+        """Return the options for an instrument: its requirements, the separation as a length, unused options reset.
 
         Parameters
         ----------
@@ -230,7 +230,7 @@ class AllocationOptions:
             separation = (separation * instrument.plate_scale).to(u.mm)
         built_in = self.name in ALLOCATORS
         unused = {}
-        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # which may start from one of these
+        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # ``repair`` may start with these
             unused["time_limit"] = 60 * u.s
         if built_in and self.allocator != "repair":
             unused["start"] = AllocationOptions.start
@@ -260,13 +260,13 @@ def as_options(given: object) -> AllocationOptions:
 
 
 def check_allocator(given: object, known=ALLOCATORS, what: str = "allocator") -> None:
-    """Raise an error unless an allocator is built in, provided by a package, or a function."""
+    """Raise an error unless an allocator is built in, is provided by a package, or is a function."""
     if not (isinstance(given, str) and given in known):
         find_function(GROUP, given, known, what)
 
 
 def _shown(value: object) -> str:
-    """Return the text of a value; for many values, the first ones only."""
+    """Return the text of a value; of a long list, only the first values."""
     return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
 
 

@@ -1,4 +1,4 @@
-"""Find built-in allocators, allocators of other packages, and functions; check the answers of the latter two."""
+"""Find allocators (built in, from other packages, or functions), and check the answers of those not built in."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,7 +19,7 @@ ELBOWS = ("right", "left")
 
 
 def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function of an allocator: a built-in one, one of a package, or the given function."""
+    """Return the function of an allocator: built in, from another package, or the given function itself."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given]
     return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
@@ -44,7 +44,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
         target_of, elbows = _checked(problem, answer.target_of_positioner), answer.handedness
         if elbows is not None:
             elbows = _elbows(problem, target_of, elbows)
-        if problem.watched is not None:  # sky that stuck fibers observe
+        if problem.watched is not None:  # sky positions that stuck fibers observe
             target_of = np.where(problem.watched >= 0, problem.watched, target_of)
         _check_claims(problem, target_of, answer)
     meta = {**(answer.meta or {}), **({"software": plugin.software} if plugin.package else {})}
@@ -80,7 +80,7 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
     if len(strange):
         raise InputError(f"targets must be rows from 0 to {n_targets - 1}, or -1 for none, got {strange[0]}")
     target_of = target_of.astype(np.int64)
-    if problem.watched is not None:  # the answer that `start` returns includes them
+    if problem.watched is not None:  # an answer based on `start` includes the sky positions of stuck positioners
         target_of[(problem.watched >= 0) & (target_of == problem.watched)] = -1
     own = np.flatnonzero(target_of >= 0)
     used, counts = np.unique(target_of[own], return_counts=True)

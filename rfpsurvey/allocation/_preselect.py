@@ -12,9 +12,9 @@ from rfpsurvey.focal_plane import Reach, joints_allow
 
 __all__ = ["Preselection", "preselect", "replaceable"]
 
-# Each positioner keeps at least these numbers of targets: the best ones, and others spread over the rest of the class.
+# Least numbers of targets that each positioner keeps: best targets, and further ones spread over the rest of the class.
 N_BEST, N_SPREAD = 64, 64
-# Number of reachable pairs whose arms are placed at the same time.
+# Number of reachable pairs for which arm poses are computed at the same time.
 BATCH = 1 << 18
 
 
@@ -32,10 +32,10 @@ class Preselection(NamedTuple):
 def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
     """Return a subset of the reachable pairs that suffices for a plan.
 
-    Each other positioner can take at most one target from a positioner. If k others share targets with it, at least
-    one of its best k + 1 targets of each code is therefore always free. This makes the preselection exact if arms may
-    pass through each other. With collisions, the best plan of the kept pairs may be worse than the best plan of all
-    pairs; `replaceable` serves to bound the difference.
+    Each other positioner can take at most one target from a positioner. If k others share targets with a positioner,
+    at least one of its best k + 1 targets of each code is therefore always free. This makes the preselection exact if
+    arms may pass through each other. With collisions, the best plan of the kept pairs may be worse than the best plan
+    of all pairs; `replaceable` is used to bound the difference.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
         Whether collisions are forbidden. If so, more targets are kept, and targets whose arms touch an obstacle are
         not counted.
     keep_target : ndarray of int, shape (n_positioners,), optional
-        Target of each positioner that is always kept, -1 for none.
+        Target that is always kept for each positioner, -1 if there is no such target.
     """
     plane, reach = problem.focal_plane, problem.pairs
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
@@ -67,11 +67,11 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
 
 
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
-    """Mark candidates that represent the omitted ones.
+    """Mark the candidates that represent omitted candidates.
 
     An omitted target is no better than the kept targets of its positioner and code. One of the last ``n_rivals + 1``
-    of these is always free. If these targets, and all targets of their class or a later one, collided with nothing, a
-    plan could replace any omitted target by one of them without a loss.
+    of these kept targets is always free. If these last targets, and all targets of their class or a later class,
+    collided with nothing, a plan could replace any omitted target by one of them without a loss.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 
 
 def _codes(problem):
-    """Return a code for each target, the same for targets that requirements count alike, and the number of codes."""
+    """Return a code for each target and the number of codes; targets that requirements count alike share a code."""
     columns, seen = [], set()
     for group in problem.groups:
         if group.requirement not in seen:

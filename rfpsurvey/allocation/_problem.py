@@ -27,7 +27,7 @@ class Level(NamedTuple):
     value : float
         Value of the objective in the plan; larger is better.
     bound : float
-        Upper bound of the value for all plans with the same values of the earlier levels; NaN if nothing is proven.
+        Upper bound of the value over all plans with the same values of the earlier levels; NaN if nothing is proven.
 
     Examples
     --------
@@ -45,7 +45,7 @@ class Level(NamedTuple):
 
 
 class TargetColumns(NamedTuple):
-    """Columns of targets, shape (n_targets,) each; None if a column is not given."""
+    """Columns of the targets, each of shape (n_targets,); a column that is not given is None."""
 
     priority: np.ndarray | None = None
     kind: np.ndarray | None = None
@@ -60,13 +60,14 @@ class AllocationAnswer(NamedTuple):
     Parameters
     ----------
     target_of_positioner : ndarray of int, shape (n_positioners,)
-        Row of the target of each positioner, -1 for none.
+        Row of the target of each positioner, -1 if it has no target.
     handedness : ndarray of str, shape (n_positioners,), optional
-        Handedness of each arm, "right" or "left". None: the default handedness of each positioner.
+        Handedness of each arm, "right" or "left". None stands for the default handedness of each positioner.
     queues : tuple of ndarray, optional
         ``indptr`` and targets of the queues of all positioners, if the answer was drawn from them.
     levels : list of Level, optional
-        Value and bound of each objective. None: the values are computed by the package, and no bound is proven.
+        Value and bound of each objective. With None, the package computes the values, and no bound is
+        proven.
     meta : dict, optional
         Information on how the answer was found.
 
@@ -101,7 +102,7 @@ class AllocationProblem:
     focal_plane : FocalPlane
         The positioners.
     xy : ndarray of float, shape (n_targets, 2)
-        Positions of the targets on the focal plane, mm. The last rows are blank positions that were found for sky
+        Positions of the targets on the focal plane, mm. The last rows are blank positions that were added for sky
         fibers.
     pairs : Reach
         Pairs of a positioner and a target that may be assigned to each other. Reach, joint limits, fiber types,
@@ -113,21 +114,21 @@ class AllocationProblem:
     kind : ndarray of str, shape (n_targets,), optional
         ``science`` (the default), ``standard`` or ``sky``.
     category : ndarray of str, shape (n_targets,), optional
-        Names that requirements refer to; ``""`` for none.
+        Names that requirements refer to; ``""`` means no category.
     fiber_type : ndarray of str, shape (n_targets,), optional
-        Fiber type that each target requires; ``""`` for any.
+        Fiber type that each target requires; ``""`` means any type.
     is_required : ndarray of bool, shape (n_targets,), optional
         Whether a target takes precedence over all targets that are not required.
     options : AllocationOptions, optional
         Requirements, objective, time limit and the other options of the plan.
     rng : numpy.random.Generator, optional
-        Random number generator. Allocators must use no other one, so that plans are reproducible.
+        Random number generator. Allocators must use no other generator, so that plans are reproducible.
     start : callable, optional
         ``problem.start()`` returns the answer given by the option ``start``, by default the answer of ``lamost``.
     watched : ndarray of int, shape (n_positioners,), optional
-        Row of the sky position that the fiber of a stuck positioner observes, -1 for none.
+        Row of the sky position that the fiber of each stuck positioner observes, -1 if there is none.
     tell : callable, optional
-        If it is given, a long search may call it with the completed fraction and the name of the current stage.
+        Function that a long search may call with the completed fraction and the name of the current stage.
 
     Examples
     --------
@@ -236,12 +237,12 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the classes of targets; no target (-1) has a class after all others.
+        """Return the classes of targets; the class of no target (-1) is the last one.
 
         Parameters
         ----------
         target : ndarray of int
-            Rows of targets, -1 for none.
+            Rows of targets, -1 for no target.
 
         Returns
         -------
@@ -255,13 +256,13 @@ class AllocationProblem:
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target requires, -1 for any; the last entry (-1) stands for no target."""
+        """Index of the fiber type that each target requires, -1 for any type; the last entry (-1) is for no target."""
         index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
 
     def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the fiber type with which positioners observe targets.
+        """Return the index of the fiber type with which each positioner observes its target.
 
         Parameters
         ----------
@@ -340,7 +341,7 @@ class AllocationProblem:
         return levels
 
     def _counts(self, target_of: np.ndarray) -> list[int]:
-        """Return the number of fibers of a plan that each group counts."""
+        """Return, for each group, the number of fibers of a plan that it counts."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
@@ -374,7 +375,7 @@ class AllocationProblem:
         return found
 
     def _hint(self, group: Group, possible: int) -> str:
-        """Return a hint at the cause: a name that no target has, or more fibers than there are."""
+        """Return a hint at the cause: a name that no target has, or a minimum that exceeds the number of fibers."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
@@ -382,7 +383,7 @@ class AllocationProblem:
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:
-        """Return how many targets of a group are in reach of a fiber that the group counts."""
+        """Return the number of targets of a group that are in reach of fibers that the group counts."""
         own, target = self.pairs.owner, self.pairs.target
         held = group.holds(target, self.spectrograph_of(own, target))
         n = len(np.unique(target[held]))

@@ -23,7 +23,7 @@ class Requirement:
     """A minimum and a maximum number of observed targets of one kind or category.
 
     The minimum is met as far as possible, and takes precedence over science targets. ``sdss``, ``optimal`` and
-    ``repair`` do not exceed the maximum; the other allocators ignore maxima, and report where they are exceeded.
+    ``repair`` do not exceed the maximum; the other allocators ignore maxima, and exceeded maxima are only reported.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Shortfall:
     possible : int
         Number of such targets in reach of positioners that can observe them.
     hint : str, optional
-        A name that was possibly meant, or the reason why there are no such targets.
+        A similar name that was possibly meant, or the reason why there are no such targets.
     """
 
     requirement: Requirement | None
@@ -143,7 +143,7 @@ class Shortfall:
 
     @property
     def what(self) -> str:
-        """Text that names the targets that are missing or too many."""
+        """Text that states how many of which targets are missing or too many."""
         if self.requirement is None:
             return "required targets"
         fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
@@ -191,10 +191,10 @@ class Group:
     requirement: Requirement
     spectrograph: int | None
     targets: np.ndarray
-    """Whether each target counts, shape (n_targets,)."""
+    """Whether the requirement counts each target, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Mark the pairs of a target (-1 for none) and a spectrograph that count."""
+        """Mark the pairs of a target (-1 for no target) and a spectrograph that the requirement counts."""
         inside = np.append(self.targets, False)[target]
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 

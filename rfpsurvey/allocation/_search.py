@@ -1,4 +1,4 @@
-"""Proven plans: drop candidates that no best plan needs, split the rest into parts, and solve each part alone."""
+"""Proven plans: drop candidates that an optimal plan does not need, split the rest into parts, and solve each part."""
 
 from functools import partial
 from time import perf_counter
@@ -31,7 +31,7 @@ def decide(
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
     n_left_out = everything.preselection.n_left_out
-    # the bound on plans with omitted candidates also takes time
+    # reserve time for the bound on plans with omitted candidates
     halt = deadline - FOR_BOUND * (deadline - perf_counter()) if collide and n_left_out else deadline
     used, found = _search(everything, halt, collide=collide, **options)
     target_of = used.options.target[found.chosen]
@@ -75,7 +75,7 @@ def _plan(candidates, chosen, collide):
 
 class _Found(NamedTuple):
     chosen: np.ndarray
-    """Candidates in use, -1 for those for which no time was left."""
+    """Candidate in use of each positioner; -1 if there was no time to find one."""
     values: np.ndarray
     bounds: np.ndarray
     complete: bool
@@ -83,7 +83,10 @@ class _Found(NamedTuple):
 
 
 def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Found:
-    """Solve the parts in turn; ``blind`` holds the candidates of a matching whose arms may collide, -1 for none."""
+    """Solve the parts one after the other.
+
+    ``blind`` contains the candidate of each positioner in a matching whose arms may collide, -1 if it has no target.
+    """
     problem, options = candidates.problem, candidates.options
     n_left = np.diff(options.start)
     chosen = np.where(n_left == 1, options.start[:-1], -1)
@@ -118,7 +121,7 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
 
 
 def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
-    """Tell which part, and which objective of it, a search is at."""
+    """Report the current part of a search, and the current objective of this part."""
     of_parts = f"part {part + 1} of {n_parts}, " if n_parts > 1 else ""
     tell((part + level / n_levels) / n_parts, f"{of_parts}class {level + 1} of {n_levels}")
 
@@ -126,13 +129,13 @@ def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
 def _bounds(problem, everything, names, values, bounds):
     """Return the upper bounds of the levels: as proven up to the first level that is below its bound.
 
-    For the levels after it, the bound is that no plan has more targets of the first classes, or of all classes, than
-    a matching of arms that may collide.
+    The bounds of the later levels follow from a matching whose arms may collide: no plan has more targets of the first
+    classes, or of all classes, than this matching.
     """
     first = int(np.flatnonzero(values < bounds)[0]) if (values < bounds).any() else len(names)
     target_of = match(everything)
     counts = np.bincount(problem.rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)
-    if problem.any_required:  # these came before the classes in the matching
+    if problem.any_required:  # the matching gave required targets precedence over the classes
         counts = np.bincount(problem.rank[np.diff(problem.pairs.indptr) > 0], minlength=len(counts))
     most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
     offset = len(names) - len(problem.classes) - (not problem.science.all())  # position of the first class

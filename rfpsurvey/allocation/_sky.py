@@ -11,12 +11,12 @@ from rfpsurvey.focal_plane import Reach, joints_allow
 
 __all__ = ["with_sky"]
 
-# Number of points per positioner that are tested, and number of blank ones among them that are kept.
+# Number of points per positioner that are tested, and largest number of blank points that are kept.
 N_TRIALS, N_KEPT = 64, 4
 
 
 class Sky(NamedTuple):
-    """Blank positions, each for one positioner and one fiber type."""
+    """Blank positions; each is for one positioner and one fiber type."""
 
     own: np.ndarray
     points: np.ndarray
@@ -26,12 +26,12 @@ class Sky(NamedTuple):
 
 
 def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:
-    """Return positions at least ``separation`` (mm) from all points, for the given fiber types ("": any)."""
+    """Return positions at least ``separation`` (mm) from all points, for the given fiber types ("" is any type)."""
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
     radii = plane.arrays.inner_radius, plane.arrays.outer_radius
-    # a van der Corput sequence: any first part of the points is spread evenly
+    # a van der Corput sequence, in which the first k points are spread evenly for every k
     k = np.arange(N_TRIALS)
     fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
     parts = []
@@ -114,7 +114,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
 
 
 def _bin(plane, x, y, separation):
-    """Return targets sorted into cells: x0, y0, size, nx, ny, start, order."""
+    """Sort targets into cells; return the grid as (x0, y0, size, nx, ny, start, order)."""
     margin = plane.arrays.outer_radius[:, None] + separation
     low, high = (plane.arrays.xy - margin).min(axis=0), (plane.arrays.xy + margin).max(axis=0)
     size = max(separation, float(np.sqrt(np.prod(high - low) / max(len(x), 1))), float((high - low).max()) / 4096)

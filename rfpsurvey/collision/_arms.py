@@ -44,7 +44,7 @@ class Arms:
 
     @property
     def present(self) -> np.ndarray:
-        """Whether each positioner has an arm in the plane (is not absent)."""
+        """Whether the arm of each positioner is present (not NaN)."""
         return np.isfinite(self.segments[:, 0])
 
 
@@ -61,7 +61,7 @@ def place_arms(
 ) -> Arms:
     """Return the poses of all positioners; the parameters are those of `find_collisions`.
 
-    With ``clip``, arms whose tip is out of reach are stretched toward it as far as possible.
+    With ``clip``, an arm whose tip is out of reach is stretched toward the tip as far as possible.
     """
     check_plane(focal_plane)
     n, columns = len(focal_plane), focal_plane.arrays
@@ -91,7 +91,7 @@ def place_arms(
 
 
 def pose_tips(plane, points, side, parked_obstacles, *, clip=False):
-    """Return elbows and tips (4, n) of all arms, and flags: assigned, and clipped short of the target."""
+    """Return elbows and tips (4, n) of all arms, and two flags: has a target, and does not reach the target."""
     assigned, clipped = check_tips(plane, points, side, clip=clip)
     segments = place_tips(plane, points, side, clipped)
     arms.fill_idle(assigned, plane.arrays.idle(parked_obstacles).segments, segments)
@@ -126,7 +126,7 @@ def to_tips(tips, n):
 
 
 def check_tips(plane, points, side, *, clip=False):
-    """Mark positioners that have a target, and those that cannot reach it; without ``clip`` the latter are errors."""
+    """Mark positioners with a target, and those that cannot reach it; without ``clip``, the latter raise an error."""
     n = len(plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
     if arms.check(points, plane.arrays.geometry, plane.arrays.bounds, assigned, far) and not clip:
@@ -155,7 +155,7 @@ def joints_free(plane, side):
 
 
 def place_tips(plane, points, side, clipped):
-    """Return elbows and tips, shape (4, n); arms whose point is out of reach are stretched toward it."""
+    """Return elbows and tips, shape (4, n); an arm whose point is out of reach is stretched toward the point."""
     geometry, bounds = plane.arrays.geometry, plane.arrays.bounds
     segments = np.empty((4, len(plane)))
     arms.place(points, geometry, side, segments)
@@ -163,7 +163,7 @@ def place_tips(plane, points, side, clipped):
         angles, posed = np.empty((2, len(plane))), np.empty_like(segments)
         arms.solve(points, geometry, side, *angles)
         arms.pose(*angles, geometry, posed)
-        # poses that violate only the joint limits reach their points
+        # poses that violate only the joint limits still reach their points
         r2 = ((points - plane.arrays.xy) ** 2).sum(axis=1)
         far = clipped & ((r2 < bounds.low) | (r2 > bounds.high))
         segments[2:, far] = posed[2:, far]
@@ -185,7 +185,7 @@ def to_sides(plane, points, handedness):
 
 
 def arm_angles(plane, fiber_type):
-    """Return cosine and sine of each capsule's angle; without a fiber type, that of the positioner's first one."""
+    """Return the cosine and sine of each capsule's angle, by default for the first fiber type of the positioner."""
     if fiber_type is None:
         return plane.arrays.angles
     types = to_plain(fiber_type, "fiber_type").astype(str)

@@ -33,7 +33,8 @@ class CollisionCounts:
     n_in_collision, n_in_collision_assigned : ndarray of int, shape (m,)
         Number of counted positioners in collision, and of assigned positioners in collision.
     n_counted, n_assigned : ndarray of int, shape (m,)
-        Number of counted positioners (assigned ones, and parked ones with equal arms), and of assigned positioners.
+        Number of counted positioners (assigned positioners, and parked positioners with equal arms), and number of
+        assigned positioners.
     n_borderline : ndarray of int, shape (m,)
         Number of pairs so close to the minimum separation that rounding could decide; they are classified by their
         computed distance.
@@ -95,7 +96,7 @@ def count_collisions(
     """Count the collisions of many configurations of one focal plane.
 
     Each configuration is scored as by `find_collisions`, in compiled code (except for tips in reach that joint limits
-    forbid). Besides the input and the counts, the memory in use is that of a few configurations, independent of their
+    forbid). Besides the input and the counts, only memory for a few configurations is used, independent of their total
     number.
 
     Parameters
@@ -117,7 +118,7 @@ def count_collisions(
         ``exact`` runs on the CPU, and ``cuda`` on a GPU (requires ``rfpsurvey[cuda]``).
     executor : concurrent.futures.Executor, optional
         Executor that runs the chunks of configurations. Kernels release the GIL, so that threads run in parallel.
-        None: no parallel execution.
+        With None, nothing runs in parallel.
     rng : int, Generator or None, optional
         Seed or generator of the draws, which do not depend on the executor.
 

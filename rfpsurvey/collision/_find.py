@@ -53,8 +53,8 @@ def find_collisions(
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (n, 2), or Allocation, or Arms, optional
-        Position of the fiber of each positioner, NaN for positioners without a target. For an allocation, its
-        handedness and options are used. Known poses can be given as ``Arms``.
+        Position of the fiber of each positioner, NaN for positioners without a target. The handedness and
+        options of an allocation are used. Known poses can be given as ``Arms``.
     theta, phi : Quantity, shape (n,), optional
         Joint angles instead of ``tips``; NaN for positioners without a target. They may exceed the joint limits.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
@@ -63,7 +63,7 @@ def find_collisions(
         Fiber type in use, for arm models that depend on it.
     parked_obstacles : bool, optional
         Whether positioners with equal arms and without a target are parked, and count as obstacles. Idle positioners
-        with unequal arms avoid all other arms and are ignored. For an allocation, its own option is used.
+        with unequal arms avoid all other arms and are ignored. For an allocation, the option of the allocation is used.
     method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
         ``exact``: distances with a proven error limit, and rational arithmetic where the error could matter.
         ``sampled``: the least distance between ``n_points`` points on either arm; it misses some pairs barely closer
@@ -133,7 +133,7 @@ def find_collisions(
 
 
 def _posed_segments(plane, tips, given, parked_obstacles):
-    """Return segments (4, n), flags, and a function that returns all poses, which only a few methods require."""
+    """Return segments (4, n), flags, and a function that computes all poses, which only a few methods require."""
 
     def poses():
         return place_arms(plane, tips, **given, parked_obstacles=parked_obstacles)
@@ -149,7 +149,7 @@ def _posed_segments(plane, tips, given, parked_obstacles):
     if len(columns.runs) or len(plane.arrays.obstacle_pairs):
         segments, assigned, _ = pose_tips(plane, points, side, parked_obstacles)
         arms.shape(segments, columns.model, columns.length, *angles)
-    else:  # no pose can collide with another one
+    else:  # no arm can collide with another arm
         segments, (assigned, _) = None, check_tips(plane, points, side)
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 

@@ -18,7 +18,7 @@ __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return first, second and squared distance of the pairs closer than the limit plus the rounding band."""
+    """Return the pairs closer than the limit plus the rounding band, as (first, second, squared distance)."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)

@@ -1,4 +1,4 @@
-"""Methods of finding colliding pairs: a fast exact one, and others for comparison."""
+"""Methods of finding colliding pairs: a fast exact method, and other methods for comparison."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find pairs by the least distance between ``n_points`` points on either arm, never too small but for rounding."""
+    """Find pairs by the least distance between ``n_points`` points on either arm; some pairs are missed."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -70,7 +70,7 @@ def sweep(case: Configuration) -> Found:
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
     limits = plane.arrays.limits
-    near = squared < limits.separation**2 + limits.band  # no pair is missed
+    near = squared < limits.separation**2 + limits.band  # with this allowance, no pair is missed
     return Found(first[near], second[near], np.sqrt(squared[near]))
 
 

@@ -27,11 +27,12 @@ class CollisionReport:
     obstacle_distances : Quantity, shape (m,)
         Distances from the arms to the edges of the obstacles.
     in_collision : ndarray of bool, shape (n,)
-        Whether each positioner occurs in either list.
+        Whether each positioner occurs in ``pairs`` or ``obstacle_pairs``.
     assigned : ndarray of bool, shape (n,)
         Whether each positioner has a target.
     counted : ndarray of bool, shape (n,)
-        Whether each positioner is counted in the rate: assigned positioners, and parked ones with equal arms.
+        Whether each positioner is counted in the rate: assigned positioners, and parked positioners
+        with equal arms.
     n_borderline : int or None, optional
         Number of pairs so close to the minimum separation (or arms so close to the clearance from an obstacle) that
         rounding could decide. ``exact`` and ``cuda`` decide these pairs in rational arithmetic; for obstacles, all

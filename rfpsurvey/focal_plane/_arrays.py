@@ -15,7 +15,7 @@ __all__ = ["FocalPlaneArrays"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Poses of arms without a target; NaN for arms that avoid all others and are therefore no obstacles."""
+    """Poses of arms without a target; NaN for arms that are no obstacles because they avoid all other arms."""
 
     theta: np.ndarray
     phi: np.ndarray
@@ -50,7 +50,7 @@ class FocalPlaneArrays:
     usable : ndarray of bool, shape (n,)
         Whether each positioner may have a target: it is neither disabled nor stuck.
     stuck : ndarray of float, shape (n, 2)
-        theta and phi of stuck units, NaN for others.
+        theta and phi of stuck positioners, NaN for other positioners.
     is_stuck : ndarray of bool, shape (n,)
         Whether each positioner cannot move.
     obstacles : ndarray of float, shape (m, 3)
@@ -66,8 +66,8 @@ class FocalPlaneArrays:
     n_sharing : ndarray of int, shape (n,)
         Largest number of other positioners that can share a target with each positioner.
     separation, clearance, length : float
-        Minimum separation of two arms, clearance of an arm, and length of the colliding segment (0: that of the arm),
-        mm.
+        Minimum separation of two arms, clearance of an arm, and length of the colliding segment (0 means the segment
+        from the elbow to the fiber), mm.
 
     Examples
     --------
@@ -157,7 +157,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def grid(self) -> tuple:
-        """Square cells, each with the positioners that reach into it."""
+        """Square cells, with the positioners that reach into each cell."""
         return make_grid(self.xy, self.outer_radius)
 
     @cached_property
@@ -225,7 +225,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def touch_slack(self) -> float:
-        """Upper limit of the error of the gap between two arms stretched toward each other, also if almost equal."""
+        """Upper limit of the error of the gap between two arms stretched toward each other, even if almost equal."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
@@ -253,7 +253,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def runs(self) -> np.ndarray:
-        """Neighbors as rows (i, j, n): i and j, i + 1 and j + 1, ..., n pairs in all, sorted by the first.
+        """Neighbors as sorted rows (i, j, n), each of which stands for n pairs: i and j, i + 1 and j + 1, and so on.
 
         On a lattice that is numbered row by row, a few runs contain thousands of pairs.
         """

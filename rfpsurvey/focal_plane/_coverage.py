@@ -18,7 +18,7 @@ def footprint_of(plane) -> ConvexHull:
 
 
 def on_footprint(plane, points: np.ndarray) -> np.ndarray:
-    """Mark points in mm that lie on the footprint; NaN does not."""
+    """Mark the points (mm) that are inside the footprint; NaN is outside."""
     hull = footprint_of(plane)
     inside = np.isfinite(points).all(axis=1)
     inside[inside] = Delaunay(hull.points[hull.vertices]).find_simplex(points[inside]) >= 0
@@ -28,8 +28,8 @@ def on_footprint(plane, points: np.ndarray) -> np.ndarray:
 def find_coverage(plane, n_points, rng) -> np.ndarray:
     """Return the fractions of the footprint that exactly 0, 1, 2, ... positioners reach.
 
-    There is a random point in each cell of a square grid. With regular points, the result would depend on the
-    alignment of their grid with the lattice of the positioners.
+    One random point is drawn in each cell of a square grid. With a regular grid of points, the result would depend on
+    the alignment of the grid with the lattice of the positioners.
     """
     check_whole(n_points, "n_points", 1, 2**26)
     hull = footprint_of(plane)

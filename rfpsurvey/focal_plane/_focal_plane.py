@@ -84,7 +84,7 @@ class FocalPlane:
         return f"<FocalPlane of {len(self)} positioners, {len(self.arrays.obstacles)} obstacles>"
 
     def __getstate__(self):
-        # a copy for another process computes the plain arrays again
+        # the plain arrays are not copied to other processes, which compute them again
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @cached_property
@@ -99,7 +99,7 @@ class FocalPlane:
 
     @cached_property
     def collision_type(self) -> int:
-        """Collision type. 1: no two arms can touch; 2: only those of first neighbors can; 3: further ones can too."""
+        """Collision type. 1: no two arms can touch; 2: only those of first neighbors can; 3: more distant arms can."""
         pairs = self.neighbor_pairs()
         if len(pairs) == 0:
             return 1

@@ -43,7 +43,7 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     if rows_along == "y":
         xy = xy[:, ::-1].copy()
     r = np.hypot(*xy.T)
-    # the lattice has exact ties in r: compare values in units of the pitch, rounded well above the last bit
+    # distances on a lattice can be equal: compare them in units of the pitch, with rounding errors removed
     keep = (np.round(r / step, 9) >= np.round(hole / step, 9)) & (np.round(r / step, 9) <= np.round(edge / step, 9))
     cells = np.column_stack([q, k])
     for cell in vacant:

@@ -19,7 +19,7 @@ BLOCK = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Pairs of targets and positioners within reach: a row of positioners for each target (CSR), read-only.
+    """Pairs of targets and positioners within reach, as read-only arrays (CSR with one row per target).
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Reach:
 
     @cached_property
     def by_positioner(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The pairs sorted by positioner, with a row of targets for each: indptr, target, r2."""
+        """The pairs sorted by positioner, as the arrays indptr, target and r2 (CSR)."""
         indptr = np.empty(self.n_positioners + 1, dtype=np.int64)
         target, source = np.empty_like(self.owner), np.empty_like(self.owner)
         reach.transpose(self.indptr, self.owner, self.n_positioners, indptr, target, source)
@@ -99,7 +99,7 @@ class Reach:
 
 
 def make_grid(xy, outer):
-    """Return square cells with the positioners that reach into each: x0, y0, size, nx, ny, start, order."""
+    """Return square cells and the positioners that reach into each cell, as (x0, y0, size, nx, ny, start, order)."""
     reaches = outer * (1 + 1e-6)
     low, high = (xy - reaches[:, None]).min(axis=0), (xy + reaches[:, None]).max(axis=0)
     # limit the grid to a few cells per positioner, however far apart the positioners are
@@ -129,7 +129,7 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 
 def find_reach(plane, points, accepts) -> Reach:
-    """Return the reachable pairs of targets in mm; ``accepts`` as `accepted_types` makes it."""
+    """Return the reachable pairs of targets in mm; ``accepts`` is a result of `accepted_types`."""
     geometry = plane.arrays.geometry
     positioners = (geometry.cx, geometry.cy, plane.arrays.inner_radius, plane.arrays.outer_radius, plane.arrays.offers)
     indptr, n = np.zeros(len(points) + 1, dtype=np.int64), 0

@@ -80,7 +80,7 @@ def _quantity(table, name, unit):
 
 
 def _spare_names(ids, m):
-    """Return names for obstacles that no positioner has."""
+    """Return identifiers for obstacles that differ from those of all positioners."""
     if ids.dtype.kind == "i":
         return ids.max() + 1 + np.arange(m)
     taken, prefix = set(ids.tolist()), "obstacle-"

@@ -32,7 +32,7 @@ class PositionerNumbers:
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
-        Length of the colliding segment, mm; None if the segment is that from the elbow to the fiber.
+        Length of the colliding segment, mm; None if it is the segment from the elbow to the fiber.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner.
     joints_free : bool
@@ -101,7 +101,7 @@ class PositionerNumbers:
 
 
 def _allowed(angle, low, high):
-    """Return whether angles lie in [low, high], modulo 360 deg."""
+    """Return whether angles are in [low, high], modulo 360 deg."""
     if np.isinf(low) or high - low >= 2 * np.pi:
         return ~np.isnan(angle)
     with np.errstate(invalid="ignore"):

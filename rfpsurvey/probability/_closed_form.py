@@ -14,7 +14,7 @@ N_CIRCLES = 400
 
 
 def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the fraction of each patrol area that other positioners also reach."""
+    """Return the fraction of each patrol area that at least one other positioner also reaches."""
     return _covered(plane, _overlapping(plane, both_ways=True)), {}
 
 
@@ -49,9 +49,10 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the probability that another observed target lies within the minimum separation, with one per positioner.
+    """Return the probability of another observed target within the minimum separation of a positioner's target.
 
-    Targets are assumed to be uniform in the area that positioners reach, so that the number near one is binomial.
+    Each positioner observes one target. Targets are assumed to be uniform in the area that positioners reach, so that
+    the number of targets near a given target is binomial.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
     # each point counts for the last positioner that reaches it
@@ -70,7 +71,10 @@ def _pairs_within(plane, radius):
 
 
 def _overlapping(plane, *, both_ways):
-    """Return rows of positioners whose patrol areas may overlap (CSR); without ``both_ways`` the later ones alone."""
+    """Return, for each positioner, the rows of positioners whose patrol areas may overlap its patrol area (CSR).
+
+    Without ``both_ways``, only positioners with larger row numbers are listed.
+    """
     pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]

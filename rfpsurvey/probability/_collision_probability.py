@@ -56,10 +56,11 @@ def collision_probability(
 ) -> Estimate:
     """Estimate the probability that a positioner at its target collides with another one.
 
-    The probability is the expected fraction of positioners that are in collision, of those with a target and, with
-    equal arms, those that are parked. A method estimates one of two quantities: targets are **allocated** to queues,
-    and a configuration has one target of each queue, or every positioner draws its own target **independently** of all
-    others. The two differ by up to a factor of five: compare only methods with the same estimand.
+    The probability is the expected fraction of positioners in collision, among positioners with a target and, if the
+    arms are equal, parked positioners. A method estimates one of two quantities (its estimand). In the first, targets
+    are **allocated** to queues, and a configuration has one target of each queue. In the second, every positioner draws
+    a target **independently** of all others. The two differ by up to a factor of five: compare only methods with the
+    same estimand.
 
     Parameters
     ----------
@@ -70,17 +71,17 @@ def collision_probability(
         ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024),
         arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors.
         Without an error estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (fraction of the
-        patrol area that others reach), ``close_pair`` (probability that another observed target lies within the
+        patrol area that others also reach), ``close_pair`` (probability that another observed target lies within the
         minimum separation). ``auto``: the fastest method of the estimand that has an error estimate. Any other name is
         that of a method of an installed package. A function of a `~rfpsurvey.probability.ProbabilityQuestion` is called
         directly.
     estimand : {"allocated", "independent"}, optional
-        For ``auto``: what to estimate, ``allocated`` by default. Each other method has one estimand.
+        For ``auto``: the quantity to estimate, ``allocated`` by default. Each other method has one estimand.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
-        Allocated targets; methods for independent targets ignore them. `~rfpsurvey.probability.RandomTargets`, or
-        their kind alone: ``"uniform"`` or ``"poisson"``. A function of a Generator that returns new targets at each
-        call, a Quantity of shape (n, 2). For one realization of the sky, points on the focal plane, or a Catalog,
-        whose science targets the Instrument projects.
+        Allocated targets; methods for independent targets ignore them. For random targets, give
+        `~rfpsurvey.probability.RandomTargets`, only their kind (``"uniform"`` or ``"poisson"``), or a function of a
+        Generator that returns new targets, a Quantity of shape (n, 2), at each call. For one realization of the sky,
+        give points on the focal plane, or a Catalog, whose science targets the Instrument projects.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
@@ -92,15 +93,15 @@ def collision_probability(
         queues, a larger number of faster realizations reaches a precision sooner. None for all entries.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
-        where k positioners reach; ``"voronoi"``, where the center of the positioner is the nearest center; a function
+        at points that k positioners reach; ``"voronoi"``, only where no other center is nearer; a function
         of points (Quantity of shape (n, 2)) that returns their density up to a factor; or the combined queues of
         allocations.
     variant : {"corrected", "pitch", "printed"}, optional
         Variant of the closed form: with misprints corrected and the distance of each neighbor; with the pitch instead
         of that distance; or as printed, which is 0/0 for equal arms.
     precision : float or Precision, optional
-        `~rfpsurvey.probability.Precision`: when iterations end, and how the interval is computed. A float is the
-        standard error to reach. By default 0.001.
+        A `~rfpsurvey.probability.Precision` states when iterations end, and how the interval is computed. A float is
+        the standard error to reach. By default 0.001.
     dynamic : float, optional
         Rate at which positioners fail to reach their target for dynamic reasons, independently; LAMOST's is 0.025.
     rng : int, Generator or None, optional
@@ -113,9 +114,10 @@ def collision_probability(
     Returns
     -------
     Estimate
-        The probability with its interval, per positioner, and pairs. For one sky the value is that of its targets, and
-        the error states how far another patch of such a sky may differ; a focal plane with too few positioners to
-        estimate that, such as seven, has no interval, and ``meta["no_interval"]`` states the reason.
+        The probability with its interval, the probability of each positioner, and the expected number of pairs. For one
+        sky, the value is that of its targets, and the error states how far another patch of such a sky may differ. If a
+        focal plane has too few positioners to estimate this error, such as seven, there is no interval, and
+        ``meta["no_interval"]`` states the reason.
 
     Raises
     ------
@@ -208,7 +210,7 @@ def collision_probability(
 
 
 def _check_options_of_method(name, *, density, variant, interval, center, targets):
-    """Refuse options that belong to another method."""
+    """Raise an error for options that belong to another method."""
     if density is not None and name != "quadrature":
         raise InputError(f"density belongs to the method 'quadrature', of independent targets, not to {name!r}")
     if variant != "corrected" and name != "closed_form":
@@ -220,7 +222,7 @@ def _check_options_of_method(name, *, density, variant, interval, center, target
 
 
 def _check_science_only(options):
-    """Refuse options of an allocation that concern a catalog, or targets other than science targets."""
+    """Raise an error for allocation options that concern a catalog, or targets other than science targets."""
     if options.requirements or options.sky_separation is not None:
         raise InputError(
             f"allocator must have no requirements and no sky_separation, since all targets of a collision probability "
@@ -234,7 +236,7 @@ def _check_science_only(options):
 
 
 def _check_numbers(*, dynamic, most_entries):
-    """Refuse numbers out of range."""
+    """Raise an error for numbers out of range."""
     if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
         raise refusal("dynamic must be a number of at least 0 and below 1", dynamic, Number)
     if most_entries is not None:
@@ -242,7 +244,7 @@ def _check_numbers(*, dynamic, most_entries):
 
 
 def _check_density(density):
-    """Refuse an invalid density."""
+    """Raise an error for an invalid density."""
     known = density is None or callable(density) or isinstance(density, Allocation)
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
@@ -252,7 +254,7 @@ def _check_density(density):
 
 
 def _zero(plane, source):
-    """Return the result where no two arms can touch, and none an obstacle: nothing has to be drawn."""
+    """Return the result if no arm can touch another arm or an obstacle, so that no targets need to be drawn."""
     check_usable(plane)
     nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
     per_positioner = np.where(plane.arrays.usable, 0.0, np.nan)

@@ -1,4 +1,4 @@
-"""Groups of positioners with the same neighbors: on a lattice there are few of them."""
+"""Groups of positioners with the same environment (positions and kinds of neighbors); lattices have few groups."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,9 +14,9 @@ RESOLUTION = 1e-6
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a positioner for each distinct environment, and the number of the environment of each positioner.
 
-    Two are the same if everything within the radius (mm) is, after a rotation by a multiple of 60 deg where no joint
-    limit depends on the direction. The key of a positioner is the sum of hashes of its neighbors, which does not depend
-    on their order; it is computed for all six rotations.
+    Two environments are the same if all neighbors and obstacles within the radius (mm) are the same, after a rotation
+    by a multiple of 60 deg if no joint limit depends on the direction. The key of a positioner is the sum of hashes of
+    its neighbors, which does not depend on their order; it is computed for all six rotations.
     """
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
@@ -25,8 +25,8 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         [_codes(plane.arrays.central_arm), _codes(plane.arrays.eccentric_arm), _codes(plane.arrays.first_type)]
     )
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
-    # a positioner that does not move is a kind of its own, and its pose does not rotate with its surroundings: it is
-    # of another kind after each rotation
+    # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, so that
+    # its kind is different after each rotation
     kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
     away, what = xy[j] - xy[i], kinds[j]
     circles = plane.arrays.obstacles
@@ -35,7 +35,7 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         own = np.repeat(np.arange(n), [len(r) for r in rows])
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
         i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
-        what = np.append(what, 2 * n + k)  # obstacles differ by their radius, and are few: each is its own kind
+        what = np.append(what, 2 * n + k)  # obstacles differ in radius, and are few: each is a separate kind
     rotations = range(6) if plane.positioner.numbers.joints_free else range(1)
     still = (what >= n) & (what < 2 * n)
     keys = np.array([_hash(n, i, away, what + still * (k * 1_000_000_007), k * np.pi / 3) for k in rotations])
@@ -51,7 +51,7 @@ def _hash(n, i, away, what, angle):
     """Return the sum of hashes of the offsets and kinds of all neighbors of each positioner."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]
-    # with this offset, multiples of the resolution are not at the edges of rounding
+    # with this offset, multiples of the resolution are far from the edges of cells
     cells = (np.floor(v / RESOLUTION + 0.37) for v in (x, y))
     value = _mix(what.astype(np.uint64))
     for cell in cells:

@@ -16,27 +16,27 @@ class Estimate:
     Parameters
     ----------
     value : float
-        Expected fraction of positioners in collision, among those that are assigned and, with equal arms, those parked.
+        Expected fraction of positioners in collision, among assigned positioners and, with equal arms, parked ones.
     value_assigned : float
         Expected fraction of the assigned positioners in collision.
     low, high : float
-        Interval around ``value`` at the confidence in ``meta``; NaN for methods without an error, and for given targets
-        on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
+        Interval around ``value`` at the confidence in ``meta``; NaN for methods without an error estimate, and for
+        given targets on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
     standard_error : float
         Standard error of ``value``; NaN if there is no interval.
     n : int
         Iterations (``monte_carlo``), realizations (``conditional``) or points per positioner and scramble
         (``quadrature``); 0 if nothing had to be computed.
     n_effective : float
-        Number of independent trials with the same standard error.
+        Number of independent trials that would give the same standard error.
     pairs_per_positioner : float
-        Expected number of colliding pairs over the number of positioners that count.
+        Expected number of colliding pairs, divided by the number of counted positioners.
     per_positioner : ndarray of float, shape (n_positioners,)
-        Probability of each positioner to be in collision where it counts, NaN if it never counts.
+        Probability that each positioner is in collision if it is counted; NaN if it is never counted.
     method : str
         The method that was used.
     estimand : str
-        ``allocated`` or ``independent``: what is estimated.
+        The estimated quantity, ``allocated`` or ``independent``.
     seconds : float
         Duration of the computation.
     meta : dict

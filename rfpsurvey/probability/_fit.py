@@ -101,12 +101,12 @@ def fit_polynomial(
     held_back : float, optional
         Fraction of the designs held back for the test. The penalty is chosen by cross-validation on the others.
     rng : int, Generator or None, optional
-        Seed or random number generator for the choice of these designs.
+        Seed or random number generator for the choice of the designs that are held back.
 
     Returns
     -------
     PolynomialFit
-        The polynomial, with its coefficients of determination for both groups of designs.
+        The polynomial, with its coefficients of determination for fitted designs and for those held back.
 
     Raises
     ------

@@ -20,7 +20,7 @@ def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
 
 
 def effective_number(p: float, standard_error: float, n: float) -> float:
-    """Return the number of independent trials with this standard error; ``n`` if it is 0."""
+    """Return the number of independent trials that give this standard error, or ``n`` if the error is 0."""
     return p * (1 - p) / standard_error**2 if standard_error > 0 and 0 < p < 1 else n
 
 
@@ -37,7 +37,7 @@ def _naive(rates, p, number, trials, quantile, confidence, rng):
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
     """Return percentiles of the mean of rates drawn with replacement."""
     n = len(rates)
-    rows = max(1, 1_000_000 // n)  # computed together, to limit the memory
+    rows = max(1, 1_000_000 // n)  # number of values that are computed together, to limit the memory
     sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
     means = np.concatenate([rates[rng.integers(0, n, (size, n))].mean(axis=1) for size in sizes])
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())
@@ -48,7 +48,7 @@ INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstr
 
 
 def quantile(confidence: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's distribution; of the normal one for infinite degrees of freedom."""
+    """Return the two-sided quantile of Student's distribution, or of the normal distribution for infinite degrees."""
     level = (1 + confidence) / 2
     return float(ndtri(level) if freedom == np.inf else stdtrit(max(freedom, 1), level))
 

@@ -23,7 +23,7 @@ QUEUEING = ("balanced",)
 
 
 def check_usable(plane: FocalPlane) -> None:
-    """Raise an error for a focal plane on which no positioner takes a target."""
+    """Raise an error if no positioner of a focal plane can have a target."""
     if not plane.arrays.usable.any():
         raise InputError("every positioner is disabled or stuck: there is nothing to score")
 
@@ -47,7 +47,7 @@ def _formula(function, question: ProbabilityQuestion) -> dict:
 def _simulated(name: str, question: ProbabilityQuestion) -> dict:
     simulation, given = question.simulation, question.targets.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional" and question.most_entries is None:  # once is enough
+    if given and name == "conditional" and question.most_entries is None:  # one computation is enough
         tally = task(1, question.rng)
         found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
@@ -96,7 +96,7 @@ def _integrated(question: ProbabilityQuestion) -> dict:
 
 
 def _reason(found) -> dict:
-    """Return why there is no interval, if there is none."""
+    """Return the reason why there is no interval, if there is no interval."""
     return {"no_interval": found["no_interval"]} if "no_interval" in found else {}
 
 
@@ -135,7 +135,7 @@ SHORT = 2.0
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
-    """Return why a method was used; ``chosen`` states whether `cheapest` chose it."""
+    """Return the reason why a method was used; ``chosen`` states whether `cheapest` chose it."""
     if not chosen:
         return f"{name}, as requested"
     if name == "quadrature":
@@ -148,10 +148,10 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 
 
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
-    """Return the cheapest method of an estimand that has an error.
+    """Return the fastest method of an estimand that has an error estimate.
 
-    Averaging over queues takes additional time in proportion to their length. It reduces the variance in the same
-    proportion, but by a much larger factor. With queues of one target it changes neither.
+    Averaging over queues takes additional time in proportion to their length. It also reduces the variance in
+    proportion to their length, by a much larger factor. With queues of one target, both remain the same.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

@@ -1,4 +1,4 @@
-"""Estimate from one sky how far the mean over positioners of another sky of the same kind may differ."""
+"""Estimate, from one sky, how far the mean over positioners may differ for another sky of the same kind."""
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -27,16 +27,16 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
     """Return the variance of the mean over positioners, estimated from one sky, and its degrees of freedom.
 
     Positioners share targets with their neighbors, so that their collisions are correlated. The estimate is unbiased
-    if all pairs of neighbors in the nearest ring have the same covariance, those beyond it have the correlation
-    ``BEYOND``, and the expected value of a positioner is linear in its number of neighbors, which at an edge is
-    smaller. If there are enough positioners, all pairs of neighbors are assumed to have the same covariance.
+    if all pairs of neighbors in the nearest ring have the same covariance, pairs beyond it have the correlation
+    ``BEYOND``, and the expected value of a positioner is linear in its number of neighbors, which is smaller at an
+    edge. If there are enough positioners, all pairs of neighbors are assumed to have the same covariance.
 
     Parameters
     ----------
     plane : FocalPlane
         The positioners.
     probability : ndarray of float, shape (n_positioners,)
-        Collision probability of each positioner, or whether it collides; NaN where it does not count.
+        Collision probability of each positioner, or whether it collides; NaN if it is not counted.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def _profile(numbers: np.ndarray) -> np.ndarray:
 
 
 class _Quadratic:
-    """Unbiased quadratic estimate of the variance of the mean if variances are equal, and covariances of neighbors.
+    """Unbiased quadratic estimate of the variance of the mean, for equal variances and equal covariances of neighbors.
 
     With the residuals e of the profile, the sum of squares e'e and the sum over ordered pairs of neighbors e'Ae have
     expected values linear in variance and covariance; the solution is e'(aI + bA)e. ``known`` are correlations that
@@ -141,7 +141,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimate, which is not below that of positioners whose neighbors have the covariance 0."""
+        """Return the estimate, which is at least the estimate for a covariance of 0 between neighbors."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

@@ -32,13 +32,13 @@ class RandomTargets:
         ``uniform``: independent points in a circle. ``poisson``: independent points whose number is Poisson
         distributed. ``poisson_disc``: no two targets are closer than ``min_separation``.
     number : float, optional
-        Number of targets, the expected number for ``poisson``. By default that of the instrument, or four per
+        Number of targets (for ``poisson`` the expected number). By default the number of the instrument, or four per
         positioner.
     radius : Quantity, optional
         Radius of the circle on the focal plane that contains the targets, a length. Its center is the origin, or the
         midpoint of a focal plane that does not contain the origin. By default it covers all patrol areas.
     min_separation : Quantity, optional
-        Minimum separation of two targets on the focal plane, a length; required by ``poisson_disc`` alone.
+        Minimum separation of two targets on the focal plane, a length; required only for ``poisson_disc``.
 
     Raises
     ------
@@ -92,12 +92,12 @@ class Precision:
     Parameters
     ----------
     standard_error : float, optional
-        Standard error to reach: iterations end when the interval is no wider than one of a normal distribution with
-        this standard error, and there are enough of them where collisions are rare. By default 0.001, or none if
-        ``max_iterations`` is given.
+        Standard error to reach: iterations end when the interval is no wider than that of a normal distribution with
+        this standard error, and, if collisions are rare, a minimum number of iterations is done. By default 0.001, or
+        None if ``max_iterations`` is given.
     max_iterations : int, optional
-        Maximum number of iterations, realizations or points; without ``standard_error`` the exact number. By default
-        the maximum of the method.
+        Maximum number of iterations, realizations or points; without ``standard_error`` exactly this number is used. By
+        default the maximum of the method.
     confidence : float, optional
         Confidence level of the interval.
     interval : {"wilson", "wilson_naive", "bootstrap"}, optional
@@ -149,7 +149,7 @@ class Precision:
 
     @property
     def half_width(self) -> float:
-        """Half width of an interval that is narrow enough; 0 if no standard error is to be reached."""
+        """Half width at which an interval is narrow enough; 0 if no standard error is to be reached."""
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
     def for_method(self, name: str) -> "Precision":
@@ -170,18 +170,18 @@ class Precision:
             most = MOST_ITERATIONS.get(name, MOST_ITERATIONS["monte_carlo"])
             return replace(self, standard_error=error, max_iterations=most)
         most = int(self.max_iterations)
-        if name == "quadrature":  # Sobol points come in powers of two
+        if name == "quadrature":  # the number of Sobol points is a power of two
             most = 2 ** int(np.log2(min(most, MOST_POINTS)))
         return replace(self, max_iterations=most)
 
 
 def as_precision(given: object) -> Precision:
-    """Return a precision from a precision, a standard error, or None."""
+    """Return a `Precision` from a precision, a standard error, or None."""
     return given if isinstance(given, Precision) else Precision(given)
 
 
 def _short(options: object, *lead: str) -> str:
-    """Return the representation of options: the first fields as given, and all others that differ from the default."""
+    """Return the representation of options: the first fields, and other fields that differ from their defaults."""
     rest = [(f, getattr(options, f.name)) for f in fields(options)[1:]]
     changed = [f"{f.name}={v!r}" for f, v in rest if (v is not None if f.default is None else v != f.default)]
     return f"{type(options).__name__}({', '.join([*lead, *changed])})"

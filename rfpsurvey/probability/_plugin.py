@@ -1,4 +1,4 @@
-"""Call methods of collision probability of other packages, and functions, and check what they return."""
+"""Call collision-probability methods of other packages, or functions of users, and check their results."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
@@ -26,7 +26,7 @@ SLACK = 1e-9
 def find_method(
     given: str | Callable, known: Iterable[str] = (*METHODS, "auto")
 ) -> tuple[Callable[[ProbabilityQuestion], dict], str]:
-    """Return the function from a question to the fields of an estimate, and what it estimates."""
+    """Return the function that answers a `ProbabilityQuestion`, and its estimand."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given], ESTIMANDS[given]
     plugin = find_function(GROUP, given, known, "method of collision probability")
@@ -37,7 +37,7 @@ def find_method(
 
 
 def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
-    """Return the answer of a plugin to a question, with the fields that all estimates have."""
+    """Return the answer of a plugin to a question, with all fields that an estimate has."""
     targets, precision = question.targets, question.precision
     check_usable(question.focal_plane)
     about = {} if targets is None else {**targets.describe(), "allocator": question.options.name}
@@ -69,7 +69,7 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
         n_effective, width = effective_number(value, error, np.inf), quantile(question.precision.confidence, np.inf)
         if n_effective >= 1 and 0 < value < 1:
             low, high = wilson(value, n_effective, width)
-        else:  # no number of trials has such an error
+        else:  # no number of trials gives such an error
             low, high = max(value - width * error, 0.0), min(value + width * error, 1.0)
     usual = {
         "value_assigned": value,

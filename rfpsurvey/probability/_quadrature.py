@@ -52,7 +52,7 @@ class Quadrature:
         return environments(plane, radius)
 
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
-        """Return the collision probability of positioner i, and its share of the expected number of colliding pairs.
+        """Return the collision probability of positioner i, and its contribution to the expected number of pairs.
 
         There are ``n_points`` points for the positioner and for each of its neighbors.
         """
@@ -92,7 +92,7 @@ class Quadrature:
             probability,
             pair_probability,
         )
-        # a pair of which both move counts for its other positioner, too
+        # if both positioners of a pair can move, half of the pair counts for each of them
         return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
@@ -139,7 +139,7 @@ class Quadrature:
 @cache
 def _net(n_points: int) -> np.ndarray:
     """Return Sobol's points of the unit square as whole numbers of BITS bits."""
-    from scipy.stats import qmc  # takes longer to import than all of this package
+    from scipy.stats import qmc  # importing this takes longer than importing all of this package
 
     points = qmc.Sobol(2, scramble=False, bits=BITS).random(n_points)
     return (points * 2**BITS).astype(np.int64)
@@ -154,7 +154,7 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return value, interval and error, with the number of points that the precision needs."""
+    """Return the value, its interval and error, computed with as many points as the precision requires."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)

@@ -21,10 +21,11 @@ class ProbabilityQuestion:
     """A focal plane, its targets, and the precision of the collision probability that a method computes.
 
     Built-in methods and those of other packages are functions of this object. A method returns an array of float, shape
-    (n_positioners,): the probability of each positioner to be in collision, NaN for those that never count. Or it
-    returns a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``, ``estimand`` and ``seconds``:
-    at least ``per_positioner`` or ``value``; the interval follows from ``standard_error``. The attribute ``estimand``
-    of the method states what it estimates: "independent", the default, or "allocated".
+    (n_positioners,), with the probability that each positioner is in collision, and NaN for positioners that are never
+    counted. It may also return a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``, ``estimand``
+    and ``seconds``. The dict must contain ``per_positioner`` or ``value``; the interval follows from
+    ``standard_error``. The attribute ``estimand`` of the method names the quantity that it estimates: "independent",
+    the default, or "allocated".
 
     Parameters
     ----------
@@ -35,9 +36,9 @@ class ProbabilityQuestion:
     options : AllocationOptions, optional
         How targets are allocated, and whether idle equal-arm positioners are obstacles.
     precision : Precision, optional
-        When iterations end. ``max_iterations`` is a number; ``standard_error`` is None for exactly that many.
+        When iterations end. ``max_iterations`` is a number; if ``standard_error`` is None, exactly this number is done.
     rng : numpy.random.Generator, optional
-        Random number generator. Methods must use no other one, so that estimates are reproducible.
+        Random number generator. Methods must use no other generator, so that estimates are reproducible.
     most_entries : int, optional
         Maximum number of entries of each queue that ``conditional`` uses; None for all.
     density : str, callable, Allocation or list of Allocation, optional
@@ -77,7 +78,7 @@ class ProbabilityQuestion:
 
     @property
     def parked_obstacles(self) -> bool:
-        """Whether idle equal-arm positioners are obstacles and count."""
+        """Whether idle equal-arm positioners are obstacles and are counted."""
         return self.options.parked_obstacles
 
     @cached_property
@@ -91,6 +92,6 @@ class ProbabilityQuestion:
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
         """Function that draws targets with a generator and returns their allocation, with queues.
 
-        The allocation follows the options of the user. None for independent targets.
+        The allocation follows the options of the user. This attribute is None for independent targets.
         """
         return None if self.simulation is None else self.simulation.realize

@@ -46,7 +46,7 @@ def run(
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
-    """Return the tally of all realizations, and its summary, with realizations until the precision is met.
+    """Simulate realizations until the precision is met; return the tally of all realizations, and its summary.
 
     The sizes of tasks and steps depend on the results alone, so that the number of workers has no influence.
     """
@@ -63,7 +63,7 @@ def run(
             means.append(total / used if used else np.nan)
             bar(0.99 * done / goal, note=f"{number_of(done, 'realization')}{note}")
         parts = [tally := merge(parts)]
-        if used == 0 and done < precision.max_iterations:  # no positioner has counted yet
+        if used == 0 and done < precision.max_iterations:  # no positioner has been counted yet
             goal = min(GROWTH * done, precision.max_iterations)
             continue
         summary = summarize(tally, plane, precision, rng, given=given)
@@ -86,10 +86,10 @@ def run(
 
 
 def _fewest(tally, precision):
-    """Return the minimum number of realizations where fewer than half of them have a collision, or no collision.
+    """Return the minimum number of realizations if fewer than half of them have a collision, or fewer have none.
 
-    The estimated error of rare events grows with their number, so that a rule based on it ends early where there are
-    too few of them by chance. A minimum that depends on the precision alone prevents this.
+    The estimated error of rare events grows with their number. A stopping rule based on this error therefore ends too
+    early if there are too few events by chance. A minimum that depends only on the precision prevents this.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -98,11 +98,11 @@ def _fewest(tally, precision):
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
-    """Return value, interval and error of a tally, and the half width that more iterations can reduce.
+    """Return the value, interval and error of a tally, and the half width that more iterations can reduce.
 
-    Where the targets are given, or where for another reason nothing scatters, there is one sky, and the error states
-    how far another patch of such a sky may differ. A plane that is too small to estimate that has no interval, and
-    ``no_interval`` states the reason.
+    If the targets are given, or if realizations do not scatter for another reason, there is only one sky, and the error
+    states how far another patch of such a sky may differ. If the focal plane is too small to estimate this error, there
+    is no interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
@@ -120,7 +120,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
         low, high = INTERVALS["wilson" if one_sky else precision.interval](
             rates, p, number, tally.trials, width, precision.confidence, rng
         )
-    # what iterations can reduce, whatever interval is reported
+    # the error that iterations can reduce, independent of the interval that is reported
     reducible = scatter if given or np.isnan(error) else error
     half = float(np.ptp(wilson(p, effective_number(p, reducible, n), student))) / 2
     if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < min(HITS, n / 2):
@@ -139,9 +139,9 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
 
 
 def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
-    """Return standard error, trials where nothing scatters, and quantile; NaN where the plane is too small.
+    """Return the standard error, number of trials and quantile for one sky; NaN if the plane is too small.
 
-    Without ``single`` there are several skies that are alike: where none (or all) of them collide, each is a trial.
+    Without ``single``, there are several skies with equal results; if these are all 0 or all 1, each sky is a trial.
     """
     variance, degrees = sky_variance(plane, tally.per_positioner)
     n, certain = len(tally.rates()), p in (0.0, 1.0)
@@ -153,15 +153,15 @@ def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
 
 
 def _trials(plane, n):
-    """Return how many independent trials ``n`` positioners are, if the pairs of neighbors were fully correlated."""
+    """Return the number of independent trials in ``n`` positioners if all pairs of neighbors were fully correlated."""
     return n / (1 + 2 * len(plane.arrays.neighbors) / len(plane))
 
 
 def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
-    """Return the mean over positioners and fields, and its interval: how far other fields of the kind may differ.
+    """Return the mean over positioners and fields, and its interval, which includes the scatter between fields.
 
-    Each row of ``probabilities`` is a field, with NaN where a positioner does not count. The ends of the interval are
-    NaN where the fields have too few positioners to estimate their scatter.
+    Each row of ``probabilities`` is a field, with NaN for positioners that are not counted. The ends of the interval
+    are NaN if the fields have too few positioners to estimate their scatter.
     """
     counts = np.array([np.count_nonzero(~np.isnan(probability)) for probability in probabilities])
     n = int(counts.sum())

@@ -1,4 +1,4 @@
-"""Simulation of allocated targets: configuration by configuration, or over all entries of the queues at once."""
+"""Simulation of allocated targets: single configurations, or expected values over all entries of the queues."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,31 +17,31 @@ __all__ = ["Simulation", "Tally", "merge"]
 
 @dataclass(frozen=True)
 class Tally:
-    """Numbers of collisions, a row for each realization, and sums over realizations for each positioner."""
+    """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Columns: (expected) positioners in collision, positioners that count, and both for assigned ones."""
+    """Columns: (expected) positioners in collision, counted positioners, assigned ones in collision, assigned ones."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return the fraction in collision, for realizations in which any count; ``column`` 2: of assigned ones."""
+        """Return the fraction of counted (``column=2``: assigned) positioners in collision, by realization."""
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
     def pair_rates(self) -> np.ndarray:
-        """Number of pairs over the number of positioners that count, for each realization."""
+        """Number of pairs divided by the number of counted positioners, for each realization."""
         return self._ratio(self.pairs, self.colliding[:, 1])
 
     @property
     def trials(self) -> int:
-        """Number of positioners that count, summed over all realizations."""
+        """Number of counted positioners, summed over all realizations."""
         return int(self.counted.sum())
 
     @property
     def per_positioner(self) -> np.ndarray:
-        """Fraction of realizations in which each positioner is in collision, of those in which it counts."""
+        """Fraction of the realizations that count each positioner in which it is in collision."""
         return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
     @staticmethod
@@ -63,7 +63,7 @@ class Simulation:
     source: Source
     options: AllocationOptions
     most_entries: int | None = None
-    """Maximum number of entries of each queue that `expect` uses; None: all."""
+    """Maximum number of entries of each queue that `expect` uses; None means all entries."""
 
     @property
     def compiled(self) -> bool:
@@ -171,7 +171,7 @@ class Simulation:
         return queue_segments(self.plane, self._given)
 
     def realize(self, rng: np.random.Generator) -> Allocation:
-        """Draw targets and allocate them; without an allocator that makes queues there are queues of one."""
+        """Draw targets and allocate them; without queues, each assigned target is treated as a queue of length 1."""
         columns = TargetColumns(priority=self.source.priority, fiber_type=self.source.types)
         allocation = assign(self.plane, self.source.draw(rng), columns, self.options, rng)
         if allocation.queues is not None:

@@ -38,8 +38,9 @@ def surrogate_probability(
 ) -> np.ndarray:
     """Return the collision probability of positioners on a hexagonal lattice without an edge, by interpolation.
 
-    For independent targets, uniform over each patrol area, and right-handed arms from elbow to tip: the result of the
-    method ``quadrature`` of `~rfpsurvey.collision_probability` for a positioner far from the edge. The interpolation is
+    The result approximates that of the method ``quadrature`` of `~rfpsurvey.collision_probability` for a positioner far
+    from the edge. Targets are independent and uniform over each patrol area; arms are right-handed, and the segment
+    from elbow to tip can collide. The interpolation is
     a cubic spline through 3969 quadratures; its errors are in the documentation.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Sources of targets: a random sky, given points, or a function of the user."""
+"""Sources of targets: random targets, given points, or a function of the user."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ FINEST = 700
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Targets in mm: points that are given, a function of the user, or a random sky of ``number`` targets."""
+    """A source of targets in mm: given points, a function of the user, or a random sky of ``number`` targets."""
 
     kind: str
     number: float = 0.0

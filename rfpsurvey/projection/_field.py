@@ -53,7 +53,7 @@ class FieldProjection:
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
     def _apply(self, gnomonic, radial, values, fiber_type, width):
-        """Apply one of two kernels, without or with a radial map, to rows of values."""
+        """Apply a kernel to rows of values: the first one without a radial map, the second one with a radial map."""
         out = np.empty((len(values), width))
         for rows, distortion in self._map_of(fiber_type, len(values)):
             part = values[rows]

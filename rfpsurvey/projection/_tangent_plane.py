@@ -124,7 +124,7 @@ class TangentPlane:
         Parameters
         ----------
         coord : SkyCoord or Catalog
-            Directions, shape (n,) or scalar. A `Catalog` keeps its unit vectors, so that projecting it for many
+            Directions, shape (n,) or scalar. A `Catalog` stores its unit vectors, so that projecting it for many
             fields is fast.
         fiber_type : str or array_like of str, optional
             Fiber type of each direction, if each type has a map of its own; ``""`` and None stand for the first type.

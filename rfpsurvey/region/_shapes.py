@@ -1,6 +1,6 @@
 """Geometry of regions on plain arrays of unit vectors and radians.
 
-Distances are those of a direction from the nearest point of the region; they are 0 inside.
+A distance is that from a direction to the nearest point of the region; it is 0 inside the region.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ __all__ = [
     "polygon_distance",
 ]
 
-# Number of rows times edges that are computed together.
+# Largest product of the numbers of rows and edges that are computed together.
 CHUNK = 2_000_000
 
 
@@ -30,7 +30,7 @@ def from_lonlat(lon, lat) -> np.ndarray:
 
 
 def angle(a, b):
-    """Return angles between unit vectors, accurate also if they are small or close to pi."""
+    """Return angles between unit vectors, which are accurate even if they are small or close to pi."""
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
@@ -54,7 +54,7 @@ def _east_of(begin, vectors):
 
 
 def box_contains(box, vectors):
-    """Return whether directions are inside; the border belongs to the box, as does a pole at which it ends."""
+    """Return whether directions are inside a box; the border belongs to the box, as does a pole on the border."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
     # allow for rounding at either end
@@ -64,7 +64,7 @@ def box_contains(box, vectors):
 
 
 def box_distance(box, vectors):
-    """Return distances, along the meridian if the right ascension is inside the box, otherwise to the nearer side."""
+    """Return distances to a box: along the meridian if the right ascension is inside, otherwise to the nearer side."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
     along = np.maximum(np.maximum(low - dec, dec - high), 0.0)

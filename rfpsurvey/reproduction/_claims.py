@@ -34,7 +34,7 @@ def claims_table(claims: list[Claim]) -> QTable:
 
 
 def claims_page(table: QTable, settings: dict) -> str:
-    """Return the claims as a page of reStructuredText."""
+    """Return a page of reStructuredText with the claims."""
     lines = ["Claims of the paper", "===================", "", "Made by ``rfpsurvey reproduce``: "]
     lines[-1] += ", ".join(f"{key} {value}" for key, value in settings.items()) + "."
     for experiment in dict.fromkeys(np.asarray(table["experiment"])):

@@ -100,5 +100,5 @@ def error_of_fraction(p: float, n: int) -> float:
 
 
 def each(task: Callable, jobs: list, settings: Settings) -> list:
-    """Return the results of all jobs in their order, and show the progress."""
+    """Return the results of all jobs in the order of the jobs, and show the progress."""
     return map_with_progress(settings.executor, settings.progress, "jobs", task, jobs)

@@ -79,7 +79,8 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
     """Return how often each interval contains the truth, for plain and conditional simulation.
 
-    Every repeat runs until the precision is met; the truth comes from a conditional simulation twenty times as precise.
+    Every repeat runs until the precision is met; the true value is estimated by a conditional simulation twenty
+    times as precise.
     """
     repeats = settings.pick(4000, 100) if repeats is None else repeats
     jobs = [

@@ -126,7 +126,7 @@ def _of_differences(table, differences):
 
 
 def _plain(settings):
-    """Return plain simulations with 6000 iterations, as in the paper, and conditional ones."""
+    """Return plain simulations with 6000 iterations, as in the paper, and conditional simulations."""
 
     def run(name):
         seed = [settings.seed, 6000, list(NAMED).index(name)]
@@ -204,7 +204,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
 
 
 def _surrogate(settings):
-    """Compare the surrogate with quadratures for designs in the paper's box that were not used to make it."""
+    """Compare the surrogate with quadratures for designs in the paper's range that were not used for its grid."""
     rng = np.random.default_rng([settings.seed, 300])
     n = settings.pick(300, 20)
     l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1.0), (14.5, 2, 35, 7.0), (n, 4)).T

@@ -82,7 +82,7 @@ def _row(arms, rings, number, sky, settings):
     values, low, high, errors = (np.array([f[k] for f in found]) for k in ("value", "low", "high", "standard_error"))
     some = np.isfinite(low)
     n = int(np.count_nonzero(some))
-    if n < skies / 2:  # intervals of few skies are a selection
+    if n < skies / 2:  # intervals that exist for only a few skies are a selection
         return (arms, len(plane), number, sky, truth, float(values.std()), *[np.nan] * 4, n / len(found), skies)
     held = float(np.mean((low <= truth) & (truth <= high), where=some))
     error, half_width = float(np.sqrt(np.mean(errors[some] ** 2))), float(np.mean((high - low)[some]) / 2)
@@ -103,7 +103,7 @@ def _row(arms, rings, number, sky, settings):
 
 
 def _clustered(n_targets, radius, size, scale):
-    """Return a sampler of targets in clusters, of which the centers are uniform and the sizes Poisson distributed."""
+    """Return a sampler of targets in clusters; cluster centers are uniform, and cluster sizes Poisson distributed."""
     wide = radius + 4 * scale
 
     def sampler(rng):

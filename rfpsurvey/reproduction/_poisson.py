@@ -47,11 +47,11 @@ RATIOS = (1.0, 1.25, 1.5, 2.0)
 def poisson(
     settings: Settings, table: QTable | None = None, *, discs: dict[str, float] = DISCS
 ) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return estimates for every reading of Poisson-distributed targets, and the difference to uniform ones.
+    """Return estimates for every reading of Poisson-distributed targets, and the differences from uniform targets.
 
     The table ``poisson`` has a row for each design, the last one LAMOST's; ``poisson_disc`` has a row for each minimum
-    separation, with the drop against uniform targets in several averages. Without ``discs`` it has none: sets of discs
-    take most of the time.
+    separation, with the drop compared with uniform targets in several averages. Without ``discs``, ``poisson_disc`` has
+    no rows, because most of the time is spent on these targets.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]
@@ -97,13 +97,13 @@ def poisson(
 
 
 def _averages(table, name):
-    """Return the rows of a table with a reading, and the percentage by which uniform targets collide more, by design.
+    """Return the rows of a table with a reading, and the drop for each design: how much more uniform targets collide.
 
-    Rows of the second result are the drop of each design and its standard error.
+    The rows of the second result are the drops (percent) and their standard errors.
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
-    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # else no ratio
+    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # else no drop
     drop = 100 * (uniform / own - 1)
     return part, np.array([drop, (100 + drop) * np.hypot(error / uniform, own_error / own)])
 

@@ -67,7 +67,7 @@ def reproduce(
     folder : str or path, optional
         Folder of the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); created if it is missing.
     quick : bool, optional
-        Whether to use few designs, repeats and iterations, which tests the code, not the claims.
+        Whether to use few designs, repeats and iterations, which tests only the code, not the claims.
     workers : int, optional
         Number of threads, by default the number of cores. Results do not depend on it.
     rng : int, optional
@@ -115,7 +115,7 @@ def reproduce(
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
-            if name in ("fit", "poisson") and "large" in made:  # the designs are there
+            if name in ("fit", "poisson") and "large" in made:  # the designs exist
                 run = partial(run, table=made["large"])
             tables, own = run(settings)
             made.update(tables)
