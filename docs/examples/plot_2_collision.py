@@ -22,7 +22,7 @@ depth = -worst["clearance"]
 print(f"{worst['id']} and {worst['colliding_with']} are closer than the minimum separation, by {depth:.2f}")
 
 # %%
-# Arms collide where their shaded areas overlap. Green dots are all stars.
+# Arms collide where their shaded areas overlap. All stars are drawn as green dots.
 
 position = u.Quantity([worst["x"], worst["y"]])
 region = u.Quantity([position - 45 * u.mm, position + 45 * u.mm])

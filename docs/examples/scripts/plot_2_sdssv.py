@@ -2,7 +2,8 @@
 SDSS-V: bright stars first
 ==========================
 
-Tycho-2 stars in three classes of priority, and two visits for the brightest ones, with 500 fibers at Apache Point.
+This script plans a survey of Tycho-2 stars with 500 fibers at Apache Point. The stars have three classes of priority,
+and the brightest stars require two visits.
 """
 
 import astropy.units as u
@@ -15,11 +16,12 @@ table = rs.example_catalog("anticenter").within("95 23", 4 * u.deg).to_table()
 magnitude = table["vt_mag"].to_value(u.mag)
 # A larger priority is more important: no number of stars of a lower class outweighs one star of a higher class.
 table["priority"] = np.select([magnitude < 9, magnitude < 11], [3, 2], 1)
-# Two visits are two tiles, since a tile observes a star once.
+# Two visits require two tiles, since a tile observes a star at most once.
 table["visits"] = np.where(magnitude < 9, 2, 1)
 stars = rs.Catalog.from_table(table)
 
-# Four coverings of the field. Each is shifted against the others, so that its gaps between fibers are elsewhere.
+# Four coverings of the field are shifted against each other, so that the gaps between fibers are at different
+# positions.
 tiles = rs.place_tiles(stars, "sdss_apo", method="hexagonal", passes=4)
 print(tiles)
 

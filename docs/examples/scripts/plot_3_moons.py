@@ -12,18 +12,19 @@ import numpy as np
 import rfpsurvey as rs
 
 moons = rs.Instrument.preset("moons")
-# Clusters of 10 galaxies on average within some 0.01 deg, far more galaxies than fibers.
+# The galaxies form clusters of 10 on average within some 0.01 deg. There are far more galaxies than fibers.
 center = "150.1 +2.2"
 galaxies = rs.synthetic_catalog(
     "clustered", center, 0.6 * u.deg, density=12_000 / u.deg**2, cluster_size=10, cluster_scale=0.01 * u.deg, rng=1
 )
 
-# How many positioners reach each galaxy of one field? A galaxy that several reach leaves the allocator a choice.
+# How many positioners reach each galaxy of one field? If several positioners reach a galaxy, the allocator has a
+# choice.
 xy = moons.projection(center).to_focal_plane(galaxies.within(center, moons.field_radius)).to_value(u.mm)
 reaching = np.bincount(np.diff(moons.focal_plane.arrays.reach(xy).indptr))
 print("galaxies that 0, 1, 2, ... positioners reach:", *reaching)
 
-# The rule of LAMOST assigns the nearest galaxies and ignores collisions. "optimal" uses the choice: it proves that no
+# The rule of LAMOST assigns the nearest galaxies and ignores collisions. "optimal" uses this choice, and proves that no
 # other plan of the tile without collisions observes more galaxies.
 tiles = rs.place_tiles(rs.Region.cap(center, 0.5 * u.deg), moons, passes=2)
 surveys = {name: rs.plan_survey(galaxies, moons, tiles, allocator=name) for name in ("lamost", "optimal")}

@@ -2,7 +2,8 @@
 DESI: several visits
 ====================
 
-Three classes of synthetic targets over 50 square degrees, with one, two or four visits each, on 5000 fibers.
+This script plans a survey of synthetic targets over 50 square degrees with 5000 fibers. There are three classes of
+targets, which require one, two or four visits.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +16,8 @@ import rfpsurvey as rs
 
 center, rng = "150 +10", np.random.default_rng(1)
 sky = rs.synthetic_catalog("poisson", center, 4 * u.deg, density=2400 / u.deg**2, rng=rng)
-# Quasars are rare, come first and need four visits; the many emission-line galaxies (ELG) fill the other fibers.
+# Quasars are rare, have the highest priority and require four visits; the many emission-line galaxies (ELG) fill the
+# other fibers.
 category = rng.choice(["QSO", "LRG", "ELG"], len(sky), p=[0.1, 0.25, 0.65])
 first, second = category == "QSO", category == "LRG"
 priority, visits = np.select([first, second], [3, 2], 1), np.select([first, second], [4, 2], 1)
