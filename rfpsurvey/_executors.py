@@ -59,7 +59,7 @@ def _end_after(parent) -> None:
 
 @dataclass(frozen=True)
 class _InWorker:
-    """A function that first makes its worker process end with the parent process."""
+    """A function for a worker process; its first call makes the process end when the parent process ends."""
 
     function: Callable
 

@@ -181,7 +181,9 @@ VisitsOption = Annotated[
 SomePassesOption = Annotated[
     list[int] | None, typer.Option("--pass", help="Pass of the tiling to plan; may be repeated, in this order.")
 ]
-LostOption = Annotated[bool, typer.Option("--lost/--kept", help="Count targets whose arms collide as not observed.")]
+LostOption = Annotated[
+    bool, typer.Option("--lost/--kept", help="Count a target as not observed if its positioner collides.")
+]
 OrderOption = Annotated[
     str,
     typer.Option(

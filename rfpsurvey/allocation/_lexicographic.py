@@ -1,4 +1,4 @@
-"""Optimize objectives in strict order: each objective is proven before the next one is considered."""
+"""Optimize objectives in strict order: the optimum of each is proven before the next one is considered."""
 
 from time import perf_counter
 from typing import NamedTuple

@@ -112,8 +112,8 @@ def check_arms(plane, posed):
     away = np.hypot(*(posed.elbow - plane.arrays.xy).T) > plane.arrays.central_arm * (1 + 1e-9) + arms.EQUAL_ARMS
     if away.any():
         raise InputError(
-            f"the arms are those of another focal plane: {int(away.sum())} elbows are farther than the central arm is "
-            "long from their center"
+            f"the arms are those of another focal plane: {int(away.sum())} elbows are farther from their "
+            "center than the length of the central arm"
         )
 
 

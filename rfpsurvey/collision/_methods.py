@@ -27,7 +27,7 @@ class Configuration:
 
 
 class Found(NamedTuple):
-    """Colliding pairs, first < second, in any order, their distances (mm), and the number of borderline pairs."""
+    """Colliding pairs (first < second in each, not sorted), their distances (mm), and the number of borderline ones."""
 
     first: np.ndarray
     second: np.ndarray

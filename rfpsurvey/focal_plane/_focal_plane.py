@@ -138,7 +138,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the targets are not lengths of this shape, or a fiber type is not one of those of the focal plane.
+            If ``xy`` does not have a unit of length or this shape, or the focal plane lacks one of the fiber types.
         """
         return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
 

@@ -18,7 +18,7 @@ N_PIECES = 8
 """Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""A field has a shape if its radius differs from that of the shape by less than this fraction on average."""
+"""A field is called a circle (or another shape) if their radii differ by less than this fraction on average."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",

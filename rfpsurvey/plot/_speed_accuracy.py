@@ -194,7 +194,7 @@ def _draw_errors(ax, part, method, style, options):
 
 
 def _bars(values, uncertain):
-    """Return the downward and upward lengths of bars that stay above zero, as older versions of matplotlib require."""
+    """Return the lower and upper lengths of error bars that end above zero, which older versions of matplotlib need."""
     return [np.minimum(uncertain, 0.9 * values).tolist(), uncertain.tolist()]
 
 

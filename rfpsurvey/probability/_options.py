@@ -153,7 +153,7 @@ class Precision:
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
     def for_method(self, name: str) -> "Precision":
-        """Return the precision with the maximum number of iterations of a method, and the default standard error.
+        """Return the same options, with the defaults of a method for those that are not given.
 
         Parameters
         ----------

@@ -118,7 +118,7 @@ class Done(NamedTuple):
     visits: np.ndarray | None
     """The visits as an array, otherwise."""
     target: np.ndarray
-    """Index in the field of the target of each visit; -1 for blank sky."""
+    """For each visit, the index of its target among those of the field; -1 for blank sky."""
     observed: np.ndarray
     in_reach: np.ndarray
     """Whether at least one positioner reaches each target of the field."""

@@ -96,7 +96,7 @@ class Centers:
 
     @property
     def vectors(self) -> np.ndarray | None:
-        """The list as distinct unit vectors; None without a list."""
+        """The distinct centers of the list as unit vectors, or None if no list was given."""
         if self.tiling is None:
             return None
         places = place_of(self.tiling.table["ra"].value, self.tiling.table["dec"].value)

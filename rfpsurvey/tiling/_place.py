@@ -306,7 +306,9 @@ def _wanted(catalog, visits, exclude):
         wanted[catalog.kind != "science"] = 0
     wanted[in_any(exclude, catalog.arrays.vectors)] = 0
     if not wanted.any():
-        raise InputError("the catalog must have at least one science target outside of exclude that wants a visit")
+        raise InputError(
+            "the catalog must have at least one science target that requires a visit and lies outside of exclude"
+        )
     return wanted
 
 
