@@ -341,7 +341,10 @@ def test_few_targets(method, coord):
         ({"allocator": "lamost"}, "an allocator needs the positioners of an instrument"),
         ({"visits": [1, 2]}, "visits must be one number or have the shape"),
         ({"visits": 0}, "at least one science target that requires a visit and lies outside of exclude"),
-        ({"exclude": rs.Region.whole_sky()}, "at least one science target that requires a visit and lies outside of exclude"),
+        (
+            {"exclude": rs.Region.whole_sky()},
+            "at least one science target that requires a visit and lies outside of exclude",
+        ),
         ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
         (
             {"instrument": "lamost", "allocator": "lamost", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
