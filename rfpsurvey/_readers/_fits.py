@@ -12,7 +12,7 @@ from astropy.table import QTable
 from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["META_KEY", "read_fits", "read_fits_bytes"]
+__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes"]
 
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
@@ -38,6 +38,26 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
     if len(table) != n_rows:
         raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")
     return table
+
+
+def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
+    """Return the keywords of the first header of a FITS file, and all tables of the file, in which text is bytes.
+
+    The meta of each table has the keywords of its header.
+    """
+    from astropy.io import fits
+
+    with open_content(path) as file:
+        found = [_read(file, at) for at in _find_tables(file, path)]
+        file.seek(0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with fits.open(file, memmap=False, lazy_load_hdus=True) as units:
+                header = dict(units[0].header)
+    for table, n_rows in found:
+        if len(table) != n_rows:
+            raise InputError(f"{path}: each table must have the rows of its header ({n_rows}), got {len(table)}")
+    return header, [table for table, _ in found]
 
 
 def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
