@@ -48,12 +48,13 @@ def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
     from astropy.io import fits
 
     with open_content(path) as file:
-        found = [_read(file, at) for at in _find_tables(file, path)]
+        numbers = _find_tables(file, path)
         file.seek(0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with fits.open(file, memmap=False, lazy_load_hdus=True) as units:
+            warnings.simplefilter("ignore")  # as in _read
+            with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
                 header = dict(units[0].header)
+                found = [_table_of(units[at]) for at in numbers]
     for table, n_rows in found:
         if len(table) != n_rows:
             raise InputError(f"{path}: each table must have the rows of its header ({n_rows}), got {len(table)}")
@@ -68,9 +69,11 @@ def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warnings about nonstandard cards, and about units, which are checked on use
         with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
-            unit = units[at]
-            table = QTable.read(unit, format="fits", mask_invalid=False)
-            return table, unit.header["NAXIS2"]
+            return _table_of(units[at])
+
+
+def _table_of(unit) -> tuple[QTable, int]:
+    return QTable.read(unit, format="fits", mask_invalid=False), unit.header["NAXIS2"]
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
