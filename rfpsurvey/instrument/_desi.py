@@ -119,9 +119,6 @@ def _from_model(preset, table, path, state, exclusions, moment):
         phi_range=-np.column_stack([angles["MAX_P"], angles["MIN_P"]]) * u.deg,
         **columns,
     )
-    unequal = np.count_nonzero(~plane.arrays.equal_arms)
-    if unequal:
-        notes.append(f"{unequal} positioners have arms of unequal length and are not parked when they are idle.")
     entries |= {
         "layout.centers": _entry(len(ids), path, "OFFSET_X and OFFSET_Y of rows of the type POS"),
         "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL"),
