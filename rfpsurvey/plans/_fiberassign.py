@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._io import WRITABLE, check_fits_text, output_path, suffix_of
+from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import read_tables
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError
@@ -123,7 +123,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     header = _header(plan)
     columns = _columns(plan, header)
     shared = {name: header[name] for name in SHARED if name in header}
-    with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
+    with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
         primary = fits.PrimaryHDU()
         _add(primary.header, header, path)
         units = [primary, _to_hdu("FIBERASSIGN", columns, shared, path)]
