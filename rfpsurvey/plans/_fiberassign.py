@@ -17,7 +17,7 @@ from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import read_tables
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError
-from rfpsurvey.plans._plan import make_plan
+from rfpsurvey.plans._plan import make_plan, text_of_lost
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -34,13 +34,15 @@ TYPES = {
     "PMRA": "f4",
     "PMDEC": "f4",
     "REF_EPOCH": "f4",
+    "LAMBDA_REF": "f4",
+    "FA_TARGET": "i8",
     "FA_TYPE": "u1",
     "OBJTYPE": "U3",
     "FIBERASSIGN_X": "f4",
     "FIBERASSIGN_Y": "f4",
     "PRIORITY": "i4",
 }
-"""Columns of FIBERASSIGN that this package interprets, with the types in which they are written."""
+"""Columns of a new file, with their types."""
 UNITS = {"TARGET_RA": u.deg, "TARGET_DEC": u.deg, "PMRA": u.mas / u.yr, "PMDEC": u.mas / u.yr}
 UNITS |= {"FIBERASSIGN_X": u.mm, "FIBERASSIGN_Y": u.mm}
 REQUIRED = ("LOCATION", "TARGETID", "FIBERSTATUS", "TARGET_RA", "TARGET_DEC", "FIBERASSIGN_X", "FIBERASSIGN_Y")
@@ -59,6 +61,7 @@ COMMON = {
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
+LAMBDA_REF = 5400.0  # Angstrom; all files of DESI have this value
 MOST_DEVICE, N_PETALS = 542, 10
 POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
 SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
@@ -79,7 +82,7 @@ def recognizes(path: Path) -> bool:
 
 
 def read(path: Path) -> QTable:
-    """Return the plan in a file; the tables other than FIBERASSIGN are in the entry ``extensions`` of its meta."""
+    """Return the plan in a file; its other tables are in the entry ``extensions`` of the meta."""
     header, tables = read_tables(path)
     found = [table for table in tables if table.meta.get("EXTNAME") == "FIBERASSIGN"]
     if not found:
@@ -110,6 +113,7 @@ def read(path: Path) -> QTable:
         position_angle=_opposite(_angle(header, "FIELDROT", path)),
         epoch=_epoch(values.get("REF_EPOCH")),
     )
+    plan.meta["columns"] = list(table.colnames)
     plan.meta["extensions"] = [one for one in tables if one is not table]
     return plan
 
@@ -135,11 +139,9 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 def lost(plan: QTable) -> list[str]:
     """Return what a file of fiberassign cannot hold."""
-    found = ["joint angles"] if "theta" in plan.colnames else []
-    if plan.meta.get("format") != "fiberassign":
-        known = {*COMMON, *TYPES, "fiber_type", "kind", "assigned", "theta", "phi", "spectrograph"}
-        found += [f"the column {name}" for name in plan.colnames if name not in known]
-    return found
+    known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
+    names = [name for name in plan.colnames if name not in known]
+    return text_of_lost([name for name in names if not _is_own(plan) or name in ("theta", "phi")])
 
 
 def _column(table, name, path) -> np.ndarray:
@@ -207,12 +209,12 @@ def _epoch(years):
 
 
 def _header(plan) -> dict:
-    """Return the keywords of the first header."""
+    """Return the keywords of the first header; those of a plan of another format are the least that is required."""
     header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
     for name, entry in POINTING.items():
-        if plan.meta.get(entry) is not None:
+        if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
             header[name] = plan.meta[entry]
-    if plan.meta.get("position_angle") is not None:
+    if plan.meta.get("position_angle") is not None and ("FIELDROT" in header or not _is_own(plan)):
         header["FIELDROT"] = 0.0 - plan.meta["position_angle"]
     return header
 
@@ -222,13 +224,13 @@ def _is_own(plan) -> bool:
 
 
 def _columns(plan, header) -> dict:
-    """Return the columns of FIBERASSIGN, first those that this package interprets."""
+    """Return the columns of FIBERASSIGN in the order of the file from which the plan was read."""
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan)
     bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")
     words = np.where(bits == SKY, "SKY", np.where(bits > 0, "TGT", ""))
     common = {name: plan[one] for one, name in COMMON.items() if one in plan.colnames}
-    common |= {"LOCATION": location, "FIBERASSIGN_X": -plan["x"]}
+    common["FIBERASSIGN_X"] = -plan["x"]
     if _is_own(plan):
         found = {name: plan[name] for name in plan.colnames if name not in (*COMMON, "fiber_type", "kind", "assigned")}
         found |= common
@@ -248,6 +250,8 @@ def _columns(plan, header) -> dict:
             "DEVICE_LOC": location % 1000,
             "FIBER": np.full(n, -1),
             "FIBERSTATUS": np.where(assigned, 0, UNASSIGNED),
+            "LAMBDA_REF": np.full(n, LAMBDA_REF),
+            "FA_TARGET": np.zeros(n),
             "FA_TYPE": np.where(assigned & (bits == 0), SCIENCE, bits),
             "OBJTYPE": np.where(assigned & (bits == 0), "TGT", words),
             "PMRA": np.zeros(n),
@@ -259,7 +263,8 @@ def _columns(plan, header) -> dict:
         } | common
         found["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"])
         found = {name: _typed(column, TYPES[name], UNITS.get(name)) for name, column in found.items()}
-    return {name: found[name] for name in [*(n for n in TYPES if n in found), *(n for n in found if n not in TYPES)]}
+    order = dict.fromkeys([*plan.meta.get("columns", TYPES), *found])
+    return {name: found[name] for name in order if name in found}
 
 
 def _locations(plan) -> np.ndarray:
