@@ -9,6 +9,7 @@ from shapely import LineString
 
 import rfpsurvey as rs
 from oracles import in_annulus
+from rfpsurvey.collision import place_arms
 
 MM, DEG = u.mm, u.deg
 APO = rs.Instrument.preset("sdss_apo")
@@ -287,3 +288,50 @@ def test_kinematics_refuse_bad_input():
         plane.inverse([[0, 0]] * MM)
     with pytest.raises(rs.InputError, match="fiber_type must be one name or have the shape .60,., got .2,."):
         plane.forward(angles, angles, ["A", "B"])
+
+
+@pytest.mark.parametrize("allocator", ["optimal", "repair", "balanced"])
+def test_plans_use_the_place_of_each_fiber(allocator):
+    plane, rng = random_plane(), np.random.default_rng(6)
+    points, types = rng.uniform(-20, 180, (300, 2)) * MM, rng.choice(["A", "B", ""], 300)
+    n_sky = 0
+    for kind in ("sky@A", "sky@B"):
+        options = {"requirements": [f"{kind}=20"], "sky_separation": 3 * MM} if allocator != "balanced" else {}
+        plan = rs.allocate(plane, points, fiber_type=types, allocator=rs.AllocationOptions(allocator, **options))
+        used = np.flatnonzero(plan.target_of_positioner >= 0)
+        n_sky += int((plan.target_of_positioner >= plan.n_given).sum())
+        for i in used.tolist():
+            name = str(plan.fiber_type[i])
+            asked = plan.target_fiber_type[plan.target_of_positioner[i]]
+            assert name == (asked or plane.arrays.first_type[i])
+            length = np.hypot(*plane.fiber_xy[name].value[i])
+            assert in_annulus(plan.tips.value[i], plane.xy.value[i], plane.central_arm.value[i], length)
+        theta, phi = plane.inverse(plan.tips, np.where(plan.fiber_type == "", plane.arrays.first_type, plan.fiber_type))
+        elbow, end = by_hand(plane, theta.value, phi.value, [14.7, 0.0])
+        arms = [LineString([(elbow[i].real, elbow[i].imag), (end[i].real, end[i].imag)]) for i in used]
+        hits = sum(a.distance(b) < 4 for k, a in enumerate(arms) for b in arms[:k])
+        assert hits == len(rs.find_collisions(plane, plan).pairs)
+        assert (hits == 0) == (allocator != "balanced")
+    assert n_sky > 10 or allocator == "balanced"
+
+
+def test_idle_arms_do_not_depend_on_the_fiber_type_that_is_named():
+    angles = np.full((60, 2), np.nan) * DEG
+    angles[7] = [20, 80] * DEG
+    plane = random_plane(stuck=angles)
+    nowhere = np.full((60, 2), np.nan) * MM
+    for name in ("A", "B"):
+        report = rs.find_collisions(plane, nowhere, fiber_type=np.full(60, name))
+        assert len(report.pairs) == 0
+        posed = place_arms(plane, nowhere, fiber_type=np.full(60, name))
+        _, end = by_hand(plane, *np.full((2, 60), [[20.0], [80.0]]), [14.7, 0.0])
+        np.testing.assert_allclose(posed.segments[7, 2:], [end[7].real, end[7].imag], atol=1e-9)
+
+
+def test_counts_of_configurations_with_other_fibers():
+    plane, rng = random_plane(), np.random.default_rng(7)
+    names = np.full(60, "B")
+    tips = [plane.forward(rng.uniform(0, 360, 60) * DEG, rng.uniform(20, 160, 60) * DEG, "B") for _ in range(5)]
+    counts = rs.count_collisions(plane, u.Quantity(tips), fiber_type=names)
+    assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
+    assert counts.n_pairs.sum() > 20
