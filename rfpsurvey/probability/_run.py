@@ -29,8 +29,8 @@ number of all other realizations.
 FLOOR = 4.0
 """Factor of the minimum number of realizations if collisions are rare.
 
-The number is this factor, divided by the precision and multiplied by the rate that one colliding pair causes. With fewer
-realizations, simulations without a collision would end early, and the mean of many estimates would be too low.
+The number is this factor, divided by the precision and multiplied by the rate that one colliding pair causes. With
+fewer realizations, simulations without a collision would end early, and the mean of many estimates would be too low.
 """
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that a further step is rarely needed."""
