@@ -28,6 +28,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
+from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
 from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
@@ -225,6 +226,10 @@ class Instrument:
             If the file does not exist or is not a valid description of an instrument.
         """
         path = to_path(path)
+        if path.is_dir():
+            files = find_pfs_files(path)
+            if files is not None:
+                return cls.from_pfs(**files)
         try:
             return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:
@@ -234,6 +239,46 @@ class Instrument:
             raise InputError(
                 f"{path}: the description must be one of an instrument, got what fails with {what}"
             ) from error
+
+    @classmethod
+    def from_pfs(
+        cls,
+        dots: str | os.PathLike,
+        *,
+        fiducials: str | os.PathLike | None = None,
+        interference: str | os.PathLike | None = None,
+        cobras: str | os.PathLike | list | None = None,
+    ) -> "Instrument":
+        """Read PFS as built from files of the observatory.
+
+        The ids of the positioners are the cobraIds, 1 to 2394. Values that the files do not contain are those of the
+        preset ``pfs``.
+
+        Parameters
+        ----------
+        dots : str or path-like
+            File of the dots (``black_dots_mm*.csv``) with the columns ``spotId``, ``x``, ``y`` and ``r``, or a folder
+            with this file and, optionally, the others. Targets behind a dot are out of reach.
+        fiducials : str or path-like, optional
+            File of the fiducials (``fiducial_positions*.csv``), which are obstacles of radius 0.
+        interference : str or path-like, optional
+            File of the cobras whose joints a fiducial limits (``cobraInterference*.csv``).
+        cobras : str, path-like or list of them, optional
+            Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without it, a
+            center is the position of the cobra's dot minus the mean offset of the dots from the nominal centers, and
+            arms and joint limits are nominal.
+
+        Returns
+        -------
+        Instrument
+            The instrument; its ``notes`` list what was read.
+
+        Raises
+        ------
+        InputError
+            If a file is incomplete, lacks a column, or has values that cannot be those of PFS.
+        """
+        return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
 
     def facts(self) -> dict:
         """Return facts derived from the description: numbers of fibers, field, patrol areas and their overlap.
@@ -292,6 +337,8 @@ class Instrument:
             columns += [arrays.joints.theta_zero, arrays.joints.phi_zero, arrays.joints.limits]
         if arrays.fibers is not None:
             columns += [arrays.fibers.length, arrays.fibers.angle]
+        if len(arrays.hidden):
+            columns += [arrays.hidden]
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}
