@@ -56,6 +56,9 @@ class FocalPlane:
         mechanical axis of the eccentric arm at phi = 0; 0 by default.
     theta_range, phi_range : Quantity, shape (n, 2), optional
         Joint limits of each positioner; NaN where those of ``positioner`` apply.
+    hidden : Quantity, shape (k, 3), optional
+        Circles (x, y, radius) where fibers receive no light, such as those behind dots. Targets inside are out of
+        reach; arms may cover these circles. Collision probabilities do not take them into account.
 
     Raises
     ------
@@ -96,6 +99,7 @@ class FocalPlane:
     zero_points: u.Quantity | None = None
     theta_range: u.Quantity | None = None
     phi_range: u.Quantity | None = None
+    hidden: u.Quantity | None = None
 
     def __post_init__(self):
         check_columns(self)
