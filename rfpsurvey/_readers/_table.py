@@ -29,7 +29,7 @@ FORMATS = {
 
 
 def _read_text(path: Path) -> Table:
-    from rfpsurvey._readers import _text  # imported on first use, like the reader of VOTables
+    from rfpsurvey._readers import _text  # the reader is imported on first use, like that of VOTables
 
     return _text.read_csv(path) if FORMATS[suffix_of(path)] == "ascii.csv" else _text.read_ecsv(path)
 
@@ -131,7 +131,7 @@ def _keywords(header: dict) -> dict:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except ValueError:  # the name contains a NUL
+    except ValueError:  # the path contains a null character
         return False
 
 

@@ -2,6 +2,7 @@
 
 from copy import copy
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -52,6 +53,8 @@ class FocalPlaneArrays:
         Whether each positioner cannot move.
     obstacles : ndarray of float, shape (m, 3)
         Circles (x, y, radius) that no arm may touch, mm.
+    hidden : ndarray of float, shape (k, 3)
+        Circles (x, y, radius) where fibers receive no light, mm.
     first_type : ndarray of str, shape (n,)
         Fiber type that each positioner uses by default.
     first_index : ndarray of int, shape (n,)
@@ -155,6 +158,27 @@ class FocalPlaneArrays:
         return locked(np.empty((0, 3)) if plane.obstacles is None else to_mm(plane.obstacles, "obstacles"))
 
     @cached_property
+    def hidden(self) -> np.ndarray:
+        plane = self.plane
+        return locked(np.empty((0, 3)) if plane.hidden is None else to_mm(plane.hidden, "hidden"))
+
+    def is_hidden(self, points: np.ndarray) -> np.ndarray:
+        """Return whether each point (mm) is in one of the circles ``hidden``."""
+        found = np.zeros(len(points), dtype=bool)
+        if len(self.hidden):
+            rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+            near = self._hidden_tree.query_ball_point(points[rows], self.hidden[:, 2].max())
+            size = np.fromiter(map(len, near), dtype=np.int64, count=len(rows))
+            point = np.repeat(rows, size)
+            circle = self.hidden[np.fromiter(chain.from_iterable(near), dtype=np.int64, count=size.sum())]
+            found[point[((points[point] - circle[:, :2]) ** 2).sum(axis=1) <= circle[:, 2] ** 2]] = True
+        return found
+
+    @cached_property
+    def _hidden_tree(self) -> cKDTree:
+        return cKDTree(self.hidden[:, :2])
+
+    @cached_property
     def first_type(self) -> np.ndarray:
         return locked(np.array([row.split("+")[0] for row in self.plane.fiber_type]))
 
@@ -229,6 +253,8 @@ class FocalPlaneArrays:
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
         """Return the pairs of positioners and targets (mm) within reach."""
+        if len(self.hidden):
+            points = np.where(self.is_hidden(points)[:, None], np.nan, points)
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
     def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:

@@ -10,7 +10,6 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
-from astropy.time import Time
 
 from rfpsurvey._display import to_html
 from rfpsurvey._io import to_path
@@ -26,7 +25,8 @@ from rfpsurvey.errors import (
     warn,
 )
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import _description, _desi
+from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
 from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
@@ -39,7 +39,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class Instrument(AsBuilt):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -226,8 +226,10 @@ class Instrument:
             If the file does not exist or is not a valid description of an instrument.
         """
         path = to_path(path)
-        if path.exists() and path.suffix.lower() != ".toml" and _desi.recognizes(path):
-            return cls.from_desi(path)
+        if path.exists() and path.suffix.lower() != ".toml":
+            found = cls._read_as_built(path)
+            if found is not None:
+                return found
         try:
             return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:
@@ -237,54 +239,6 @@ class Instrument:
             raise InputError(
                 f"{path}: the description must be one of an instrument, got what fails with {what}"
             ) from error
-
-    @classmethod
-    def from_desi(
-        cls,
-        path: str | os.PathLike,
-        *,
-        state: str | os.PathLike | None = None,
-        exclusions: str | os.PathLike | None = None,
-        time: Time | str | None = None,
-    ) -> "Instrument":
-        """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
-
-        Clearance, optics and requirements that the files do not contain are those of the preset ``desi``. The x axis
-        is reversed, because +x is west in the files.
-
-        Parameters
-        ----------
-        path : str or path-like
-            Path of ``fp-metrology.csv`` or of ``desi-focalplane_DATE.ecsv``, or a folder with focal planes and the
-            files of their states and exclusions.
-        state : str or path-like, optional
-            Path of ``desi-state_DATE.ecsv``, a log of stuck, broken and restricted positioners. Without it, all
-            positioners of a focal plane count as working.
-        exclusions : str or path-like, optional
-            Path of ``desi-exclusion_DATE.json`` (or ``.yaml``). The clearance becomes the median of the half widths
-            of the phi polygons.
-        time : Time or str, optional
-            Time of the state, in UTC; by default the last event applies.
-
-        Returns
-        -------
-        Instrument
-            The instrument. Its ``notes`` count the rows that are not used.
-
-        Raises
-        ------
-        InputError
-            If a file cannot be read, a column is missing or has values that are not valid, identifiers are not
-            unique, or there is no focal plane or event at that time.
-
-        Examples
-        --------
-        >>> import rfpsurvey as rs
-        >>> desi = rs.Instrument.from_desi("fp-metrology.csv.gz")  # doctest: +SKIP
-        >>> desi.layout, len(desi.focal_plane)  # doctest: +SKIP
-        ('as built', 5000)
-        """
-        return _desi.read(cls.preset("desi"), path, state=state, exclusions=exclusions, time=time)
 
     def facts(self) -> dict:
         """Return facts derived from the description: numbers of fibers, field, patrol areas and their overlap.
