@@ -163,6 +163,7 @@ def test_a_tile_can_be_planned_with_measured_arms(folder):
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=600 / u.deg**2, rng=5)
     tile = rs.plan_tile(sky, desi, center)
     assert tile.summary["n_assigned"] > 100
+    assert tile.summary["n_parked"] == len(desi.focal_plane) - tile.summary["n_assigned"]
     assert_allclose(
         desi.focal_plane.forward(tile.table["theta"], tile.table["phi"])[tile.table["status"] == "assigned"],
         np.column_stack([tile.table["tip_x"], tile.table["tip_y"]])[tile.table["status"] == "assigned"],
