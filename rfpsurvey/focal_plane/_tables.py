@@ -1,4 +1,4 @@
-"""A focal plane as a table with a row for each positioner and each obstacle."""
+"""Conversion of a focal plane to and from a table with a row for each positioner and each obstacle."""
 
 from dataclasses import fields
 
@@ -14,7 +14,7 @@ __all__ = ["read_columns", "to_table"]
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
-    """Return the arguments of a FocalPlane from a table."""
+    """Return the arguments of `FocalPlane` for a table."""
     if not isinstance(table, Table):
         raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
@@ -44,7 +44,7 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
 
 
 def to_table(plane) -> QTable:
-    """Return a table with the columns of a focal plane, and the positioner in the meta."""
+    """Return a table with the columns of a focal plane and with the positioner in its ``meta``."""
     n, m = len(plane), len(plane.arrays.obstacles)
     circles = plane.arrays.obstacles
     table = QTable({"id": np.concatenate([plane.id, _spare_names(plane.id, m)])})
@@ -80,7 +80,7 @@ def _quantity(table, name, unit):
 
 
 def _spare_names(ids, m):
-    """Return identifiers for obstacles that differ from those of all positioners."""
+    """Return identifiers for obstacles that differ from the identifiers of all positioners."""
     if ids.dtype.kind == "i":
         return ids.max() + 1 + np.arange(m)
     taken, prefix = set(ids.tolist()), "obstacle-"
@@ -90,7 +90,7 @@ def _spare_names(ids, m):
 
 
 def _positioner_to_meta(positioner) -> dict:
-    """Return the arguments of a Positioner as plain text, exact to the last bit."""
+    """Return the arguments of a Positioner as text from which the numbers can be recovered exactly."""
 
     def text(value):
         if isinstance(value, u.Quantity):
