@@ -37,7 +37,7 @@ TO_NOBODY = [
 
 @pytest.fixture(scope="module")
 def ends(tmp_path_factory):
-    """Return exit codes and errors of commands whose output is not read, is read by ``head``, or written to a full disk."""
+    """Return exit codes and errors of commands with output that is not read, goes to ``head``, or to a full disk."""
     folder = tmp_path_factory.mktemp("ends")
     receive, nobody = os.pipe()
     os.close(receive)
