@@ -352,10 +352,14 @@ class FocalPlaneArrays:
 
     def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return cosine and sine of the capsule's angle from the fiber, for positioners (by row) and fiber types."""
-        angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
+        angle = self._arm_angles[fiber]
         if self.fibers is not None:
             angle = angle - self.fibers.angle[fiber, own]
         return np.cos(angle), np.sin(angle)
+
+    @cached_property
+    def _arm_angles(self) -> np.ndarray:
+        return self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)
 
     @cached_property
     def joints(self) -> Joints | None:

@@ -2,11 +2,15 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from astropy.time import Time
 
 from rfpsurvey.instrument import _desi
 from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
+
+if TYPE_CHECKING:
+    from rfpsurvey.instrument._instrument import Instrument
 
 __all__ = ["AsBuilt"]
 
