@@ -30,6 +30,7 @@ __all__ = [
 
 FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
+    "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
     "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),  # the last one, because it recognizes any table
 }
 """Name of each format, with its module and the endings of its files."""
