@@ -70,11 +70,18 @@ def write_table(
                 table.write(file, format="ascii.ecsv")
 
 
-def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
-    """Return the path of an output file; raise an error if it must not be written or its ending is invalid."""
+def check_output(
+    path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False
+) -> Path:
+    """Return the path of an output file; raise an error if it must not be written or its ending is invalid.
+
+    Tables may end in ``.gz``, and other files if ``gzipped`` is True.
+    """
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
-    if suffix_of(path) not in endings or (zipped and (path.suffix.lower() != ".gz" or endings is not WRITABLE)):
+    if suffix_of(path) not in endings or (
+        zipped and (path.suffix.lower() != ".gz" or not (gzipped or endings is WRITABLE))
+    ):
         raise InputError(f"{path}: the name of this output must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
@@ -134,9 +141,10 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
 
 
 @contextmanager
-def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
+def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
     """Provide a temporary path beside ``path``, which is renamed to it on success."""
-    with _in_place_of(check_output(path, endings, overwrite=overwrite), overwrite=overwrite) as temporary:
+    path = check_output(path, endings, overwrite=overwrite, gzipped=gzipped)
+    with _in_place_of(path, overwrite=overwrite) as temporary:
         yield temporary
 
 
