@@ -1,4 +1,4 @@
-"""PFS as built: dots, fiducials, interference limits and the calibration of the cobras, from the files of the observatory.
+"""PFS as built: dots, fiducials, interference limits and the calibration model of the cobras, from their files.
 
 Cobra identifiers are those of the observatory, 1 to 2394: three fields of 14 modules of 57 cobras.
 """
@@ -8,12 +8,13 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from scipy.spatial import cKDTree
 
 from rfpsurvey._readers import content_of, read_table, sentence, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["find_pfs_files", "nominal_centers", "pfs_fibers", "read_pfs"]
+__all__ = ["cobra_ids", "find_pfs_files", "nominal_centers", "pfs_engineering_fibers", "pfs_fibers", "read_pfs"]
 
 N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # fields, modules of a field, cobras of a module
 N = N_FIELDS * N_MODULES * N_COBRAS
@@ -60,6 +61,14 @@ def nominal_centers() -> np.ndarray:
     return np.column_stack([centers.real, centers.imag])
 
 
+def cobra_ids(xy: np.ndarray) -> np.ndarray:
+    """Return the cobras whose nominal centers are given (mm)."""
+    apart, row = cKDTree(nominal_centers()).query(xy)
+    if len(xy) != N or apart.max() > 1e-6 or len(np.unique(row)) < N:
+        raise InputError(f"names = 'cobra' needs the {N} nominal centers of PFS, got other positions")
+    return row + 1
+
+
 def pfs_fibers() -> tuple[np.ndarray, np.ndarray]:
     """Return the fiberId and the spectrograph (0 to 3) of cobras 1 to 2394."""
     fiber, spectrograph = np.empty(N, dtype=np.int64), np.empty(N, dtype=np.int64)
@@ -74,6 +83,11 @@ def pfs_fibers() -> tuple[np.ndarray, np.ndarray]:
         ]
         fiber[rows], spectrograph[rows] = HOLES * k + np.array(holes), k
     return fiber, spectrograph
+
+
+def pfs_engineering_fibers() -> np.ndarray:
+    """Return the fiberId of the engineering fibers, which belong to no cobra."""
+    return np.concatenate([HOLES * k + np.array(ENGINEERING) for k in range(len(BOARDS))])
 
 
 def find_pfs_files(folder: Path) -> dict | None:
@@ -180,7 +194,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
 
 
 def read_interference(path: Path) -> np.ndarray:
-    """Return the limits of each cobra in degrees: begin and end of the window of directions, largest local phi; or NaN."""
+    """Return begin and end of the window of directions and the largest phi of each cobra in degrees; or NaN."""
     names = ("theta_limit_1", "theta_limit_2", "max_phi_angle")
     table = _read(path, ("cobra_id", *names))
     _check_ids(path, table["cobra_id"], "cobra_id", N)
@@ -330,8 +344,8 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
 def _note_on_dots(path: Path, circles: np.ndarray, offset: np.ndarray) -> str:
     return (
         f"{path.name}: {len(circles)} dots of radius {circles[:, 2].min():.3f} to {circles[:, 2].max():.3f} mm hide "
-        f"fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal center "
-        f"of its cobra is ({offset[0]:.3f}, {offset[1]:.3f}) mm."
+        "fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal "
+        f"center of its cobra is ({offset[0]:.3f}, {offset[1]:.3f}) mm."
     )
 
 
