@@ -20,7 +20,7 @@ from rfpsurvey.tile import Tile, plan_tile, score_tile
 
 # these imports are for type checkers and editors
 if TYPE_CHECKING:
-    from rfpsurvey import benchmark, compare, design, plot, probability, report, reproduction, survey, tiling  # noqa: F401
+    from rfpsurvey import benchmark, compare, design, plans, plot, probability, report, reproduction, survey, tiling  # noqa: F401
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report
@@ -76,6 +76,7 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
     "benchmark": (),
     "compare": ("compare_allocators", "compare_instruments"),
     "design": (),
+    "plans": (),
     "plot": (),
     "probability": ("Estimate", "collision_probability"),
     "report": ("write_report",),

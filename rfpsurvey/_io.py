@@ -72,11 +72,18 @@ def write_table(
                 table.write(file, format="ascii.ecsv")
 
 
-def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
-    """Return the path of an output file; raise an error if its ending is not valid or the file cannot be written."""
+def check_output(
+    path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False
+) -> Path:
+    """Return the path of an output file; raise an error if its ending is not valid or the file cannot be written.
+
+    The name of a table may end in ``.gz``. The names of other files may end in ``.gz`` only if ``gzipped`` is True.
+    """
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
-    if suffix_of(path) not in endings or (zipped and (path.suffix.lower() != ".gz" or endings is not WRITABLE)):
+    if suffix_of(path) not in endings or (
+        zipped and (path.suffix.lower() != ".gz" or not (gzipped or endings is WRITABLE))
+    ):
         raise InputError(f"{path}: the name of this output must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
@@ -136,9 +143,10 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
 
 
 @contextmanager
-def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
+def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
     """Provide a temporary path beside ``path`` that is renamed to ``path`` on success."""
-    with _in_place_of(check_output(path, endings, overwrite=overwrite), overwrite=overwrite) as temporary:
+    path = check_output(path, endings, overwrite=overwrite, gzipped=gzipped)
+    with _in_place_of(path, overwrite=overwrite) as temporary:
         yield temporary
 
 

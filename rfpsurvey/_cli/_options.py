@@ -229,7 +229,7 @@ DesignInstrumentOption = Annotated[
 SpreadOption = Annotated[
     float | None,
     typer.Option(
-        help="Fraction by which central arm, ratio and pitch vary around their values in --instrument. By default, 0.15."
+        help="Relative range of central arm, ratio and pitch around their values in --instrument. By default, 0.15."
     ),
 ]
 CentralArmOption = Annotated[

@@ -1,4 +1,4 @@
-"""Conversion of a focal plane to and from a table with a row for each positioner and each obstacle."""
+"""A focal plane as a table with a row for each positioner, each obstacle and each circle that hides fibers."""
 
 from dataclasses import fields
 
@@ -6,11 +6,20 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import to_mm, to_plain, to_radian
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["read_columns", "to_table"]
+
+JOINTS = {
+    "zero_points": ("theta_zero", "phi_zero"),
+    "theta_range": ("theta_min", "theta_max"),
+    "phi_range": ("phi_min", "phi_max"),
+}
+"""Columns of the zero points and limits of joints."""
+CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
+"""Columns of the radii of circles, which have rows of their own."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
@@ -22,11 +31,14 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
         if name not in names:
             raise InputError(f"there is no column {name!r}; the columns are: {', '.join(names) or 'none'}")
     xy = np.column_stack([_quantity(table, "x", u.mm), _quantity(table, "y", u.mm)])
-    radius = np.full(len(xy), np.nan) * u.mm
-    if "obstacle_radius" in names:
-        radius = _quantity(table, "obstacle_radius", u.mm)
-    unit = ~np.isfinite(radius)
-    columns = {}
+    unit, columns = np.ones(len(xy), dtype=bool), {}
+    for name, column in CIRCLES.items():
+        if column in names:
+            radius = _quantity(table, column, u.mm)
+            rows = np.isfinite(radius) & unit
+            unit &= ~rows
+            if rows.any():
+                columns[name] = np.column_stack([xy[rows], radius[rows]])
     for name in ("id", "spectrograph", "fiber_type", "disabled"):
         if name in names:
             columns[name] = to_plain(table[name][unit], f"column {name!r}")
@@ -36,8 +48,16 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     if "stuck_theta" in names and "stuck_phi" in names:
         angles = [_quantity(table, name, u.deg)[unit] for name in ("stuck_theta", "stuck_phi")]
         columns["stuck"] = np.column_stack(angles)
-    if not unit.all():
-        columns["obstacles"] = np.column_stack([xy[~unit], radius[~unit]])
+    for name, (low, high) in JOINTS.items():
+        if low in names and high in names:
+            columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in (low, high)])
+    places = {}
+    for column in names:
+        if column.startswith("fiber_x") and column.replace("fiber_x", "fiber_y", 1) in names:
+            pair = [_quantity(table, part, u.mm)[unit] for part in (column, column.replace("fiber_x", "fiber_y", 1))]
+            places[column.removeprefix("fiber_x").removeprefix("_")] = np.column_stack(pair)
+    if places:
+        columns["fiber_xy"] = places
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
@@ -45,21 +65,36 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
 
 def to_table(plane) -> QTable:
     """Return a table with the columns of a focal plane and with the positioner in its ``meta``."""
-    n, m = len(plane), len(plane.arrays.obstacles)
-    circles = plane.arrays.obstacles
+    n, k = len(plane), len(plane.arrays.obstacles)
+    circles = np.vstack([plane.arrays.obstacles, plane.arrays.hidden])
+    m = len(circles)
     table = QTable({"id": np.concatenate([plane.id, _spare_names(plane.id, m)])})
     table["x"], table["y"] = np.vstack([plane.arrays.xy, circles[:, :2]]).T * u.mm
     width = plane.spectrograph.shape[1:]
     table["spectrograph"] = np.concatenate([plane.spectrograph, np.zeros((m, *width), int)])
     table["fiber_type"] = np.concatenate([plane.fiber_type, np.full(m, "")])
     table["disabled"] = np.append(plane.disabled, np.zeros(m, bool))
-    lengths = {"central_arm": plane.arrays.central_arm, "eccentric_arm": plane.arrays.eccentric_arm}
+    lengths = {"central_arm": plane.arrays.central_arm}
+    if plane.fiber_xy is None:
+        lengths["eccentric_arm"] = plane.arrays.eccentric_arm
+    for name, places in (plane.fiber_xy or {}).items():
+        lengths |= {
+            f"fiber_{axis}" + (f"_{name}" if name else ""): v
+            for axis, v in zip("xy", to_mm(places, name).T, strict=True)
+        }
     angles = {"stuck_theta": plane.arrays.stuck[:, 0], "stuck_phi": plane.arrays.stuck[:, 1]}
     for name, values in lengths.items():
         table[name] = np.append(values, np.full(m, np.nan)) * u.mm
+    for name, (low, high) in JOINTS.items():
+        if getattr(plane, name) is not None:
+            angles |= dict(zip((low, high), to_radian(getattr(plane, name), name).T, strict=True))
     for name, values in angles.items():
         table[name] = np.rad2deg(np.append(values, np.full(m, np.nan))) * u.deg
-    table["obstacle_radius"] = np.append(np.full(n, np.nan), circles[:, 2]) * u.mm
+    for name, rows in {"obstacles": slice(n, n + k), "hidden": slice(n + k, n + m)}.items():
+        if name == "obstacles" or plane.hidden is not None:
+            radius = np.full(n + m, np.nan)
+            radius[rows] = getattr(plane.arrays, name)[:, 2]
+            table[CIRCLES[name]] = radius * u.mm
     table.meta["positioner"] = _positioner_to_meta(plane.positioner)
     return table
 

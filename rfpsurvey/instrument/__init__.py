@@ -8,6 +8,7 @@ from rfpsurvey.instrument._instrument import (
     available_instruments,
     every_instrument,
 )
+from rfpsurvey.instrument._pfs import pfs_fibers
 
 __all__ = [
     "Instrument",
@@ -17,4 +18,5 @@ __all__ = [
     "available_instruments",
     "every_instrument",
     "fact_texts",
+    "pfs_fibers",
 ]

@@ -26,6 +26,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
 from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
@@ -38,7 +39,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class Instrument(AsBuilt):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -157,7 +158,7 @@ class Instrument:
     def field_radius(self) -> u.Quantity:
         """Field angle of the outermost point that any positioner reaches."""
         plane = self.focal_plane
-        edge = (np.hypot(*plane.arrays.xy.T) + plane.arrays.outer_radius).max(keepdims=True)
+        edge = (np.hypot(*plane.arrays.xy.T) + plane.arrays.largest_radius).max(keepdims=True)
         return np.rad2deg(field_angles(self, edge)[0]) * u.deg
 
     @property
@@ -225,6 +226,10 @@ class Instrument:
             If the file does not exist or is not a valid description of an instrument.
         """
         path = to_path(path)
+        if path.exists() and path.suffix.lower() != ".toml":
+            found = cls._read_as_built(path)
+            if found is not None:
+                return found
         try:
             return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:
@@ -287,7 +292,11 @@ class Instrument:
         parts += plane.id.tolist(), plane.spectrograph.tolist()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         arrays = plane.arrays
-        columns = arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles
+        columns = [arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles]
+        if arrays.joints is not None:
+            columns += [arrays.joints.theta_zero, arrays.joints.phi_zero, arrays.joints.limits]
+        if arrays.fibers is not None:
+            columns += [arrays.fibers.length, arrays.fibers.angle]
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}

@@ -25,12 +25,18 @@ __all__ = ["DENSITIES", "Quadrature", "integrate"]
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
 FIRST_POINTS = 128
-"""Points of the first estimate for a single environment; fewer for several, whose errors average out."""
+"""Number of points in the first estimate if there is one environment.
+
+The errors of several environments average out, so that fewer points suffice.
+"""
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""Minimum number of points, without and with weights: with weights the bias of the ratio does not average out."""
+"""Minimum number of points, without and with weights.
+
+Weights require more points, because the bias of a weighted mean does not average out.
+"""
 BITS = 30
 NARROW = 2**12
-"""A density that is 0 at this number of points of a patrol area is an error."""
+"""If a density is 0 at this number of points of a patrol area, an error is raised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +53,7 @@ class Quadrature:
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
         radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
-        if self.density != "uniform":  # positioners that share the neighbors' patrol areas matter, too
+        if self.density != "uniform":  # include positioners that overlap the neighbors
             radius += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, radius)
 
@@ -118,7 +124,7 @@ class Quadrature:
                     f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "
                     f"shape {weight.shape}, from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
                 )
-        if self.density == "shared" or not self.plane.positioner.numbers.joints_free:
+        if self.density == "shared" or not self.plane.arrays.joints_free:
             reach = self.plane.arrays.reach(tips)
             many = np.diff(reach.indptr)
             mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
@@ -128,7 +134,7 @@ class Quadrature:
 
     @cached_property
     def _setup(self):
-        return make_setup(self.plane, self.plane.arrays.angles, parked_obstacles=False)
+        return make_setup(self.plane.arrays, parked_obstacles=False)
 
     @cached_property
     def _idle(self):
@@ -158,7 +164,7 @@ def integrate(
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
-    plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner.numbers.joints_free
+    plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
     rare = (np.log2(share.max() / share) / 2).astype(int)  # environments of few positioners may have larger errors

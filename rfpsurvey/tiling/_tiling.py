@@ -157,7 +157,7 @@ class Tiling:
         n, found = len(table), {}
         for role in ("ra", "dec", "position_angle"):
             if role in names:
-                # the finder has the roles of a catalog, of which any role of an angle can be used here
+                # the finder knows only the roles of a catalog; the role "ra" is used for every angle
                 as_angle = {"ra": names[role]}
                 unit = {"ra": units[role]} if role in units else {}
                 found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")
