@@ -50,7 +50,7 @@ def plugin_names(group: str) -> set[str]:
 
 
 def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Plugin:
-    """Return the plugin with a given name; if it does not exist, raise an error that lists it among ``known`` names."""
+    """Return the plugin with a given name; the error for an unknown name lists all names, including ``known``."""
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)

@@ -156,7 +156,7 @@ OPTIONS = {
     "n_realizations": "--realizations",
     "requirements": "--require",
 }
-"""Options whose names differ from the names of their parameters, by the latter."""
+"""Option of each parameter whose name differs from the name of the option."""
 FORMS = {
     "--column": "ROLE=NAME",
     "--unit": "ROLE=UNIT",

@@ -36,8 +36,8 @@ class CollisionCounts:
         Number of counted positioners (assigned positioners, and parked positioners with equal arms), and number of
         assigned positioners.
     n_borderline : ndarray of int, shape (m,)
-        Number of pairs so close to the minimum separation that rounding could decide; they are classified by their
-        computed distance.
+        Number of pairs so close to the minimum separation that rounding errors could change the result. These pairs are
+        classified by their computed distance.
     per_positioner : ndarray of int, shape (n,)
         Number of configurations in which each positioner is in collision.
 
