@@ -1,4 +1,4 @@
-"""Functions that run calls on executors, with worker processes that end when the process that started them ends."""
+"""Run calls on executors; worker processes end when the process that started them ends."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -252,7 +252,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and the segments that can collide of all queued targets, shape (4, m)."""
+    """Return the start of each queue, and the segment that can collide for each target in a queue, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]

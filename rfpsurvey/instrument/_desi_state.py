@@ -57,7 +57,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 
 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
-    """Return columns of the focal plane, joint limits (NaN if unknown) and names of polygons at a time, and a sentence.
+    """Return the state at a time: columns of the focal plane, joint limits (NaN: unknown), names of polygons, a note.
 
     The table is a log of events: the last event of each positioner that is not after the time applies.
     """
