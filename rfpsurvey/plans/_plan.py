@@ -233,7 +233,7 @@ def as_plan(plan: object) -> QTable:
     >>> lamost = rs.Instrument.preset("lamost")
     >>> x, y = lamost.focal_plane.xy[:2].T
     >>> tile = rs.score_tile(QTable({"positioner": [0, 1], "x": x, "y": y}), lamost)
-    >>> rs.plans.as_plan(tile)["assigned"].sum()
+    >>> int(rs.plans.as_plan(tile)["assigned"].sum())
     2
     """
     if is_plan(plan):
