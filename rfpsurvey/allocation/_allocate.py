@@ -270,9 +270,10 @@ def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) 
     same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given], points, equal_nan=True)
     if same:
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
-        r = np.hypot(*(start.tips.to_value(u.mm)[own] - plane.arrays.xy[own]).T)
-        slack = plane.arrays.reach_slack
-        same = not ((r > plane.arrays.outer_radius[own] + slack) | (r < plane.arrays.inner_radius[own] - slack)).any()
+        columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
+        r = np.hypot(*(start.tips.to_value(u.mm)[own] - columns.xy[own]).T)
+        slack = columns.reach_slack
+        same = not ((r > columns.outer_radius[own] + slack) | (r < columns.inner_radius[own] - slack)).any()
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
     target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)
@@ -293,9 +294,9 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     unmet = tuple(problem.shortfalls(target_of))
     tips = np.full((len(plane), 2), np.nan)
     tips[used] = problem.xy[target_of[used]]
-    fiber = np.asarray(plane.fiber_types)[problem.fiber_of(used, target_of[used])] if len(used) else []
+    fiber = problem.fiber_of(np.arange(len(plane)), target_of)
     types = np.full(len(plane), "", dtype=f"U{max(max(len(t) for t in plane.fiber_types), 1)}")
-    types[used] = fiber
+    types[used] = np.asarray(plane.fiber_types)[fiber[used]]
     target_of = new[target_of]
     positioner_of = np.full(len(rows), -1)
     positioner_of[target_of[used]] = used
@@ -303,7 +304,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     return {
         "target_of_positioner": target_of,
         "positioner_of_target": positioner_of,
-        "handedness": elbow_names(plane.arrays.sides(tips)) if elbows is None else elbows,
+        "handedness": elbow_names(plane.arrays.sides(tips, fiber=fiber)) if elbows is None else elbows,
         "tips": tips << u.mm,
         "fiber_type": types,
         "xy": points << u.mm,

@@ -15,15 +15,15 @@ def place_segments(
 
     ``idle`` lists the rows that are idle arms, one row for each positioner; the target of these rows is -1.
     """
-    plane, columns = problem.focal_plane, problem.focal_plane.arrays
+    columns = problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))
     real = np.ones(len(own), dtype=bool)
     if idle is not None:
         real[idle] = False
     points[real] = problem.xy[target[real]]
-    arms.place(points, columns.geometry_of(own), side, segments)
-    angle = plane.positioner.numbers.arm_angles(plane.fiber_types)[problem.fiber_of(own, target)]
-    cosine, sine = np.cos(angle), np.sin(angle)
+    fiber = problem.fiber_of(own, target)
+    arms.place(points, columns.geometry_of(own, fiber), side, segments)
+    cosine, sine = columns.angles_of(own, fiber)
     if idle is not None:
         segments[:, idle] = columns.idle(problem.parked_obstacles).segments
         cosine[idle], sine[idle] = columns.angles

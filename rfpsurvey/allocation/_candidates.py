@@ -10,7 +10,6 @@ from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import closer_exactly, touching
-from rfpsurvey.focal_plane import joints_allow
 
 __all__ = ["Candidates", "find_candidates"]
 
@@ -104,9 +103,10 @@ def _list(problem, reach, both):
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
-    side = plane.arrays.sides(problem.xy[target], own)
+    fiber = problem.fiber_of(own, target)
+    side = plane.arrays.sides(problem.xy[target], own, fiber)
     if both and plane.positioner.handedness == "both":
-        allowed = {s: joints_allow(plane, own, problem.xy[target], s) for s in (1.0, -1.0)}
+        allowed = {s: plane.arrays.joints_allow(own, problem.xy[target], s, fiber) for s in (1.0, -1.0)}
         columns = [(own[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
         own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     n = len(plane)

@@ -11,7 +11,7 @@ from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._options import ALLOCATORS, GROUP, AllocationOptions
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem
 from rfpsurvey.errors import InputError
-from rfpsurvey.focal_plane import elbow_names, joints_allow
+from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["find_method", "packages"]
 
@@ -107,12 +107,14 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
             f"elbows must be 'right' or 'left' for each positioner with a target, shape ({len(plane)},), got {elbows!r}"
         )
     tips = np.vstack([problem.xy, [np.nan, np.nan]])[target_of]
-    side, both = plane.arrays.sides(tips), plane.positioner.handedness == "both"
+    fiber = problem.fiber_of(np.arange(len(plane)), target_of)
+    side, both = plane.arrays.sides(tips, fiber=fiber), plane.positioner.handedness == "both"
     side[own] = np.where(names[own] == "left", -1.0, 1.0)
     allowed = np.full(len(own), both) | (names[own] == plane.positioner.handedness)
     for one in (1.0, -1.0):
         rows = np.flatnonzero(allowed & (side[own] == one))
-        allowed[rows] = joints_allow(plane, own[rows], problem.xy[target_of[own[rows]]], one)
+        points = problem.xy[target_of[own[rows]]]
+        allowed[rows] = plane.arrays.joints_allow(own[rows], points, one, fiber[own[rows]])
     if not allowed.all():
         first = own[~allowed][0]
         raise InputError(f"positioner {first} (by row) cannot have the elbow {str(names[first])!r} at its target")

@@ -8,7 +8,7 @@ from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import touching
-from rfpsurvey.focal_plane import Reach, joints_allow
+from rfpsurvey.focal_plane import Reach
 
 __all__ = ["Preselection", "preselect", "replaceable"]
 
@@ -146,10 +146,11 @@ def _without_obstacles(problem, reach, crowded):
         offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
         test = np.column_stack([index, pairs[np.repeat(first[own], size) + offset, 1]])
         both = plane.positioner.handedness == "both"
+        fiber = problem.fiber_of(own, target[begin : begin + BATCH])
         for side in (1.0, -1.0) if both else (plane.arrays.sides(points[:1], own[:1])[0],):
             hit = np.zeros(len(part), dtype=bool)
             segments = place_segments(problem, own, target[begin : begin + BATCH], np.full(len(part), side))
             hit[touching(plane, segments, test)[0][:, 0]] = True
-            free |= ~hit & (joints_allow(plane, own, points, side) if both else True)
+            free |= ~hit & (plane.arrays.joints_allow(own, points, side, fiber) if both else True)
         touched[part] = ~free
     return reach.where(~touched)

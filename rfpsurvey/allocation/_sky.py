@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._kernels import gaps
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.focal_plane import Reach, joints_allow
+from rfpsurvey.focal_plane import Reach
 
 __all__ = ["with_sky"]
 
@@ -30,7 +30,6 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
-    radii = plane.arrays.inner_radius, plane.arrays.outer_radius
     # a van der Corput sequence, in which the first k points are spread evenly for every k
     k = np.arange(N_TRIALS)
     fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
@@ -40,11 +39,14 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         own = np.flatnonzero(able & plane.arrays.usable)
         room = len(own) * N_KEPT
         out = np.empty(room, dtype=np.int64), np.empty(room), np.empty(room)
+        fiber = None if name == "" else np.full(len(plane), plane.fiber_types.index(name))
+        columns = plane.arrays.using(fiber)
         n = gaps.find_gaps(
             own,
             cx,
             cy,
-            *radii,
+            columns.inner_radius,
+            columns.outer_radius,
             fraction,
             N_KEPT,
             separation,
@@ -55,8 +57,8 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         )
         own, px, py = (column[:n] for column in out)
         spots = np.column_stack([px, py])
-        if not plane.positioner.numbers.joints_free:
-            keep = joints_allow(plane, own, spots, plane.arrays.sides(spots, own))
+        if not columns.joints_free:
+            keep = columns.joints_allow(own, spots, columns.sides(spots, own))
             own, spots = own[keep], spots[keep]
         # the position of a stuck fiber is known for the first fiber type of its positioner only
         fixed = np.flatnonzero(plane.arrays.is_stuck & ((name == "") | (plane.arrays.first_type == name)))
@@ -115,7 +117,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
 
 def _bin(plane, x, y, separation):
     """Sort targets into cells; return the grid as (x0, y0, size, nx, ny, start, order)."""
-    margin = plane.arrays.outer_radius[:, None] + separation
+    margin = plane.arrays.largest_radius[:, None] + separation
     low, high = (plane.arrays.xy - margin).min(axis=0), (plane.arrays.xy + margin).max(axis=0)
     size = max(separation, float(np.sqrt(np.prod(high - low) / max(len(x), 1))), float((high - low).max()) / 4096)
     nx, ny = (int(n) for n in (high - low) // size + 1)

@@ -12,7 +12,7 @@ from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
     "Arms",
-    "arm_angles",
+    "capsule_angles",
     "check_arms",
     "check_plane",
     "check_tips",
@@ -20,6 +20,7 @@ __all__ = [
     "nearest_distance",
     "place_arms",
     "pose_tips",
+    "to_columns",
     "to_sides",
     "to_tips",
 ]
@@ -41,6 +42,8 @@ class Arms:
     """Whether each positioner is usable, has no target, and is parked as an obstacle that counts."""
     clipped: np.ndarray
     """Whether the target of each positioner is out of reach: the arm stretches toward it or violates joint limits."""
+    fiber: np.ndarray | None = None
+    """Index of the fiber type in use by each positioner, if the focal plane has places of fibers."""
 
     @property
     def present(self) -> np.ndarray:
@@ -64,7 +67,7 @@ def place_arms(
     With ``clip``, an arm whose tip is out of reach is stretched toward the tip as far as possible.
     """
     check_plane(focal_plane)
-    n, columns = len(focal_plane), focal_plane.arrays
+    n, columns = len(focal_plane), to_columns(focal_plane, fiber_type)
     idle = columns.idle(check_switch(parked_obstacles, "parked_obstacles"))
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("give either tips, or both theta and phi")
@@ -73,28 +76,30 @@ def place_arms(
             raise InputError("handedness belongs to tips; theta and phi already determine the elbow")
         angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
         segments = np.empty((4, n))
-        arms.pose(*angles, columns.geometry, segments)
+        arms.pose(*columns.from_joints(*angles), columns.geometry, segments)
         assigned = np.isfinite(segments[2]) & focal_plane.arrays.usable
         arms.fill_idle(assigned, idle.segments, segments)
         clipped = np.zeros(n, dtype=bool)
     else:
         points = to_tips(tips, n)
-        side = to_sides(focal_plane, points, handedness)
-        segments, assigned, clipped = pose_tips(focal_plane, points, side, parked_obstacles, clip=clip)
+        side = to_sides(columns, points, handedness)
+        segments, assigned, clipped = pose_tips(columns, points, side, parked_obstacles, clip=clip)
         angles = np.empty((2, n))
         arms.solve(points, columns.geometry, side, *angles)
+        angles = np.array(columns.to_joints(*angles))
     for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
         np.copyto(own, other, where=~assigned)
     elbow, tip = segments[:2].T.copy(), segments[2:].T.copy()
-    arms.shape(segments, columns.model, columns.length, *arm_angles(focal_plane, fiber_type))
-    return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped)
+    arms.shape(segments, columns.model, columns.length, *capsule_angles(columns, assigned))
+    fiber = None if columns.fibers is None else np.where(assigned, columns.fiber_index, columns.first_index)
+    return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped, fiber)
 
 
-def pose_tips(plane, points, side, parked_obstacles, *, clip=False):
+def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
     """Return elbows and tips (4, n) of all arms, and two flags: has a target, and does not reach the target."""
-    assigned, clipped = check_tips(plane, points, side, clip=clip)
-    segments = place_tips(plane, points, side, clipped)
-    arms.fill_idle(assigned, plane.arrays.idle(parked_obstacles).segments, segments)
+    assigned, clipped = check_tips(columns, points, side, clip=clip)
+    segments = place_tips(columns, points, side, clipped)
+    arms.fill_idle(assigned, columns.idle(parked_obstacles).segments, segments)
     return segments, assigned, clipped
 
 
@@ -125,21 +130,19 @@ def to_tips(tips, n):
     return points
 
 
-def check_tips(plane, points, side, *, clip=False):
+def check_tips(columns, points, side, *, clip=False):
     """Mark positioners with a target, and those that cannot reach it; without ``clip``, the latter raise an error."""
-    n = len(plane)
+    plane, n = columns.plane, len(columns.plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
-    if arms.check(points, plane.arrays.geometry, plane.arrays.bounds, assigned, far) and not clip:
+    if arms.check(points, columns.geometry, columns.bounds, assigned, far) and not clip:
         k = int(np.flatnonzero(far)[0])
         raise InputError(
             f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
-            f"{np.hypot(*(points[k] - plane.arrays.xy[k])):.7g} mm from its center, "
-            f"must be {plane.arrays.inner_radius[k]:.4f} to {plane.arrays.outer_radius[k]:.4f} mm"
+            f"{np.hypot(*(points[k] - columns.xy[k])):.7g} mm from its center, "
+            f"must be {columns.inner_radius[k]:.4f} to {columns.outer_radius[k]:.4f} mm"
         )
-    if not joints_free(plane, side):
-        theta, phi = np.empty(n), np.empty(n)
-        arms.solve(points, plane.arrays.geometry, side, theta, phi)
-        barred = assigned & ~far & ~plane.positioner.numbers.joints_allowed(theta, phi)
+    if not joints_free(columns, side):
+        barred = assigned & ~far & ~columns.joints_allow(np.arange(n), points, side)
         if barred.any() and not clip:
             first = plane.id[np.flatnonzero(barred)[0]]
             raise InputError(
@@ -149,32 +152,32 @@ def check_tips(plane, points, side, *, clip=False):
     return assigned, far & assigned
 
 
-def joints_free(plane, side):
+def joints_free(columns, side):
     """Return whether the joint limits allow the whole patrol areas with these elbows."""
-    return all(plane.positioner.numbers.joints_free_for(s) for s in {side.min(), side.max()})
+    return all(columns.joints_free_for(s) for s in {side.min(), side.max()})
 
 
-def place_tips(plane, points, side, clipped):
+def place_tips(columns, points, side, clipped):
     """Return elbows and tips, shape (4, n); an arm whose point is out of reach is stretched toward the point."""
-    geometry, bounds = plane.arrays.geometry, plane.arrays.bounds
-    segments = np.empty((4, len(plane)))
+    geometry, bounds = columns.geometry, columns.bounds
+    segments = np.empty((4, len(points)))
     arms.place(points, geometry, side, segments)
     if clipped.any():
-        angles, posed = np.empty((2, len(plane))), np.empty_like(segments)
+        angles, posed = np.empty((2, len(points))), np.empty_like(segments)
         arms.solve(points, geometry, side, *angles)
         arms.pose(*angles, geometry, posed)
         # poses that violate only the joint limits still reach their points
-        r2 = ((points - plane.arrays.xy) ** 2).sum(axis=1)
+        r2 = ((points - columns.xy) ** 2).sum(axis=1)
         far = clipped & ((r2 < bounds.low) | (r2 > bounds.high))
         segments[2:, far] = posed[2:, far]
     return segments
 
 
-def to_sides(plane, points, handedness):
+def to_sides(columns, points, handedness):
     """Return +1 for right and -1 for left elbows; None stands for the elbows of the focal plane."""
     if handedness is None:
-        return plane.arrays.sides(points)
-    n = len(plane)
+        return columns.sides(points)
+    n = len(columns.plane)
     names = np.full(n, handedness) if isinstance(handedness, str) else to_plain(handedness, "handedness").astype(str)
     if names.shape != (n,):
         raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
@@ -184,19 +187,25 @@ def to_sides(plane, points, handedness):
     return np.where(left, -1.0, 1.0)
 
 
-def arm_angles(plane, fiber_type):
-    """Return the cosine and sine of each capsule's angle, by default for the first fiber type of the positioner."""
+def to_columns(plane, fiber_type):
+    """Return the arrays of a focal plane for given fiber types in use, by default the first one of each positioner."""
     if fiber_type is None:
-        return plane.arrays.angles
+        return plane.arrays
     types = to_plain(fiber_type, "fiber_type").astype(str)
     if types.shape != (len(plane),):
         raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
     if plane.fiber_types == ("",) and (types != "").any():
         raise InputError(f"the positioners have no fiber types, got the fiber type {str(types[types != ''][0])!r}")
-    types = np.where(types == "", plane.arrays.first_type, types)
-    for name in np.unique(types):
+    for name in np.unique(types[types != ""]):
         check_choice(str(name), plane.fiber_types, "fiber type")
-    return plane.arrays.angles_of(types)
+    return plane.arrays.using(plane.arrays.index_of(types))
+
+
+def capsule_angles(columns, assigned):
+    """Return the cosine and sine of each capsule's angle; idle arms are posed by the first fiber of a positioner."""
+    if columns.fibers is None:
+        return columns.angles
+    return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
 
 
 def nearest_distance(posed: Arms) -> np.ndarray:

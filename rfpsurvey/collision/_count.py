@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
-from rfpsurvey.collision._arms import arm_angles, check_plane, check_tips, joints_free, to_sides
+from rfpsurvey.collision._arms import check_plane, check_tips, joints_free, to_columns, to_sides
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_whole, number_of, short
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -182,42 +182,43 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
         raise InputError(f"tips must be an Allocation or a Quantity of shape (m, {len(plane)}, 2), got {kind}")
-    setup = make_setup(plane, arm_angles(plane, fiber_type), parked_obstacles)
+    columns = to_columns(plane, fiber_type)
+    setup = make_setup(columns, parked_obstacles)
     side = None
-    if handedness is not None or plane.positioner.numbers.joints_free:
-        side = to_sides(plane, np.full((len(plane), 2), np.nan), handedness)[None, :]
+    if handedness is not None or columns.joints_free:
+        side = to_sides(columns, np.full((len(plane), 2), np.nan), handedness)[None, :]
     step, make_scorer = SCORERS[method]
     starts = range(0, len(tips), step)
-    score = partial(_score_tips, plane, side, make_scorer(plane, setup))
+    score = partial(_score_tips, columns, side, make_scorer(columns, setup))
     return score, ((tips[k : k + step] for k in starts), starts)
 
 
-def _score_tips(plane, side, scorer, tips, start):
+def _score_tips(columns, side, scorer, tips, start):
     points = to_mm(tips, "tips")
-    side = _sides_of_chunk(plane, points, side, start)
+    side = _sides_of_chunk(columns, points, side, start)
     counts, times, far = scorer(points, side)
     if far:
         for c, row in enumerate(points):  # find the configuration for the error message
-            _check(plane, row, side[min(c, len(side) - 1)], start + c)
+            _check(columns, row, side[min(c, len(side) - 1)], start + c)
     return counts, times
 
 
-def _processor(plane, setup):
-    return partial(_on_processor, plane, setup)
+def _processor(columns, setup):
+    return partial(_on_processor, columns, setup)
 
 
-def _on_processor(plane, setup, points, side):
+def _on_processor(columns, setup, points, side):
     """Return counts, collisions per positioner, and the number of tips that are out of reach."""
+    plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-    columns = plane.arrays
     far = batch.count_tips(points, columns.geometry, columns.bounds, side, setup, make_workspace(plane), counts, times)
     return counts, times, far
 
 
-def _device(plane, setup):
+def _device(columns, setup):
     from rfpsurvey.collision import _gpu
 
-    return _gpu.make_scorer(plane, setup)
+    return _gpu.make_scorer(columns, setup)
 
 
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
@@ -237,7 +238,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     if method != "exact":
         raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
     indptr, entries = queue_segments(plane, allocation)
-    setup = make_setup(plane, plane.arrays.angles, allocation.parked_obstacles)
+    setup = make_setup(plane.arrays, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
     idle = setup.idle.copy()
     arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
@@ -256,33 +257,31 @@ def queue_segments(plane, allocation):
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
-    segments, geometry = np.empty((4, len(own))), plane.arrays.geometry_of(own)
-    far = np.empty(len(own), dtype=bool)
-    if arms.check(points, geometry, plane.arrays.bounds_of(own), np.empty_like(far), far):
-        raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
-    arms.place(points, geometry, plane.arrays.sides(points, own), segments)
-    types = plane.arrays.first_type[own]
+    columns, fiber = plane.arrays, plane.arrays.first_index[own]
     if allocation.target_fiber_type is not None:
-        wanted = allocation.target_fiber_type[target]
-        types = np.where(wanted == "", types, wanted)
-    arms.shape(segments, plane.arrays.model, plane.arrays.length, *plane.arrays.angles_of(types))
+        fiber = columns.index_of(allocation.target_fiber_type[target], own)
+    segments, geometry = np.empty((4, len(own))), columns.geometry_of(own, fiber)
+    far = np.empty(len(own), dtype=bool)
+    if arms.check(points, geometry, columns.bounds_of(own, fiber), np.empty_like(far), far):
+        raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
+    arms.place(points, geometry, columns.sides(points, own, fiber), segments)
+    arms.shape(segments, columns.model, columns.length, *columns.angles_of(own, fiber))
     return indptr, segments
 
 
-def make_setup(plane, angles, parked_obstacles) -> batch.CollisionSetup:
-    """Return the data that all configurations share."""
-    columns = plane.arrays
+def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
+    """Return the data that all configurations share, from the arrays of a focal plane."""
     idle = columns.idle(parked_obstacles)
     return batch.CollisionSetup(
         columns.runs,
         columns.limits,
         columns.model,
         columns.length,
-        *angles,
+        *columns.angles,
         idle.segments,
         idle.parked,
-        plane.arrays.obstacle_pairs,
-        plane.arrays.obstacles,
+        columns.obstacle_pairs,
+        columns.obstacles,
         columns.clearance,
     )
 
@@ -295,19 +294,19 @@ def make_workspace(plane) -> batch.Workspace:
     return batch.Workspace(np.empty((4, n)), np.empty((4, n)), *flags, *pairs)
 
 
-def _sides_of_chunk(plane, points, side, start):
+def _sides_of_chunk(columns, points, side, start):
     """Return the elbows of a chunk: one row for all configurations unless they depend on the joint limits."""
-    if side is not None and joints_free(plane, side):
+    if side is not None and joints_free(columns, side):
         return side
-    rows = [plane.arrays.sides(p) if side is None else side[0] for p in points]
+    rows = [columns.sides(p) if side is None else side[0] for p in points]
     for c, (tips, row) in enumerate(zip(points, rows, strict=True)):
-        _check(plane, tips, row, start + c)
+        _check(columns, tips, row, start + c)
     return np.array(rows)
 
 
-def _check(plane, points, side, number):
+def _check(columns, points, side, number):
     try:
-        check_tips(plane, points, side)
+        check_tips(columns, points, side)
     except InputError as error:
         raise InputError(f"configuration {number}: {error}") from None
 

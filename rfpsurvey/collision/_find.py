@@ -8,12 +8,13 @@ import numpy as np
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey.collision._arms import (
     Arms,
-    arm_angles,
+    capsule_angles,
     check_arms,
     check_plane,
     check_tips,
     place_arms,
     pose_tips,
+    to_columns,
     to_sides,
     to_tips,
 )
@@ -143,14 +144,14 @@ def _posed_segments(plane, tips, given, parked_obstacles):
         if posed is tips:
             check_arms(plane, posed)
         return np.ascontiguousarray(posed.segments.T), posed.assigned, posed.parked, lambda: posed
-    columns = plane.arrays
+    columns = to_columns(plane, given["fiber_type"])
     points = to_tips(tips, len(plane))
-    side, angles = to_sides(plane, points, given["handedness"]), arm_angles(plane, given["fiber_type"])
-    if len(columns.runs) or len(plane.arrays.obstacle_pairs):
-        segments, assigned, _ = pose_tips(plane, points, side, parked_obstacles)
-        arms.shape(segments, columns.model, columns.length, *angles)
+    side = to_sides(columns, points, given["handedness"])
+    if len(columns.runs) or len(columns.obstacle_pairs):
+        segments, assigned, _ = pose_tips(columns, points, side, parked_obstacles)
+        arms.shape(segments, columns.model, columns.length, *capsule_angles(columns, assigned))
     else:  # no arm can collide with another arm
-        segments, (assigned, _) = None, check_tips(plane, points, side)
+        segments, (assigned, _) = None, check_tips(columns, points, side)
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 

@@ -31,10 +31,10 @@ def find_pairs(segments, pairs, limits):
     return pairs[rows, 0], pairs[rows, 1], squared.copy_to_host()[:n]
 
 
-def make_scorer(plane, setup):
+def make_scorer(columns, setup):
     """Return a function (points, side) -> (counts, times, tips out of reach); the shared data stay on the GPU."""
     _require_device()
-    n, limits, columns = len(plane), setup.limits, plane.arrays
+    n, limits = len(columns.plane), setup.limits
     g, bounds = columns.geometry, columns.bounds
     geometry = cuda.to_device(np.array([g.cx, g.cy, g.l1, g.l2, bounds.low, bounds.high]))
     idle, angles = cuda.to_device(setup.idle), cuda.to_device(np.array([setup.cosine, setup.sine]))

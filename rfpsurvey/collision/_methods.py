@@ -59,12 +59,14 @@ def sweep(case: Configuration) -> Found:
     first, second = pairs.T.copy()
     poses = np.empty((case.n_points, *case.segments.shape))
     # both joints rotate at the same time, in the shorter direction; idle arms remain parked
-    start = np.repeat(plane.positioner.numbers.home[:, None], len(plane), axis=1)
-    move = np.array([posed.theta - start[0], posed.phi - start[1]])
+    columns = plane.arrays.using(posed.fiber)
+    start = np.array(columns.from_joints(*columns.home))
+    end = np.array(columns.from_joints(posed.theta, posed.phi))
+    move = end - start
     move -= 2 * np.pi * np.round(move / (2 * np.pi))
     angles = _capsule_angles(posed)
     for pose, part in zip(poses[:-1], np.linspace(0, 1, case.n_points), strict=False):
-        arms.pose(*(start + part * move), plane.arrays.geometry, pose)
+        arms.pose(*(start + part * move), columns.geometry, pose)
         arms.shape(pose, plane.arrays.model, plane.arrays.length, *angles)
     poses[-1] = case.segments
     squared = np.empty(len(first))

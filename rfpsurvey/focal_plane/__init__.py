@@ -4,7 +4,7 @@ from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._coverage import on_footprint
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
-from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names, joints_allow
+from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names
 
 __all__ = [
     "FocalPlane",
@@ -13,6 +13,5 @@ __all__ = [
     "accepted_types",
     "elbow_names",
     "hexagonal_cells",
-    "joints_allow",
     "on_footprint",
 ]

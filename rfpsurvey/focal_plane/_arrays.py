@@ -1,6 +1,6 @@
 """A focal plane as plain numbers: read-only columns in mm and radians, and the input of the collision kernels."""
 
-from dataclasses import dataclass
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -8,21 +8,16 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
+from rfpsurvey.focal_plane._fibers import Fibers, Joints
+from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
 __all__ = ["FocalPlaneArrays"]
 
-
-@dataclass(frozen=True, eq=False)
-class Idle:
-    """Poses of arms without a target; NaN for arms that are no obstacles because they avoid all other arms."""
-
-    theta: np.ndarray
-    phi: np.ndarray
-    segments: np.ndarray
-    """Elbows and tips, shape (4, n)."""
-    parked: np.ndarray
-    """Whether each positioner is usable and parked as an obstacle."""
+IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "geometry", "bounds", "angles")
+"""Names of the arrays that depend on the fiber types in use."""
+SHARED = ("grid", "runs", "limits", "obstacle_pairs")
+"""Names of costly arrays that do not depend on the fiber types in use."""
 
 
 class FocalPlaneArrays:
@@ -40,9 +35,11 @@ class FocalPlaneArrays:
     xy : ndarray of float, shape (n, 2)
         Centers of the positioners, mm.
     central_arm, eccentric_arm : ndarray of float, shape (n,)
-        Arm lengths, mm.
+        Arm lengths, mm. The eccentric arm is the distance from the elbow to the fiber in use.
     inner_radius, outer_radius : ndarray of float, shape (n,)
-        Radii of the patrol areas, mm.
+        Radii of the patrol areas of the fibers in use, mm.
+    largest_radius : ndarray of float, shape (n,)
+        Largest outer radius of the patrol areas of all fibers of each positioner, mm.
     equal_arms : ndarray of bool, shape (n,)
         Whether both arms have the same length.
     arm_reach : ndarray of float, shape (n,)
@@ -59,6 +56,8 @@ class FocalPlaneArrays:
         Fiber type that each positioner uses by default.
     first_index : ndarray of int, shape (n,)
         Index of ``first_type`` in ``fiber_types``.
+    fiber_index : ndarray of int, shape (n,)
+        Index of the fiber type in use in ``fiber_types``: ``first_index``, unless `using` sets others.
     neighbors : ndarray of int, shape (k, 2)
         Pairs of positioners to test for collisions, including those that can collide only because of rounding.
     obstacle_pairs : ndarray of int, shape (k, 2)
@@ -99,6 +98,8 @@ class FocalPlaneArrays:
     @cached_property
     def eccentric_arm(self) -> np.ndarray:
         plane = self.plane
+        if self.fibers is not None:
+            return locked(self.fibers.length[self.fiber_index, np.arange(len(plane))])
         full = np.full(len(plane), plane.positioner.numbers.eccentric_arm)
         return locked(full if plane.eccentric_arm is None else to_mm(plane.eccentric_arm, "eccentric_arm"))
 
@@ -115,9 +116,25 @@ class FocalPlaneArrays:
         return locked(self.central_arm + self.eccentric_arm)
 
     @cached_property
+    def fibers(self) -> Fibers | None:
+        """Places of the fibers on the eccentric arms; None if the focal plane has only lengths of eccentric arms."""
+        return None if self.plane.fiber_xy is None else Fibers(self.plane, self.first_index)
+
+    @cached_property
+    def longest_arm(self) -> np.ndarray:
+        """Largest distance from the elbow to a fiber that takes targets, for each positioner."""
+        return (
+            self.eccentric_arm if self.fibers is None else self.fibers.length[: len(self.plane.fiber_types)].max(axis=0)
+        )
+
+    @cached_property
+    def largest_radius(self) -> np.ndarray:
+        return locked(self.central_arm + self.longest_arm)
+
+    @cached_property
     def arm_reach(self) -> np.ndarray:
         length = self.plane.positioner.numbers.arm_length
-        return locked(self.central_arm + (self.eccentric_arm if length is None else length))
+        return locked(self.central_arm + (self.longest_arm if length is None else length))
 
     @cached_property
     def stuck(self) -> np.ndarray:
@@ -145,6 +162,29 @@ class FocalPlaneArrays:
     def first_index(self) -> np.ndarray:
         return locked(np.array([self.plane.fiber_types.index(name) for name in self.first_type.tolist()]))
 
+    def index_of(self, fiber_type: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
+        """Return the indices of fiber types; empty text stands for the first type of a positioner (by row)."""
+        found = self.first_index.copy() if own is None else self.first_index[own]
+        for k, name in enumerate(self.plane.fiber_types):
+            found[fiber_type == name] = k
+        return found
+
+    @cached_property
+    def fiber_index(self) -> np.ndarray:
+        return self.first_index
+
+    def using(self, fiber: np.ndarray | None) -> "FocalPlaneArrays":
+        """Return the arrays for given fiber types in use (indices in ``fiber_types``); None means the first types."""
+        if fiber is None:
+            return self
+        for name in SHARED:
+            getattr(self, name)  # computed once
+        other = copy(self)
+        for name in IN_USE if self.fibers is not None else ("angles",):
+            other.__dict__.pop(name, None)
+        other.fiber_index = locked(fiber)
+        return other
+
     @cached_property
     def offers(self) -> np.ndarray:
         """Bit mask of the fiber types of each positioner; 0 for positioners that take no target."""
@@ -158,7 +198,7 @@ class FocalPlaneArrays:
     @cached_property
     def grid(self) -> tuple:
         """Square cells, with the positioners that reach into each cell."""
-        return make_grid(self.xy, self.outer_radius)
+        return make_grid(self.xy, self.largest_radius)
 
     @cached_property
     def neighbors(self) -> np.ndarray:
@@ -174,7 +214,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def n_sharing(self) -> np.ndarray:
-        reach = self.outer_radius * (1 + 1e-6)
+        reach = self.largest_radius * (1 + 1e-6)
         near = cKDTree(self.xy).query_ball_point(self.xy, reach + reach.max(), return_length=True)
         return locked(np.asarray(near, dtype=np.int64) - 1)
 
@@ -191,9 +231,9 @@ class FocalPlaneArrays:
         """Return the pairs of positioners and targets (mm) within reach."""
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
-    def sides(self, points: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
+    def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
         """Return the elbow of each positioner (or of the rows ``own``) toward its point: +1 is right, -1 is left."""
-        return sides(self.plane, points, own)
+        return sides(self, points, own, fiber)
 
     @cached_property
     def geometry(self) -> arms.Geometry:
@@ -204,24 +244,31 @@ class FocalPlaneArrays:
         lengths = self.central_arm.copy(), self.eccentric_arm.copy()
         return arms.Geometry(cx, cy, *lengths, float(np.cos(home)), float(np.sin(home)))
 
-    def geometry_of(self, own: np.ndarray) -> arms.Geometry:
-        """Return the same data for a list of positioners."""
-        return arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
+    def geometry_of(self, own: np.ndarray, fiber: np.ndarray | None = None) -> arms.Geometry:
+        """Return the same data for a list of positioners, and for the fiber types that they use (by index)."""
+        g = arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
+        return g if fiber is None or self.fibers is None else g._replace(l2=self.fibers.length[fiber, own])
 
     @cached_property
     def bounds(self) -> arms.Bounds:
         """Limits of the tips that each positioner can reach."""
-        low = np.maximum(self.inner_radius - self.reach_slack, 0.0) ** 2
-        return arms.Bounds(low, (self.outer_radius + self.reach_slack) ** 2, self.usable.copy())
+        return self._bounds(self.central_arm, self.eccentric_arm, self.usable.copy())
 
-    def bounds_of(self, own: np.ndarray) -> arms.Bounds:
-        """Return the same data for a list of positioners."""
-        return arms.Bounds(*(c[own] for c in self.bounds))
+    def bounds_of(self, own: np.ndarray, fiber: np.ndarray | None = None) -> arms.Bounds:
+        """Return the same data for a list of positioners, and for the fiber types that they use (by index)."""
+        if fiber is None or self.fibers is None:
+            return arms.Bounds(*(c[own] for c in self.bounds))
+        return self._bounds(self.central_arm[own], self.fibers.length[fiber, own], self.usable[own])
+
+    def _bounds(self, l1, l2, usable):
+        inner = np.abs(l1 - l2)
+        low = np.maximum(np.where(inner < arms.EQUAL_ARMS, 0.0, inner) - self.reach_slack, 0.0) ** 2
+        return arms.Bounds(low, (l1 + l2 + self.reach_slack) ** 2, usable)
 
     @cached_property
     def reach_slack(self) -> float:
         """Upper limit of the rounding error of the distance of a tip from its center."""
-        return 1e-12 * float(self.outer_radius.max() + np.abs(self.xy).max())
+        return 1e-12 * float(self.largest_radius.max() + np.abs(self.xy).max())
 
     @cached_property
     def touch_slack(self) -> float:
@@ -239,9 +286,7 @@ class FocalPlaneArrays:
     @cached_property
     def longest(self) -> float:
         """Upper limit of the length of a colliding segment."""
-        length = {arms.ELBOW_TO_TIP: self.eccentric_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[
-            self.model
-        ]
+        length = {arms.ELBOW_TO_TIP: self.longest_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[self.model]
         # almost equal arms are treated as equal, which displaces their elbow
         return (1.0 + 1e-12) * (float(length) + 2 * self.reach_slack + arms.EQUAL_ARMS)
 
@@ -276,36 +321,74 @@ class FocalPlaneArrays:
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine and sine of the capsule's angle if every positioner uses its first fiber type."""
-        return self.angles_of(self.first_type)
+        """Cosine and sine of the capsule's angle for the fiber types in use."""
+        return self.angles_of(np.arange(len(self.plane)), self.fiber_index)
 
-    def angles_of(self, fiber_type: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosine and sine of the capsule's angle for given fiber types."""
-        names = self.plane.fiber_types
-        values = self.plane.positioner.numbers.arm_angles(names)
-        angle = np.empty(len(fiber_type))
-        for name, value in zip(names, values, strict=True):
-            angle[fiber_type == name] = value
+    def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return cosine and sine of the capsule's angle from the fiber, for positioners (by row) and fiber types."""
+        angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
+        if self.fibers is not None:
+            angle = angle - self.fibers.angle[fiber, own]
         return np.cos(angle), np.sin(angle)
 
     @cached_property
+    def joints(self) -> Joints | None:
+        """Zero points and limits of the joints; None if the angles of the joints are those of the kernels."""
+        plane = self.plane
+        own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
+        return None if all(values is None for values in own) else Joints(plane, self.fibers)
+
+    def joints_free_for(self, side: float) -> bool:
+        """Return whether the joint limits allow the whole patrol areas with an elbow: +1 is right, -1 is left."""
+        numbers = self.plane.positioner.numbers
+        return numbers.joints_free_for(side) if self.joints is None else self.joints.free(side)
+
+    @cached_property
+    def joints_free(self) -> bool:
+        """Whether the joint limits allow the whole patrol areas with the default elbow."""
+        return self.joints_free_for(-1.0 if self.plane.positioner.handedness == "left" else 1.0)
+
+    def joints_allow(
+        self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
+        theta, phi = np.empty((2, len(own)))
+        arms.solve(points, self.geometry_of(own, fiber), np.broadcast_to(side, len(own)).astype(float), theta, phi)
+        if self.joints is None:
+            return self.plane.positioner.numbers.joints_allowed(theta, phi)
+        return self.joints.allowed(*self.to_joints(theta, phi, own, fiber), own)
+
+    def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the angles of the joints for those of the kernels."""
+        if self.joints is None:
+            return theta, phi
+        own, fiber = self._rows(own, fiber)
+        return self.joints.from_kernel(theta, phi, own, fiber)
+
+    def from_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the angles of the kernels for those of the joints."""
+        if self.joints is None:
+            return theta, phi
+        theta_zero, phi_zero = self.joints.zeros(*self._rows(own, fiber))
+        return theta + theta_zero, phi + phi_zero
+
+    def _rows(self, own, fiber):
+        """Return rows of positioners and indices of fiber types; None means all rows, and the fibers in use."""
+        own = np.arange(len(self.plane)) if own is None else own
+        return own, self.fiber_index[own] if fiber is None else fiber
+
+    @cached_property
+    def home(self) -> np.ndarray:
+        """Angles theta and phi of the joints of parked positioners, shape (2, n)."""
+        numbers = self.plane.positioner.numbers
+        if self.joints is None:
+            return np.repeat(numbers.home[:, None], len(self.plane), axis=1)
+        return self.joints.home(numbers.home, self.first_index, folded=self.plane.positioner.home is None)
+
+    @cached_property
     def _idle(self) -> dict[bool, Idle]:
-        plane, n = self.plane, len(self.plane)
-        stuck = self.is_stuck
-        home = np.repeat(plane.positioner.numbers.home[:, None], n, axis=1)
-        home[:, stuck] = self.stuck[stuck].T
-        segments = np.empty((4, n))
-        arms.pose(*home, self.geometry, segments)
-        folded = ~stuck & self.equal_arms & (plane.positioner.numbers.home[1] == np.pi)
-        segments[2:, folded] = self.xy[folded].T  # sin(pi) is not 0
-        states = {}
-        for parked_obstacles in (False, True):
-            parked = self.usable & self.equal_arms & parked_obstacles
-            gone = self.usable & ~parked
-            values = [np.where(gone, np.nan, v) for v in (*home, segments)]
-            states[parked_obstacles] = Idle(*values, parked)
-        return states
+        return find_idle(self)
 
     def idle(self, parked_obstacles: bool) -> Idle:
         """Return the arms without a target: those that cannot move, and idle equal arms if these are obstacles."""
-        return self._idle[bool(parked_obstacles)]
+        return self.plane.arrays._idle[bool(parked_obstacles)]

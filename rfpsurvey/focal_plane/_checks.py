@@ -59,6 +59,8 @@ def check_columns(plane) -> None:
             strange = lengths[~((lengths > 0) & (lengths < 1e6))]
             if len(strange):
                 raise InputError(f"{name} must be {n} positive lengths below 1 km, got {strange[0]:g} mm")
+    _check_fibers(plane, n)
+    _check_joints(plane, n)
     if plane.stuck is not None:
         angles = to_radian(plane.stuck, "stuck")
         if angles.shape != (n, 2):
@@ -73,3 +75,59 @@ def check_columns(plane) -> None:
         strange = circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]
         if len(strange):
             raise InputError(f"{what}, got {strange[0].tolist()} mm")
+
+
+def _check_fibers(plane, n):
+    """Check the places of fibers on the eccentric arms, and convert them to a dict."""
+    places = plane.fiber_xy
+    if places is None:
+        return
+    if plane.eccentric_arm is not None:
+        raise InputError(
+            "fiber_xy must be given without eccentric_arm: it has the distances from the elbows to the fibers"
+        )
+    if not isinstance(places, dict):
+        if len(plane.fiber_types) > 1:
+            raise InputError(
+                f"fiber_xy must be a dict of the fiber types {', '.join(plane.fiber_types)}, got one column"
+            )
+        places = {plane.fiber_types[0]: places}
+    places = dict(places)
+    object.__setattr__(plane, "fiber_xy", places)
+    for name in plane.fiber_types:
+        if name not in places:
+            raise InputError(
+                f"fiber_xy must have the fiber type {name!r}, got {', '.join(map(repr, places)) or 'none'}"
+            )
+    for name, value in places.items():
+        points = to_points_mm(value, f"fiber_xy of {name!r}")
+        if len(points) != n:
+            raise InputError(f"fiber_xy of {name!r} must have the shape ({n}, 2), got {points.shape}")
+        has = np.array([name in row.split("+") for row in plane.fiber_type.tolist()])
+        length = np.hypot(*points.T)
+        bad = np.flatnonzero(np.where(has, ~((length > 0) & (length < 1e6)), length >= 1e6))
+        if len(bad):
+            raise InputError(
+                f"fiber_xy of {name!r} must be finite, away from the elbow and within 1 km of it for each positioner "
+                f"with this fiber, got {points[bad[0]].tolist()} mm for positioner {plane.id[bad[0]]}"
+            )
+
+
+def _check_joints(plane, n):
+    """Check the zero points and the joint limits of single positioners."""
+    for name in ("zero_points", "theta_range", "phi_range"):
+        value = getattr(plane, name)
+        if value is None:
+            continue
+        angles = to_radian(value, name)
+        if angles.shape != (n, 2):
+            raise InputError(f"{name} must have the shape ({n}, 2), got {angles.shape}")
+        low, high = angles.T
+        if name == "zero_points":
+            bad, what = ~np.isfinite(angles).all(axis=1), "two finite angles"
+        else:
+            bad = ~((low < high) & np.isfinite(high - low) | np.isnan(low) & np.isnan(high))
+            what = "(low, high) with low < high, or NaN twice,"
+        if bad.any():
+            k = np.flatnonzero(bad)[0]
+            raise InputError(f"{name} must be {what} for each positioner, got {value[k]} for {plane.id[k]}")

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._units import to_points_mm
 from rfpsurvey.errors import check_keywords
-from rfpsurvey.focal_plane import _tables
+from rfpsurvey.focal_plane import _kinematics, _tables
 from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._checks import check_columns
 from rfpsurvey.focal_plane._coverage import find_coverage, footprint_of
@@ -46,12 +46,28 @@ class FocalPlane:
         theta and phi of positioners that cannot move; NaN for the others.
     obstacles : Quantity, shape (m, 3), optional
         Circles (x, y, radius) that no arm may touch, such as fiducials.
+    fiber_xy : Quantity, shape (n, 2), or dict of str to Quantity, optional
+        Place of each fiber on the eccentric arm, in place of ``eccentric_arm``; a dict has one entry for each fiber
+        type. The origin is the elbow, +x points along the mechanical axis of the arm, and +y to its left. NaN stands
+        for a fiber that a positioner lacks. Names that no positioner lists in ``fiber_type``, such as those of
+        metrology fibers, are allowed: these fibers take no targets, and `forward` computes their positions.
+    zero_points : Quantity, shape (n, 2), optional
+        Direction of the central arm at theta = 0, counter-clockwise from +x, and angle from the central arm to the
+        mechanical axis of the eccentric arm at phi = 0; 0 by default.
+    theta_range, phi_range : Quantity, shape (n, 2), optional
+        Joint limits of each positioner; NaN where those of ``positioner`` apply.
 
     Raises
     ------
     InputError
-        If the length of a column differs from that of ``xy``, an identifier occurs twice or contains blanks, or two
-        positioners have the same center.
+        If the length of a column differs from that of ``xy``, an identifier occurs twice or contains blanks, two
+        positioners have the same center, or a positioner has no place for one of its fibers.
+
+    Notes
+    -----
+    With ``fiber_xy``, phi is the angle of the mechanical axis, and ``arm_angle`` of the positioner is that between this
+    axis and the colliding segment. Without it, the axis points to the fiber. A target without a fiber type is observed
+    with the first fiber type of a positioner.
 
     Examples
     --------
@@ -73,6 +89,10 @@ class FocalPlane:
     disabled: np.ndarray | None = None
     stuck: u.Quantity | None = None
     obstacles: u.Quantity | None = None
+    fiber_xy: u.Quantity | dict[str, u.Quantity] | None = None
+    zero_points: u.Quantity | None = None
+    theta_range: u.Quantity | None = None
+    phi_range: u.Quantity | None = None
 
     def __post_init__(self):
         check_columns(self)
@@ -141,6 +161,67 @@ class FocalPlane:
             If ``xy`` does not have a unit of length or this shape, or the focal plane lacks one of the fiber types.
         """
         return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
+
+    def forward(self, theta: u.Quantity, phi: u.Quantity, fiber_type: str | np.ndarray | None = None) -> u.Quantity:
+        """Return the position of a fiber of each positioner for given joint angles.
+
+        Parameters
+        ----------
+        theta, phi : Quantity, shape (n,)
+            Joint angles; NaN for positioners without a position.
+        fiber_type : str or array_like of str, shape (n,), optional
+            Fiber type, or a name in ``fiber_xy``; by default the first fiber type of each positioner.
+
+        Returns
+        -------
+        Quantity, shape (n, 2)
+            Positions on the focal plane in mm; NaN where an angle is NaN or the positioner lacks the fiber.
+
+        Raises
+        ------
+        InputError
+            If the angles have another shape, or the focal plane does not have the fiber.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> import rfpsurvey as rs
+        >>> robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2 * u.mm)
+        >>> plane = rs.FocalPlane([[0, 0]] * u.mm, robot, fiber_xy=[[14.965, 0.376]] * u.mm)
+        >>> xy = plane.forward([0] * u.deg, [90] * u.deg)
+        >>> xy
+        <Quantity [[ 7.024, 14.965]] mm>
+        >>> plane.inverse(xy)[1]
+        <Quantity [90.] deg>
+        """
+        return _kinematics.forward(self, theta, phi, fiber_type)
+
+    def inverse(
+        self, xy: u.Quantity, fiber_type: str | np.ndarray | None = None, handedness: str | np.ndarray | None = None
+    ) -> tuple[u.Quantity, u.Quantity]:
+        """Return the joint angles that place a fiber of each positioner at a point.
+
+        Parameters
+        ----------
+        xy : Quantity, shape (n, 2)
+            Points on the focal plane, one for each positioner.
+        fiber_type : str or array_like of str, shape (n,), optional
+            Fiber type, or a name in ``fiber_xy``; by default the first fiber type of each positioner.
+        handedness : {"right", "left"} or array_like of str, shape (n,), optional
+            Handedness of each arm, if it differs from that of the positioner.
+
+        Returns
+        -------
+        theta, phi : Quantity, shape (n,)
+            Joint angles in deg, within 360 deg above the low joint limit or, without a limit, above -180 deg. They are
+            NaN where the point is NaN, out of reach or beyond the joint limits, or the positioner lacks the fiber.
+
+        Raises
+        ------
+        InputError
+            If the points have another shape, or the focal plane does not have the fiber.
+        """
+        return _kinematics.inverse(self, xy, fiber_type, handedness)
 
     def multiplicity(self, xy: u.Quantity) -> np.ndarray:
         """Return the number of positioners that reach each point.

@@ -7,11 +7,11 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from rfpsurvey._kernels import arms, reach
+from rfpsurvey._kernels import reach
 from rfpsurvey._units import locked, to_plain
 from rfpsurvey.errors import InputError
 
-__all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "joints_allow", "make_grid", "sides"]
+__all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "make_grid", "sides"]
 
 # Number of targets that are tested together, so that little memory is used besides that of the pairs.
 BLOCK = 1 << 18
@@ -130,8 +130,33 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 def find_reach(plane, points, accepts) -> Reach:
     """Return the reachable pairs of targets in mm; ``accepts`` is a result of `accepted_types`."""
-    geometry = plane.arrays.geometry
-    positioners = (geometry.cx, geometry.cy, plane.arrays.inner_radius, plane.arrays.outer_radius, plane.arrays.offers)
+    kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
+    parts = []
+    for kind in kinds.tolist():
+        # without a fiber type, a target is observed with the first fiber of the positioner
+        fiber = None if kind == -1 else np.full(len(plane), kind.bit_length() - 1)
+        rows = np.flatnonzero(accepts == kind) if len(kinds) > 1 else slice(None)
+        parts.append((rows, _find_pairs(plane.arrays.using(fiber), points[rows], accepts[rows])))
+    return parts[0][1] if len(parts) == 1 else _merge(parts, len(points))
+
+
+def _merge(parts, n) -> Reach:
+    """Return the pairs of all targets from those of parts of the targets, given with the rows of the targets."""
+    size = np.zeros(n, dtype=np.int64)
+    for rows, pairs in parts:
+        size[rows] = np.diff(pairs.indptr)
+    indptr = np.concatenate([[0], np.cumsum(size)])
+    owner, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
+    for rows, pairs in parts:
+        place = np.repeat(indptr[rows] - pairs.indptr[:-1], size[rows]) + np.arange(len(pairs.owner))
+        owner[place], r2[place] = pairs.owner, pairs.r2
+    return Reach(indptr, owner, r2, parts[0][1].n_positioners)
+
+
+def _find_pairs(columns, points, accepts) -> Reach:
+    """Return the reachable pairs for the fiber types in use."""
+    plane, geometry = columns.plane, columns.geometry
+    positioners = (geometry.cx, geometry.cy, columns.inner_radius, columns.outer_radius, columns.offers)
     indptr, n = np.zeros(len(points) + 1, dtype=np.int64), 0
     owner, r2 = (np.empty(2 * len(points) + 1024, dtype) for dtype in (np.int64, np.float64))
     code, edges = np.empty(min(len(owner), 2 * BLOCK), dtype=np.int8), []
@@ -141,7 +166,7 @@ def find_reach(plane, points, accepts) -> Reach:
         while True:
             size = min(len(owner) - n, len(code))
             out = owner[n : n + size], r2[n : n + size], code[:size]
-            m = reach.reachable_pairs(x, y, types, *positioners, *plane.arrays.grid, rows, *out)
+            m = reach.reachable_pairs(x, y, types, *positioners, *columns.grid, rows, *out)
             if m <= size:
                 break
             code = np.empty(m, dtype=np.int8)
@@ -155,27 +180,29 @@ def find_reach(plane, points, accepts) -> Reach:
     if len(edge):
         keep = np.ones(n, dtype=bool)
         target = np.searchsorted(indptr, edge, side="right") - 1
-        keep[edge] = [_in_annulus_exactly(plane, owner[k], points[t]) for k, t in zip(edge, target, strict=True)]
+        keep[edge] = [_in_annulus_exactly(columns, owner[k], points[t]) for k, t in zip(edge, target, strict=True)]
         pairs = pairs.where(keep)
-    if not plane.positioner.numbers.joints_free:
+    if not columns.joints_free:
         allowed = np.zeros(len(pairs.owner), dtype=bool)
         for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]:
-            allowed |= joints_allow(plane, pairs.owner, points[pairs.target], side)
+            allowed |= columns.joints_allow(pairs.owner, points[pairs.target], side)
         pairs = pairs.where(allowed)
     return pairs
 
 
-def sides(plane, points, own=None) -> np.ndarray:
+def sides(columns, points, own=None, fiber=None) -> np.ndarray:
     """Return the elbow of each positioner (or of the rows ``own``) toward its point (mm): +1 is right, -1 is left.
 
     If the handedness allows both, the elbow is right, unless the joint limits forbid the right one and allow the left
     one.
     """
-    side = np.full(len(points), -1.0 if plane.positioner.handedness == "left" else 1.0)
-    if plane.positioner.handedness == "both" and not plane.positioner.numbers.joints_free:
+    handedness = columns.plane.positioner.handedness
+    side = np.full(len(points), -1.0 if handedness == "left" else 1.0)
+    if handedness == "both" and not columns.joints_free:
         rows = np.flatnonzero(np.isfinite(points).all(axis=1))
-        own = np.arange(len(plane)) if own is None else own
-        right, left = (joints_allow(plane, own[rows], points[rows], s) for s in (1.0, -1.0))
+        own = np.arange(len(columns.plane)) if own is None else own
+        fiber = None if fiber is None else fiber[rows]
+        right, left = (columns.joints_allow(own[rows], points[rows], s, fiber) for s in (1.0, -1.0))
         side[rows[~right & left]] = -1.0
     return side
 
@@ -185,16 +212,9 @@ def elbow_names(side: np.ndarray) -> np.ndarray:
     return np.where(side < 0, "left", "right")
 
 
-def _in_annulus_exactly(plane, i, point):
+def _in_annulus_exactly(columns, i, point):
     """Return whether a point is in a patrol area, decided in rational arithmetic."""
-    r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, plane.arrays.xy[i], strict=True))
-    l1, l2 = Fraction(plane.arrays.central_arm[i]), Fraction(plane.arrays.eccentric_arm[i])
-    inner = 0 if plane.arrays.equal_arms[i] else abs(l1 - l2)
+    r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, columns.xy[i], strict=True))
+    l1, l2 = Fraction(columns.central_arm[i]), Fraction(columns.eccentric_arm[i])
+    inner = 0 if columns.equal_arms[i] else abs(l1 - l2)
     return inner**2 <= r2 <= (l1 + l2) ** 2
-
-
-def joints_allow(plane, own, points, side):
-    """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
-    theta, phi = np.empty(len(own)), np.empty(len(own))
-    arms.solve(points, plane.arrays.geometry_of(own), np.full(len(own), side), theta, phi)
-    return plane.positioner.numbers.joints_allowed(theta, phi)

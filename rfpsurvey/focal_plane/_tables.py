@@ -6,11 +6,18 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import to_mm, to_plain, to_radian
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["read_columns", "to_table"]
+
+JOINTS = {
+    "zero_points": ("theta_zero", "phi_zero"),
+    "theta_range": ("theta_min", "theta_max"),
+    "phi_range": ("phi_min", "phi_max"),
+}
+"""Columns of the zero points and limits of joints."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
@@ -36,6 +43,16 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     if "stuck_theta" in names and "stuck_phi" in names:
         angles = [_quantity(table, name, u.deg)[unit] for name in ("stuck_theta", "stuck_phi")]
         columns["stuck"] = np.column_stack(angles)
+    for name, (low, high) in JOINTS.items():
+        if low in names and high in names:
+            columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in (low, high)])
+    places = {}
+    for column in names:
+        if column.startswith("fiber_x") and column.replace("fiber_x", "fiber_y", 1) in names:
+            pair = [_quantity(table, part, u.mm)[unit] for part in (column, column.replace("fiber_x", "fiber_y", 1))]
+            places[column.removeprefix("fiber_x").removeprefix("_")] = np.column_stack(pair)
+    if places:
+        columns["fiber_xy"] = places
     if not unit.all():
         columns["obstacles"] = np.column_stack([xy[~unit], radius[~unit]])
     if positioner is None:
@@ -53,10 +70,20 @@ def to_table(plane) -> QTable:
     table["spectrograph"] = np.concatenate([plane.spectrograph, np.zeros((m, *width), int)])
     table["fiber_type"] = np.concatenate([plane.fiber_type, np.full(m, "")])
     table["disabled"] = np.append(plane.disabled, np.zeros(m, bool))
-    lengths = {"central_arm": plane.arrays.central_arm, "eccentric_arm": plane.arrays.eccentric_arm}
+    lengths = {"central_arm": plane.arrays.central_arm}
+    if plane.fiber_xy is None:
+        lengths["eccentric_arm"] = plane.arrays.eccentric_arm
+    for name, places in (plane.fiber_xy or {}).items():
+        lengths |= {
+            f"fiber_{axis}" + (f"_{name}" if name else ""): v
+            for axis, v in zip("xy", to_mm(places, name).T, strict=True)
+        }
     angles = {"stuck_theta": plane.arrays.stuck[:, 0], "stuck_phi": plane.arrays.stuck[:, 1]}
     for name, values in lengths.items():
         table[name] = np.append(values, np.full(m, np.nan)) * u.mm
+    for name, (low, high) in JOINTS.items():
+        if getattr(plane, name) is not None:
+            angles |= dict(zip((low, high), to_radian(getattr(plane, name), name).T, strict=True))
     for name, values in angles.items():
         table[name] = np.rad2deg(np.append(values, np.full(m, np.nan))) * u.deg
     table["obstacle_radius"] = np.append(np.full(n, np.nan), circles[:, 2]) * u.mm

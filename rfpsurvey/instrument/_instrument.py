@@ -157,7 +157,7 @@ class Instrument:
     def field_radius(self) -> u.Quantity:
         """Field angle of the outermost point that any positioner reaches."""
         plane = self.focal_plane
-        edge = (np.hypot(*plane.arrays.xy.T) + plane.arrays.outer_radius).max(keepdims=True)
+        edge = (np.hypot(*plane.arrays.xy.T) + plane.arrays.largest_radius).max(keepdims=True)
         return np.rad2deg(field_angles(self, edge)[0]) * u.deg
 
     @property
@@ -287,7 +287,11 @@ class Instrument:
         parts += plane.id.tolist(), plane.spectrograph.tolist()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         arrays = plane.arrays
-        columns = arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles
+        columns = [arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles]
+        if arrays.joints is not None:
+            columns += [arrays.joints.theta_zero, arrays.joints.phi_zero, arrays.joints.limits]
+        if arrays.fibers is not None:
+            columns += [arrays.fibers.length, arrays.fibers.angle]
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}

@@ -34,7 +34,7 @@ def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: 
     indptr = np.searchsorted(own[order], np.arange(len(plane) + 1))
     entries = make_entries(len(plane), len(own))
     entries.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
-    setup = make_setup(plane, plane.arrays.angles, parked_obstacles)
+    setup = make_setup(plane.arrays, parked_obstacles)
     sums, times, counted = np.empty((1, 5)), np.zeros(len(plane)), np.zeros(len(plane), dtype=np.int64)
     positioners, pair_probability = make_positioners(plane, setup), np.empty(len(plane.arrays.neighbors))
     simulate.expect_given(

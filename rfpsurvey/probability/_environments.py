@@ -21,9 +21,9 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
     i, j = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)]).T
-    kinds = np.column_stack(
-        [_codes(plane.arrays.central_arm), _codes(plane.arrays.eccentric_arm), _codes(plane.arrays.first_type)]
-    )
+    columns = plane.arrays
+    kinds = [columns.central_arm, columns.eccentric_arm, columns.first_type, *columns.angles]
+    kinds = np.column_stack([_codes(values) for values in kinds])
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
     # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, so that
     # its kind is different after each rotation
@@ -36,7 +36,7 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
         i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
         what = np.append(what, 2 * n + k)  # obstacles differ in radius, and are few: each is a separate kind
-    rotations = range(6) if plane.positioner.numbers.joints_free else range(1)
+    rotations = range(6) if plane.arrays.joints_free else range(1)
     still = (what >= n) & (what < 2 * n)
     keys = np.array([_hash(n, i, away, what + still * (k * 1_000_000_007), k * np.pi / 3) for k in rotations])
     _, first, number = np.unique(keys.min(axis=0), return_index=True, return_inverse=True)

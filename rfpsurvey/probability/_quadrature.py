@@ -118,7 +118,7 @@ class Quadrature:
                     f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "
                     f"shape {weight.shape}, from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
                 )
-        if self.density == "shared" or not self.plane.positioner.numbers.joints_free:
+        if self.density == "shared" or not self.plane.arrays.joints_free:
             reach = self.plane.arrays.reach(tips)
             many = np.diff(reach.indptr)
             mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
@@ -128,7 +128,7 @@ class Quadrature:
 
     @cached_property
     def _setup(self):
-        return make_setup(self.plane, self.plane.arrays.angles, parked_obstacles=False)
+        return make_setup(self.plane.arrays, parked_obstacles=False)
 
     @cached_property
     def _idle(self):
@@ -158,7 +158,7 @@ def integrate(
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
-    plain = isinstance(task.density, str) and task.density == "uniform" and plane.positioner.numbers.joints_free
+    plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
     rare = (np.log2(share.max() / share) / 2).astype(int)  # environments of few positioners may have larger errors

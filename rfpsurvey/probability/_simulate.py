@@ -69,7 +69,7 @@ class Simulation:
     def compiled(self) -> bool:
         """Whether kernels run the whole simulation."""
         balanced = self.options.allocator == "balanced"
-        return self.source.compiled and balanced and self.plane.positioner.numbers.joints_free
+        return self.source.compiled and balanced and self.plane.arrays.joints_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
         """Count the collisions of one configuration of each realization."""
@@ -182,7 +182,7 @@ class Simulation:
 
     @cached_property
     def _setup(self):
-        return make_setup(self.plane, self.plane.arrays.angles, self.options.parked_obstacles)
+        return make_setup(self.plane.arrays, self.options.parked_obstacles)
 
     @cached_property
     def _positioners(self):

@@ -1,0 +1,40 @@
+"""Poses of arms without a target."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey._kernels import arms
+
+__all__ = ["Idle", "find_idle"]
+
+
+@dataclass(frozen=True, eq=False)
+class Idle:
+    """Poses of arms without a target; NaN for arms that are no obstacles because they avoid all other arms."""
+
+    theta: np.ndarray
+    phi: np.ndarray
+    segments: np.ndarray
+    """Elbows and tips, shape (4, n)."""
+    parked: np.ndarray
+    """Whether each positioner is usable and parked as an obstacle."""
+
+
+def find_idle(columns) -> dict[bool, Idle]:
+    """Return the idle arms if parked arms are no obstacles (False), and if they are (True)."""
+    n, stuck = len(columns.plane), columns.is_stuck
+    home = columns.home.copy()
+    home[:, stuck] = columns.stuck[stuck].T
+    theta, phi = (np.ascontiguousarray(v) for v in columns.from_joints(*home))
+    segments = np.empty((4, n))
+    arms.pose(theta, phi, columns.geometry, segments)
+    folded = ~stuck & columns.equal_arms & (np.abs(phi - np.pi) < 1e-12)
+    segments[2:, folded] = columns.xy[folded].T  # sin(pi) is not 0
+    states = {}
+    for parked_obstacles in (False, True):
+        parked = columns.usable & columns.equal_arms & parked_obstacles
+        gone = columns.usable & ~parked
+        values = [np.where(gone, np.nan, v) for v in (*home, segments)]
+        states[parked_obstacles] = Idle(*values, parked)
+    return states

@@ -1,0 +1,66 @@
+"""Positions of fibers for joint angles, and joint angles for positions, of all positioners of a focal plane."""
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import arms
+from rfpsurvey._units import to_plain, to_points_mm, to_radian
+from rfpsurvey.errors import InputError, check_choice
+
+__all__ = ["forward", "inverse"]
+
+
+def forward(plane, theta, phi, fiber_type) -> u.Quantity:
+    """Return the position of a fiber of each positioner; see `FocalPlane.forward`."""
+    n, columns = len(plane), plane.arrays
+    angles = [to_radian(value, name) for value, name in ((theta, "theta"), (phi, "phi"))]
+    if any(value.shape != (n,) for value in angles):
+        raise InputError(f"theta and phi must have the shape ({n},), got {' and '.join(str(v.shape) for v in angles)}")
+    fiber, missing = _fibers(plane, fiber_type)
+    own, segments = np.arange(n), np.empty((4, n))
+    angles = (np.ascontiguousarray(v, dtype=float) for v in columns.from_joints(*angles, own, fiber))
+    arms.pose(*angles, columns.geometry_of(own, fiber), segments)
+    segments[:, missing] = np.nan
+    return segments[2:].T.copy() << u.mm
+
+
+def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
+    """Return the joint angles that place a fiber of each positioner at a point; see `FocalPlane.inverse`."""
+    n, columns = len(plane), plane.arrays
+    points = to_points_mm(xy, "xy")
+    if len(points) != n:
+        raise InputError(f"xy must have a row for each of the {n} positioners, got {len(points)}")
+    fiber, missing = _fibers(plane, fiber_type)
+    own = np.arange(n)
+    if handedness is None:
+        side = columns.sides(points, own, fiber)
+    else:
+        names = np.broadcast_to(to_plain(handedness, "handedness").astype(str), n)
+        for name in np.unique(names):
+            check_choice(str(name), ("right", "left"), "handedness of an arm")
+        side = np.where(names == "left", -1.0, 1.0)
+    g, angles = columns.geometry_of(own, fiber), np.empty((2, n))
+    arms.solve(points, g, side, *angles)
+    bounds = columns.bounds_of(own, fiber)
+    r2 = ((points - columns.xy) ** 2).sum(axis=1)
+    reached = (r2 >= bounds.low) & (r2 <= bounds.high) & ~missing & columns.joints_allow(own, points, side, fiber)
+    return tuple(np.rad2deg(np.where(reached, v, np.nan)) << u.deg for v in columns.to_joints(*angles, own, fiber))
+
+
+def _fibers(plane, fiber_type):
+    """Return the index of a fiber of each positioner, and whether the positioner lacks it."""
+    n, columns = len(plane), plane.arrays
+    fibers = columns.fibers
+    names = plane.fiber_types if fibers is None else fibers.names
+    if fiber_type is None:
+        return columns.first_index, np.zeros(n, dtype=bool)
+    types = to_plain(fiber_type, "fiber_type").astype(str)
+    if types.shape not in ((), (n,)):
+        raise InputError(f"fiber_type must be one name or have the shape ({n},), got {types.shape}")
+    types = np.broadcast_to(types, n)
+    for name in np.unique(types):
+        check_choice(str(name), names, "fiber type")
+    index = np.array([names.index(name) for name in types.tolist()])
+    lists = [row.split("+") for row in plane.fiber_type.tolist()]
+    missing = np.array([t not in row for t, row in zip(types.tolist(), lists, strict=True)])
+    return index, missing if fibers is None else fibers.missing[index, np.arange(n)]
