@@ -9,7 +9,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the angle of the arc of a circle of radius r inside a second circle, with centers d apart."""
+    """Return half the angle of the arc of a circle (radius ``r``) inside a second circle at the distance ``d``."""
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:

@@ -35,7 +35,7 @@ class Limits(NamedTuple):
     near: float
     """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
-    """Largest difference of a squared distance from separation^2 at which rounding could decide their comparison."""
+    """Largest difference of a squared distance from separation^2 at which rounding could change their comparison."""
 
 
 def limits(separation, length, extent):
@@ -61,7 +61,7 @@ def point_segment_squared(px, py, ax, ay, bx, by):
 
 @kernel
 def orientation(ax, ay, bx, by, px, py):
-    """Return on which side of the line a -> b the point p is: 1 left, -1 right, 0 if rounding could decide."""
+    """Return the side of the line from a to b on which p is: 1 is left, -1 is right, and 0 is uncertain."""
     left = (bx - ax) * (py - ay)
     right = (by - ay) * (px - ax)
     slack = ORIENTATION_ERROR * (abs(left) + abs(right))
@@ -84,8 +84,8 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
     """Return the squared distance of the segments a-b and c-d; the error of its root is at most DISTANCE_ERROR * S.
 
-    The result is 0 if the segments certainly cross. If rounding could decide whether they cross, the least distance
-    from an end of one segment to the other segment is accurate enough.
+    The result is 0 if the segments certainly cross. If rounding makes this uncertain, the least distance from an end of
+    one segment to the other segment is accurate enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
         orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0
@@ -193,7 +193,7 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs closer than the minimum separation, and pairs within the band where rounding could decide.
+    """List pairs closer than the minimum separation, and pairs within the band where rounding could change this.
 
     Returns the number of all these pairs, and the number of pairs within the band.
     """

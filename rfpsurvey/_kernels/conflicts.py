@@ -42,7 +42,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     """List the colliding candidates of each pair of neighboring positioners, beginning with the pair of index ``p``.
 
     Returns the number of listed candidate pairs, and the index of the first pair of neighbors for which there was no
-    space in the lists. ``borderline`` marks the candidate pairs for which rounding could decide.
+    space in the lists. ``borderline`` marks the candidate pairs for which rounding errors could change the result.
     """
     n = 0
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
@@ -123,9 +123,9 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
 
     ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
     of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
-    the second positioner. A clique is made from one candidate a and all candidates that a excludes. Other candidates of
-    the same positioner as a are added if they exclude all of the latter. Returns the number of cliques. If ``column``
-    is empty, only the sizes of the cliques are computed.
+    the second positioner. A clique is made from one candidate a and all candidates that a excludes. Each other
+    candidate of the same positioner is added if it also excludes all of these. Returns the number of cliques. If
+    ``column`` is empty, only the sizes of the cliques are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0

@@ -46,7 +46,7 @@ def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def annulus(r2, inner, outer):
-    """Return INSIDE or OUTSIDE for a squared radius and a closed annulus, or BORDERLINE if rounding could decide."""
+    """Return whether a squared radius is INSIDE or OUTSIDE a closed annulus, or BORDERLINE if this is uncertain."""
     outer2 = outer * outer
     inner2 = inner * inner
     possible = (r2 <= outer2 * (1.0 + BAND)) & (r2 >= inner2 * (1.0 - BAND))
@@ -60,7 +60,7 @@ def reachable_pairs(
 ):
     """List the pairs within reach in ascending order of the target, then of the positioner.
 
-    Returns the number of pairs. If ``owner`` is too short for all pairs, the last ones are counted but not stored.
+    Returns the number of pairs. If ``owner`` is too short for all pairs, the last pairs are counted but not stored.
     ``accepts`` and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
     """
     n = 0

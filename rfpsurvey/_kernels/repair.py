@@ -138,7 +138,7 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 @kernel
 def repair(options, order, chosen, blocked, holder, most_rounds):
-    """Remove the collisions of a plan, in place; then assign better targets to positioners, including idle ones.
+    """Remove the collisions of a plan, in place; then assign better targets to positioners, also to idle positioners.
 
     ``order`` lists the positioners in the order in which they are moved. Returns the number of positioners that
     received a candidate as good as the previous one, and the number of positioners that lost their target.

@@ -43,7 +43,7 @@ def allocate(
 
     The purpose of an allocation is to observe science targets. Standards and sky positions are assigned to meet
     requirements; ``sdss``, ``optimal`` and ``repair`` also assign them to positioners that would otherwise be idle.
-    Only ``optimal`` and ``repair`` take collisions into account; their allocations contain none.
+    Only ``optimal`` and ``repair`` avoid collisions.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ def allocate(
     category : array_like of str, shape (n_targets,), optional
         Names that requirements refer to, such as ``sky_boss``.
     required : array_like of int, shape (k,), optional
-        Rows of the targets that take precedence over all others. `AllocationOptions` has the same parameter, with
-        identifiers in place of rows.
+        Rows of the targets that take precedence over all other targets. `AllocationOptions` has the same parameter,
+        with identifiers in place of rows.
     forbidden : array_like of int, shape (k, 2), optional
         Pairs of rows (positioner, target) that must not be assigned to each other.
     avoid : Quantity, shape (k, 2), optional
@@ -237,7 +237,7 @@ def _marked(required, n):
 
 
 def _allowed(reach: Reach, forbidden, n) -> Reach:
-    """Return the reachable pairs without the forbidden ones."""
+    """Remove the forbidden pairs from the reachable pairs."""
     if forbidden is None:
         return reach
     try:

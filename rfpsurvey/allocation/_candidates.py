@@ -43,7 +43,7 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates with fewer collisions, whose best plan gives an upper bound for all plans.
+        """Return candidates with fewer collisions; the best plan of these candidates is an upper bound for all plans.
 
         The collisions of candidates that represent omitted candidates are removed. The bound is therefore also valid
         for plans that use omitted candidates.

@@ -27,7 +27,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign one class after the other, the closest pairs first."""
+    """Assign the targets of one class after the other; in each class, assign the closest pairs first."""
     reach, rank, _ = _in_order(problem)
     indptr, target, r2, _ = _best(problem, reach, rank)
     m = len(problem.rank)
@@ -37,7 +37,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign one class after the other by nomination of the nearest targets; then fill the requirements."""
+    """Assign the targets of one class after the other by nominations of positioners; then fill the requirements."""
     reach, rank, n_ranks = _in_order(problem)
     indptr, target, r2, in_reach = _best(problem, reach, rank)
     n, m = reach.n_positioners, len(problem.rank)
@@ -129,7 +129,7 @@ def _with_watched(problem, target_of):
 
 
 def _fill_quotas(problem, target_of, owner_of):
-    """Fill the requirements in place, first with idle positioners, then with those of the least important targets."""
+    """Fill the requirements in place, first with idle positioners, then with positioners of unimportant targets."""
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used

@@ -55,7 +55,7 @@ class TargetColumns(NamedTuple):
 
 
 class AllocationAnswer(NamedTuple):
-    """The answer of an allocator; built-in allocators and those of other packages return the same type.
+    """The answer of an allocator, which has the same type for built-in allocators and for those of other packages.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ class AllocationProblem:
         Parameters
         ----------
         target_of : ndarray of int, shape (n_positioners,)
-            Target of each positioner, -1 for none.
+            Target of each positioner, or -1 if it has no target.
 
         Returns
         -------
@@ -352,7 +352,7 @@ class AllocationProblem:
         Parameters
         ----------
         target_of : ndarray of int, shape (n_positioners,)
-            Target of each positioner, -1 for none.
+            Target of each positioner, or -1 if it has no target.
 
         Returns
         -------

@@ -30,9 +30,9 @@ class Requirement:
     what : str
         A category of targets, such as ``sky_boss``, or a kind: ``science``, ``standard`` or ``sky``.
     minimum : int, optional
-        Smallest number of such targets.
+        Smallest required number of these targets.
     maximum : int, optional
-        Largest number of such targets.
+        Largest allowed number of these targets.
     per : {"tile", "spectrograph"}, optional
         Whether the numbers apply to the whole tile or to each spectrograph.
     fiber_type : str, optional
@@ -125,13 +125,13 @@ class Shortfall:
     spectrograph : int or None
         Spectrograph, if the requirement applies to each spectrograph.
     wanted : int
-        Minimum number of such targets; maximum number if there are too many.
+        Required number of targets; the maximum if the plan contains too many targets.
     found : int
-        Number of such targets in the plan.
+        Number of targets in the plan that the requirement counts.
     possible : int
-        Number of such targets in reach of positioners that can observe them.
+        Number of targets that the requirement counts and that are in reach of positioners that can observe them.
     hint : str, optional
-        A similar name that the user may have intended, or the reason why there are no such targets.
+        A similar name that the user may have intended, or the reason why there are no targets.
     """
 
     requirement: Requirement | None

@@ -95,7 +95,7 @@ class Finder:
             check_choice(role, UNITS, "column role with a unit")
 
     def name_of(self, role: str) -> str | None:
-        """Return the name of the column with this role, or None if there is no such column."""
+        """Return the name of the column with this role, or None if no column has it."""
         if role in self.columns:
             name = self.columns[role].removeprefix("-")
             if name not in self.table.colnames:

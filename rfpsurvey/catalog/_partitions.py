@@ -51,11 +51,9 @@ class PartitionedCatalog:
     Raises
     ------
     InputError
-        If pyarrow or a column is missing, the folder contains no such files, pixels overlap, or a file cannot be read.
+        If pyarrow or a column is missing, the folder contains no partitions, pixels overlap, or a file cannot be read.
 
-    See Also
-    --------
-    partition_catalog : Write a catalog to such a folder.
+    See Also -------- partition_catalog : Write a catalog in this layout.
 
     Examples
     --------

@@ -36,8 +36,8 @@ class CollisionCounts:
         Number of counted positioners (assigned positioners, and parked positioners with equal arms), and number of
         assigned positioners.
     n_borderline : ndarray of int, shape (m,)
-        Number of pairs so close to the minimum separation that rounding could decide; they are classified by their
-        computed distance.
+        Number of pairs so close to the minimum separation that rounding errors could change the result. These pairs are
+        classified by their computed distance.
     per_positioner : ndarray of int, shape (n,)
         Number of configurations in which each positioner is in collision.
 
@@ -252,7 +252,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and the segments that can collide of all queued targets, shape (4, m)."""
+    """Return the start of each queue, and the segment that can collide for each target in a queue, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]

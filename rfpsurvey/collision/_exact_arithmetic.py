@@ -1,4 +1,4 @@
-"""The test of a pair of arms in exact arithmetic, for distances so close to the limit that rounding could decide."""
+"""The test of a pair of arms in exact arithmetic, for distances at which rounding errors could change the result."""
 
 from fractions import Fraction
 from math import lcm, sqrt

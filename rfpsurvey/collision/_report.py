@@ -34,10 +34,10 @@ class CollisionReport:
         Whether each positioner is counted in the rate. Assigned positioners and parked positioners with equal arms are
         counted.
     n_borderline : int or None, optional
-        Number of pairs so close to the limit that rounding could decide; a pair consists of two arms, or of an arm and
-        an obstacle. ``exact`` and ``cuda`` decide pairs of arms in rational arithmetic, and all methods decide pairs
-        with an obstacle in this way. The number is None if the method has no proven error limit, and 0 if no two arms
-        can touch.
+        Number of pairs so close to the limit that rounding errors could change the result. A pair consists of two arms,
+        or of an arm and an obstacle. ``exact`` and ``cuda`` decide pairs of arms in rational arithmetic, and all
+        methods decide pairs with an obstacle in this way. The number is None if the method has no proven error limit,
+        and 0 if no two arms can touch.
 
     Examples
     --------

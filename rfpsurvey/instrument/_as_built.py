@@ -1,4 +1,4 @@
-"""Functions of an instrument that read the files of observatories, which describe instruments as built."""
+"""Methods of `Instrument` that read files of observatories, which describe instruments as built."""
 
 import os
 from pathlib import Path
@@ -16,11 +16,11 @@ __all__ = ["AsBuilt"]
 
 
 class AsBuilt:
-    """The readers that `Instrument` inherits."""
+    """Methods that `Instrument` inherits, which read instruments as built."""
 
     @classmethod
     def _read_as_built(cls, path: Path):
-        """Return the instrument of a file or folder of an observatory; None if it is something else."""
+        """Return the instrument in a file or folder of an observatory, or None for any other file or folder."""
         if _desi.recognizes(path):
             return cls.from_desi(path)
         files = find_pfs_files(path) if path.is_dir() else None
@@ -37,8 +37,8 @@ class AsBuilt:
     ) -> "Instrument":
         """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
 
-        Clearance, optics and requirements that the files do not contain are those of the preset ``desi``. The x axis
-        is reversed, because +x is west in the files.
+        The files contain no optics and requirements; these, and a missing clearance, are those of the preset ``desi``.
+        The x axis is reversed, because +x is west in the files.
 
         Parameters
         ----------
@@ -57,7 +57,7 @@ class AsBuilt:
         Returns
         -------
         Instrument
-            The instrument. Its ``notes`` count the rows that are not used.
+            The instrument. Its ``notes`` state the number of rows that are not used.
 
         Raises
         ------
@@ -98,14 +98,14 @@ class AsBuilt:
         interference : str or path-like, optional
             File of the cobras whose joints a fiducial limits (``cobraInterference*.csv``).
         cobras : str, path-like or list of them, optional
-            Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without it, a
-            center is the position of the cobra's dot minus the mean offset of the dots from the nominal centers, and
-            arms and joint limits are nominal.
+            Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without this model,
+            arms and joint limits are nominal, and a center is the position of the cobra's dot minus the mean offset of
+            the dots from the nominal centers.
 
         Returns
         -------
         Instrument
-            The instrument; its ``notes`` list what was read.
+            The instrument; its ``notes`` list the data that were read.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """DESI as built: positions from the metrology of desimeter, or the focal plane of desimodel with its state.
 
-The coordinate system CS5 of both has +x = west and +y = north at a field rotation of 0. In the focal plane of this
-package, +x is east. The mirror image, x = -X, exchanges the handedness and the signs of the joint angles.
+Both use the coordinate system CS5, in which +x is west and +y is north at a field rotation of 0. In the focal plane of
+this package, +x is east. The mirror image, x = -X, exchanges the handedness and the signs of the joint angles.
 """
 
 import gzip
@@ -35,7 +35,7 @@ LEFT_OUT = (
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether a file has the columns of DESI's metrology or focal plane, or a folder contains such files."""
+    """Return whether a path is a file with DESI's metrology or focal plane, or a folder with such a file."""
     if path.is_dir():
         return any(file.name.startswith("desi-focalplane_") for file in path.iterdir())
     try:
@@ -139,7 +139,7 @@ def _plane(path, **columns) -> FocalPlane:
 
 
 def _built(preset, plane, entries, notes, dropped=()):
-    """Return the preset with another focal plane; the entries replace those of its layout."""
+    """Return the preset with a new focal plane; ``entries`` replace the values that describe its layout."""
     gone = {*dropped, *(name for name in preset.values if name.startswith("layout."))}
     values = {name: entry for name, entry in preset.values.items() if name not in gone} | entries
     values["positioner.handedness"] = {**values["positioner.handedness"], "value": "left"}
@@ -159,7 +159,7 @@ def _mirrored(positioner):
 
 
 def _limits(limits) -> list[float]:
-    """Return joint limits in degrees, or the median of those of many positioners."""
+    """Return joint limits in degrees; for many positioners, return the median limits."""
     return np.median(np.atleast_2d(limits.to_value(u.deg)), axis=0).tolist()
 
 
@@ -168,7 +168,7 @@ def _centers(table, x, y, path):
 
 
 def _positioners(table, names, path):
-    """Return the rows of positioners, and a sentence on the other rows."""
+    """Return the rows of a table that are positioners, and a sentence about the other rows."""
     check_columns(table, names, path)
     kinds = np.char.strip(to_plain(table["DEVICE_TYPE"], f"{path}: column 'DEVICE_TYPE'").astype(str))
     rows = kinds == "POS"

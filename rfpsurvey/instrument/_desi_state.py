@@ -1,4 +1,4 @@
-"""State and exclusion polygons of a focal plane of desimodel."""
+"""Read the state and the exclusion polygons of a focal plane of desimodel."""
 
 import json
 import re
@@ -26,7 +26,7 @@ MOST_WIDTH = 1000
 
 
 def moment_of(value: object, what: str) -> datetime:
-    """Return a time from a Time or from text in ISO 8601, which is UTC without an offset."""
+    """Convert a Time, or text in ISO 8601, to a datetime; text without an offset is UTC."""
     try:
         if isinstance(value, Time):
             return value.utc.to_datetime(timezone=UTC)
@@ -37,7 +37,7 @@ def moment_of(value: object, what: str) -> datetime:
 
 
 def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, Path]]:
-    """Return the latest focal plane of a folder that was valid at a time, and the other files with its date."""
+    """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
     found = {}
     for file in sorted(folder.iterdir()):
         match = NAME.fullmatch(file.name)
@@ -58,7 +58,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 
 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
-    """Return columns of the focal plane, joint limits (NaN if unknown) and names of polygons at a time, and a sentence.
+    """Return the state at a time: columns of the focal plane, joint limits (NaN: unknown), names of polygons, a note.
 
     The table is a log of events: the last event of each positioner that is not after the time applies.
     """
@@ -73,7 +73,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         raise InputError(
             f"{path}: time must be at least {min(when.values()).isoformat()}, the first event, got {moment.isoformat()}"
         )
-    last = dict(zip(location[rows].tolist(), rows.tolist(), strict=True))  # the last of repeated keys is kept
+    last = dict(zip(location[rows].tolist(), rows.tolist(), strict=True))  # for repeated keys, the last value is kept
     row = np.array([last.get(one, -1) for one in ids.tolist()])
     known = row >= 0
     if not known.all():
@@ -115,7 +115,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
 
 
 def half_widths(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, str]:
-    """Return the half width of the phi polygon of each of n positioners (mm), and a sentence on the polygons."""
+    """Return the half widths (mm) of the phi polygons of n positioners, and a sentence about the polygons."""
     polygons = _load(path)
     names = np.full(n, "default") if names is None else names
     widths = {}

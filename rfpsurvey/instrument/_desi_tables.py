@@ -1,4 +1,4 @@
-"""Checked columns of the tables of DESI."""
+"""Read and check columns of the tables of DESI."""
 
 import astropy.units as u
 import numpy as np
@@ -22,7 +22,7 @@ def check_columns(table, names, path) -> None:
 
 
 def numbers(table, name: str, unit: u.UnitBase, path) -> np.ndarray:
-    """Return a column of finite numbers in a unit, which is also that of columns without a unit."""
+    """Return a column of finite numbers in a unit; a column without a unit is assumed to have this unit."""
     column, what = table[name], f"{path}: column {name!r}"
     values = to_plain(column, what)
     if values.dtype.kind not in "iuf" or values.ndim != 1:

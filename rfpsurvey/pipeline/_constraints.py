@@ -1,4 +1,4 @@
-"""Constraints of a field: conversion of circles that no arm may cover to obstacles, and rows of required targets."""
+"""Convert the constraints of a field: circles that no arm may cover to obstacles, and identifiers to required rows."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,7 +14,8 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
-# Number of points on the rim of a circle on the sky, and a factor that covers the rim between two points.
+# Number of points on the rim of a circle on the sky, and a factor for the radius, because the rim can be farther out
+# between two points.
 N_RIM, MARGIN = 360, 1 + 1e-4
 
 

@@ -65,7 +65,7 @@ def field_radius_rad(instrument: Instrument) -> float:
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the positions (mm) of targets on the focal plane, and their required fiber types (None: any type)."""
+    """Return the positions (mm) of targets on the focal plane, and their required fiber types or None."""
     if instrument.focal_plane.fiber_types == ("",):
         fiber_type = None  # a single unnamed fiber type can observe all targets
     elif isinstance(instrument.distortion, dict):

@@ -49,6 +49,7 @@ class PositionerNumbers:
 
     def __init__(self, positioner: "Positioner"):
         self.positioner = positioner
+        self._arm_angles: dict[tuple[str, ...], np.ndarray] = {}
         self.central_arm = float(to_mm(positioner.central_arm, "central_arm"))
         self.eccentric_arm = float(to_mm(positioner.eccentric_arm, "eccentric_arm"))
         self.clearance = float(to_mm(positioner.clearance, "clearance"))
@@ -91,13 +92,16 @@ class PositionerNumbers:
         return phi is None or bool(phi[0] <= low and phi[1] >= high)
 
     def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
-        """Return the angle between the segment that can collide and the direction of the fiber, for each fiber type."""
-        given = self.positioner.arm_angle
-        if isinstance(given, dict):
+        """Return the angle between the colliding segment and the direction of the fiber, for each fiber type."""
+        if fiber_types not in self._arm_angles:
+            given = self.positioner.arm_angle
+            if not isinstance(given, dict):
+                given = dict.fromkeys(fiber_types, 0 * u.deg if given is None else given)
             for name in given:
                 check_choice(name, fiber_types, "fiber type of arm_angle")
-            return np.array([float(to_radian(given.get(t, 0 * u.deg), "arm_angle")) for t in fiber_types])
-        return np.full(len(fiber_types), 0.0 if given is None else float(to_radian(given, "arm_angle")))
+            angles = [float(to_radian(given.get(name, 0 * u.deg), "arm_angle")) for name in fiber_types]
+            self._arm_angles[fiber_types] = locked(np.array(angles))
+        return self._arm_angles[fiber_types]
 
 
 def _allowed(angle, low, high):
