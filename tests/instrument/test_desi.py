@@ -12,6 +12,8 @@ from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
 import rfpsurvey as rs
+from damaged_files import FINE, damage, outcome
+from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 partial = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -377,3 +379,24 @@ def test_the_optics_agree_with_the_ray_trace(real_data, presets):
     assert (along[inside & (angle > 0.005)] > 0).all()
     expected = presets["desi"].distortion.to_radius(angle[inside] * u.rad).to_value(u.mm)
     assert 0.05 < np.abs(radius[inside] - expected).max() < 0.07
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_damaged_files_are_refused_with_a_sentence(folder, tmp_path, seed):
+    desi_files.metrology(folder / "fp.csv", per_petal=FEW)
+    plane, log = (next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state"))
+    polygons = folder / "polygons.yaml"
+    desi_files.exclusions(polygons)
+    readers = {
+        folder / "fp.csv": rs.Instrument.from_desi,
+        plane: rs.Instrument.from_desi,
+        log: lambda path: rs.Instrument.from_desi(plane, state=path),
+        polygons: lambda path: rs.Instrument.from_desi(plane, exclusions=path),
+    }
+    for number, (path, read) in enumerate(readers.items()):
+        sample = Sample("DESI", path, lambda path, read=read: len(read(path).focal_plane), lambda path: None)
+        away = tmp_path / f"damaged {number}"
+        away.mkdir()
+        damaged, done = damage(np.random.default_rng([7, seed, number]), sample, away)
+        what, words = outcome(sample, damaged)
+        assert what in FINE, f"{path.name} ({done}): {what}: {words}"

@@ -12,7 +12,9 @@ from astropy.table import QTable
 from numpy.testing import assert_array_equal
 
 import rfpsurvey as rs
+from damaged_files import FINE, damage, outcome
 from rfpsurvey import plans
+from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 pytestmark = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -275,3 +277,12 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
         plans.write_plan(plan, tmp_path / "no.fits", format="fiberassign")
     assert not list(tmp_path.glob("no*"))
     assert not list(tmp_path.glob(".rfpsurvey*"))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_other_damaged_files_are_refused_with_a_sentence(path, tmp_path, seed):
+    sample = Sample("DESI", path, lambda path: len(plans.read_plan(path, format="fiberassign")), lambda path: None)
+    (tmp_path / "damaged").mkdir()
+    damaged, done = damage(np.random.default_rng([8, seed]), sample, tmp_path / "damaged")
+    what, words = outcome(sample, damaged)
+    assert what in FINE, f"{done}: {what}: {words}"
