@@ -97,6 +97,9 @@ def test_the_last_event_before_a_time_applies(folder):
     assert "all positioners work" in start.notes
     assert_allclose(stuck.focal_plane.stuck[row_of(stuck, 1003)].to_value(u.deg), [-10, -100])
     assert stuck.focal_plane.arrays.usable.sum() == 10 * FEW - 1
+    k = row_of(stuck, 1003)
+    place = stuck.focal_plane.forward(np.full(10 * FEW, -10) * u.deg, np.full(10 * FEW, -100) * u.deg)[k]
+    assert_allclose(stuck.focal_plane.arrays.idle(True).segments[2:, k], place.to_value(u.mm))
     assert broken.focal_plane.disabled.sum() == 1
     assert broken.focal_plane.arrays.usable[row_of(broken, 1003)]
     assert_allclose(broken.focal_plane.stuck[row_of(broken, 1004)].to_value(u.deg), [-1, -90])

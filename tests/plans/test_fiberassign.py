@@ -286,3 +286,19 @@ def test_other_damaged_files_are_refused_with_a_sentence(path, tmp_path, seed):
     damaged, done = damage(np.random.default_rng([8, seed]), sample, tmp_path / "damaged")
     what, words = outcome(sample, damaged)
     assert what in FINE, f"{done}: {what}: {words}"
+
+
+def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_data, tycho):
+    desi = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
+    center = SkyCoord(95 * u.deg, 23 * u.deg)
+    stars = rs.Catalog.read(tycho)
+    tile = rs.plan_tile(rs.Catalog(stars.coord, id=np.arange(len(stars))), desi, center)
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold"):
+        plans.write_plan(tile, tmp_path / "tile.fits.gz", format="fiberassign")
+    again = rs.score_tile(plans.read_plan(tmp_path / "tile.fits.gz"), desi)
+    assert tile.summary["n_assigned"] > 800
+    for name in ("id", "spectrograph", "status", "in_collision", "colliding_with"):
+        assert_array_equal(tile.table[name], again.table[name], name)
+    has = tile.table["status"] == "assigned"
+    assert_array_equal(tile.table["target_id"][has], again.table["target_id"][has])
+    assert np.abs(tile.table["tip_x"] - again.table["tip_x"])[has].max() < 2e-5 * u.mm
