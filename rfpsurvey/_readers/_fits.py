@@ -12,7 +12,7 @@ from astropy.table import QTable
 from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes"]
+__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
 
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
@@ -96,6 +96,42 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
         raise
     except Exception as error:  # astropy can raise any exception
         raise InputError(f"{name} cannot be read as fits: {sentence(error)}") from error
+
+
+def read_fits_units(path: Path) -> dict:
+    """Return all tables of a FITS file by name as (header, rows), and the primary header as ``None: (header, None)``.
+
+    Rows are structured arrays in the byte order of the machine, with text without trailing blanks.
+    """
+    from astropy.io import fits
+
+    found = {}
+    with open_content(path) as file:
+        numbers = _find_tables(file, path)
+        file.seek(0)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                with fits.open(file, memmap=False, character_as_bytes=False) as units:
+                    found[None] = units[0].header.copy(), None
+                    for number in numbers:
+                        unit = units[number]
+                        names = unit.columns.names
+                        columns = [_native(np.asarray(unit.data[name])) for name in names]
+                        dtype = [(name, c.dtype, c.shape[1:]) for name, c in zip(names, columns, strict=True)]
+                        rows = np.empty(len(unit.data), dtype)
+                        for name, column in zip(names, columns, strict=True):
+                            rows[name] = column
+                        found[unit.name] = unit.header.copy(), rows
+        except Exception as error:  # astropy can raise any exception
+            raise InputError(f"{path} cannot be read as fits: {sentence(error)}") from error
+    return found
+
+
+def _native(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind == "U":
+        return np.char.rstrip(values).astype(str)
+    return values.astype(values.dtype.newbyteorder("="))
 
 
 def _find_tables(file: BinaryIO, path: object) -> list[int]:

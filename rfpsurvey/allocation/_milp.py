@@ -77,7 +77,7 @@ class Program:
         total = matrix @ x
         return bool((total >= low - 1e-6).all() and (total <= high + 1e-6).all())
 
-    def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, keep=(), gap: float = 0.0):
+    def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, gap: float, keep=()):
         """Return the variables that maximize a goal, and the upper bound of the goal.
 
         The variables are None if no solution is found before the deadline. ``keep`` contains minimum values of the

@@ -10,6 +10,7 @@ from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
+from rfpsurvey.instrument._pfs import cobra_ids
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
@@ -114,6 +115,8 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     columns = {}
     if get("layout.names") == "row and column":
         columns["id"] = _hole_names(cells, get("layout.rings"))
+    if get("layout.names") == "cobra":
+        columns["id"] = cobra_ids(xy)
     if get("layout.fiber_types"):
         few = {tuple(c) for c in get("layout.first_type_only_cells", [])}
         first, *_ = types = get("layout.fiber_types")

@@ -15,6 +15,7 @@ from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, warn
+from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, half_widths, moment_of
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
 
@@ -65,8 +66,8 @@ def read(preset, path, *, state=None, exclusions=None, time=None):
 
 def _from_metrology(preset, table, path):
     table, others = _positioners(table, METROLOGY, path)
-    plane = replace(
-        preset.focal_plane,
+    plane = _plane(
+        path,
         xy=_centers(table, "X_FP", "Y_FP", path),
         positioner=_mirrored(preset.focal_plane.positioner),
         id=whole(table, "LOCATION", path),
@@ -106,8 +107,8 @@ def _from_model(preset, table, path, state, exclusions, moment):
         source = "half width of the phi polygons, median of all positioners"
         entries["positioner.clearance"] = _entry(float(np.median(widths)), exclusions, source, "mm", "derived")
         notes.append(text)
-    plane = replace(
-        preset.focal_plane,
+    plane = _plane(
+        path,
         xy=_centers(table, "OFFSET_X", "OFFSET_Y", path),
         positioner=positioner,
         id=ids,
@@ -119,9 +120,6 @@ def _from_model(preset, table, path, state, exclusions, moment):
         phi_range=-np.column_stack([angles["MAX_P"], angles["MIN_P"]]) * u.deg,
         **columns,
     )
-    unequal = np.count_nonzero(~plane.arrays.equal_arms)
-    if unequal:
-        notes.append(f"{unequal} positioners have arms of unequal length and are not parked when they are idle.")
     entries |= {
         "layout.centers": _entry(len(ids), path, "OFFSET_X and OFFSET_Y of rows of the type POS"),
         "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL"),
@@ -131,6 +129,13 @@ def _from_model(preset, table, path, state, exclusions, moment):
         "positioner.phi_range": _entry(_limits(plane.phi_range), state or path, "MIN_P, MAX_P, medians", "deg"),
     }
     return _built(preset, plane, entries, " ".join(notes), dropped=("positioner.home",))
+
+
+def _plane(path, **columns) -> FocalPlane:
+    try:
+        return FocalPlane(**columns)
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from None
 
 
 def _built(preset, plane, entries, notes, dropped=()):

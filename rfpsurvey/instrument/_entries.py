@@ -108,7 +108,7 @@ ENTRIES = {
     "layout.vacant_cells": CELLS,
     "layout.fiducial_cells": CELLS,
     "layout.fiducial_radius": CLOSED_LENGTH,
-    "layout.names": _choice("row and column"),
+    "layout.names": _choice("row and column", "cobra"),
     "layout.fiber_types": NAMES,
     "layout.first_type_only_cells": CELLS,
     "layout.spectrographs": Kind(

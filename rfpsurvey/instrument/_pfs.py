@@ -8,12 +8,13 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from scipy.spatial import cKDTree
 
 from rfpsurvey._readers import content_of, read_table, sentence, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["find_pfs_files", "nominal_centers", "pfs_fibers", "read_pfs"]
+__all__ = ["cobra_ids", "find_pfs_files", "nominal_centers", "pfs_engineering_fibers", "pfs_fibers", "read_pfs"]
 
 N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # fields, modules of a field, cobras of a module
 N = N_FIELDS * N_MODULES * N_COBRAS
@@ -60,6 +61,14 @@ def nominal_centers() -> np.ndarray:
     return np.column_stack([centers.real, centers.imag])
 
 
+def cobra_ids(xy: np.ndarray) -> np.ndarray:
+    """Return the cobras whose nominal centers are given (mm)."""
+    apart, row = cKDTree(nominal_centers()).query(xy)
+    if len(xy) != N or apart.max() > 1e-6 or len(np.unique(row)) < N:
+        raise InputError(f"names = 'cobra' needs the {N} nominal centers of PFS, got other positions")
+    return row + 1
+
+
 def pfs_fibers() -> tuple[np.ndarray, np.ndarray]:
     """Return the fiberId and the spectrograph (0 to 3) of cobras 1 to 2394."""
     fiber, spectrograph = np.empty(N, dtype=np.int64), np.empty(N, dtype=np.int64)
@@ -74,6 +83,11 @@ def pfs_fibers() -> tuple[np.ndarray, np.ndarray]:
         ]
         fiber[rows], spectrograph[rows] = HOLES * k + np.array(holes), k
     return fiber, spectrograph
+
+
+def pfs_engineering_fibers() -> np.ndarray:
+    """Return the fiberId of the engineering fibers, which belong to no cobra."""
+    return np.concatenate([HOLES * k + np.array(ENGINEERING) for k in range(len(BOARDS))])
 
 
 def find_pfs_files(folder: Path) -> dict | None:

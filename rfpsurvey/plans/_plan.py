@@ -21,6 +21,7 @@ __all__ = [
     "FORMATS",
     "as_plan",
     "is_plan",
+    "is_tile",
     "make_plan",
     "read_plan",
     "recognize_plan",
@@ -30,6 +31,8 @@ __all__ = [
 
 FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
+    "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
+    "pfsdesign": ("rfpsurvey.plans._pfsdesign", (".fits",)),
     "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),  # the last one, because it recognizes any table
 }
 """Name of each format, with its module and the endings of its files."""
@@ -63,7 +66,8 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
     Parameters
     ----------
     path : str or path-like
-        File in one of the formats ``confsummary`` (SDSS-V, ``confSummary-*.par``) and ``table`` (a plan that
+        File in one of the formats ``confsummary`` (SDSS-V, ``confSummary-*.par``), ``pfsdesign`` (PFS,
+        ``pfsDesign-0x*.fits``) and ``table`` (a plan that
         `write_plan` wrote as ECSV or FITS, or a tile of this package).
     format : str, optional
         Name of the format; by default it is recognized from the content.
