@@ -81,8 +81,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return the joint angles of positioners (by row), each in the 360 deg above its low limit or above -180
-        deg."""
+        """Return the joint angles of positioners (by row), each within 360 deg above its low limit or -180 deg."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
