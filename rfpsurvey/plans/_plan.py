@@ -141,7 +141,7 @@ def write_plan(
     >>> lamost = rs.Instrument.preset("lamost")
     >>> x, y = lamost.focal_plane.xy[:2].T
     >>> tile = rs.score_tile(QTable({"positioner": [0, 1], "x": x, "y": y}), lamost)
-    >>> rs.plans.write_plan(tile, "plan.ecsv")
+    >>> rs.plans.write_plan(tile, "plan.ecsv", overwrite=True)
     >>> rs.plans.read_plan("plan.ecsv")["positioner"][:2].tolist()
     [0, 1]
     """
