@@ -359,6 +359,8 @@ def test_a_file_that_does_not_hold_a_tile_is_named(small, tmp_path):
     assert back["in_collision"].tolist() == [k != 3 for k in range(len(table))]
     table.meta = {**table.meta, "provenance": {**tile.provenance, "instrument": {}}}
     table.write(path, overwrite=True)
-    message = r"tile\.ecsv does not hold a tile: the meta of a tile must have the entry provenance\.instrument\.\w+, got"
+    message = (
+        r"tile\.ecsv does not hold a tile: the meta of a tile must have the entry provenance\.instrument\.\w+, got"
+    )
     with pytest.raises(rs.InputError, match=message):
         rs.Tile.read(path)
