@@ -4,9 +4,11 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from matplotlib.figure import Figure
 
 import rfpsurvey as rs
 from pages import Reader
+from rfpsurvey.report import _survey, _tables, _tile
 from rfpsurvey.report._facts import tile_facts
 
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -17,6 +19,17 @@ def catalog():
     sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=1)
     kind, priority = np.repeat(["science", "standard"], [40, 20]), np.arange(60) % 3
     return rs.Catalog(sky.coord, kind=kind, priority=priority)
+
+
+@pytest.fixture(autouse=True)
+def empty_figures(monkeypatch):
+    """Replace the figures, which take most of the time and which other tests check."""
+    for name in ("_pictures", "_collisions"):
+        monkeypatch.setattr(_tile, name, lambda *_: [])
+    for module, names in ((_survey, ("plot_tiling", "plot_completeness")), (_tables, ("plot_allocators",))):
+        for name in names:
+            assert hasattr(module, name)
+            monkeypatch.setattr(module, name, lambda *_, **__: Figure().add_subplot())
 
 
 def page(result, folder):
