@@ -1,4 +1,4 @@
-"""Columns that no allocator reads, carried from the catalog to results."""
+"""Columns of the catalog that allocators do not use, and that results contain."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def test_written_and_read_back(tmp_path):
 
 
 def test_columns_of_results_are_reserved():
-    """A column of the catalog never replaces one of a result."""
+    """A column of the catalog never replaces a column of a result."""
     assert {*TILE_COLUMNS, *OUTCOMES_COLUMNS, *VISITS, "tile"} <= RESERVED
     catalog = rs.Catalog(COORD[:2], extra={"RA": [1, 2], "g": [3, 4]})
     assert list(catalog.arrays.extra) == ["target_RA", "g"]
@@ -100,7 +100,7 @@ def test_columns_that_results_have_are_not_kept_twice():
     names = ["ra", "dec", "id", "priority", "category", "kind"]
     assert rs.Catalog.from_table(stars, keep=names).extra is None
     assert rs.Catalog.from_table(stars, keep=[*names, "g"]).extra.colnames == ["g"]
-    # what results have by these names is something else
+    # the columns of results with these names have a different meaning
     other = {"category": "name", "priority": "-priority"}
     kept = rs.Catalog.from_table(stars, keep=[*names, "fiber_type"], columns=other)
     assert list(kept.arrays.extra) == ["target_priority", "target_category", "target_fiber_type"]

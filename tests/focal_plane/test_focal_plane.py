@@ -51,7 +51,7 @@ def test_radius_inner_radius_and_vacant_cells():
     r = np.hypot(*plane.xy.value.T)
     assert r.min() >= 20
     assert r.max() <= 60
-    assert len(plane) == 19 - 1 - 2  # two rings within 60 mm, less the center and the vacant cells
+    assert len(plane) == 19 - 1 - 2  # two rings within 60 mm, without the center and the vacant cells
     with pytest.raises(rs.InputError, match="vacant cell .9, 9. is not on the lattice"):
         rs.FocalPlane.hexagonal(robot(), rings=2, pitch=25.6 * MM, vacant=[(9, 9)])
 
@@ -73,7 +73,7 @@ def test_size_must_be_said_once(size):
 
 @pytest.mark.parametrize(("pitch", "kind"), [(40, 1), (37.5, 1), (37.4, 2), (25.6, 2), (20, 3)])
 def test_collision_type(pitch, kind):
-    """2 (l1 + l2) + D = 37.5 mm: strictly nearer centers can collide."""
+    """Only positioners with centers nearer than 2 (l1 + l2) + D = 37.5 mm can collide."""
     assert rs.FocalPlane.hexagonal(robot(), rings=4, pitch=pitch * MM).collision_type == kind
 
 
@@ -95,7 +95,7 @@ def test_neighbor_pairs_are_those_of_brute_force(rng):
     lengths,
 )
 def test_reach_is_exact(centers, xy, l1, l2):
-    """Against exact rationals, with targets that often lie just on the edges."""
+    """Compare with exact rational numbers, for targets that are often exactly on the edges."""
     if len(np.unique(centers, axis=0)) < 7:
         return
     plane = rs.FocalPlane(centers * MM, robot(l1, l2))
@@ -230,7 +230,7 @@ def test_bad_input_is_named(arguments, message):
 
 
 def test_fiber_types_are_names_between_plus_signs():
-    """Doubled names set the bit of another type, and blanks made types of their own."""
+    """Regression: repeated names set the bit of another fiber type, and blank names defined new types."""
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), fiber_type=["A + A", "B"])
     assert plane.fiber_types == ("A", "B")
     got = plane.reachable([[10, 0], [10, 0]] * MM, ["A", "B"]).toarray()
@@ -242,7 +242,7 @@ def test_fiber_types_are_names_between_plus_signs():
 
 
 def test_nearest_cells_with_equal_radius_are_taken_by_angle():
-    """The first ring has six cells at one radius: the ones next to +x, counter-clockwise, come first."""
+    """The first ring has six cells at equal radius. Cells next to +x are first, and the order is counter-clockwise."""
     plane = rs.FocalPlane.hexagonal(robot(), count=4, pitch=10 * MM)
     angle = np.sort(np.rad2deg(np.arctan2(*plane.xy.value[np.hypot(*plane.xy.value.T) > 1].T[::-1])))
     np.testing.assert_allclose(angle, [0, 60, 120])

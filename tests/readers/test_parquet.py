@@ -1,4 +1,4 @@
-"""Parquet as pandas and others write it, in one file and in partitions."""
+"""Parquet files of pandas and other programs, as single files and as partitions."""
 
 import sys
 from decimal import Decimal
@@ -47,7 +47,7 @@ TEXTS = ["a", "b", None, "c", "a", None]
     ],
 )
 def test_text_may_be_missing_and_in_categories(tmp_path, column):
-    """Categories were refused, and missing text ended in a traceback."""
+    """Regression: categories were refused, and missing text caused an unhandled exception."""
     for catalog in both(tmp_path, {"category": column, "id": np.arange(N)}):
         assert catalog.category.tolist() == ["a", "b", "", "c", "a", ""]
 
@@ -138,7 +138,7 @@ def test_properties_of_partitions(tmp_path):
 
 
 def test_a_file_cannot_claim_many_rows(tmp_path):
-    """A column of equal values takes next to nothing on disk, and all of the memory when it is read."""
+    """A column of equal values is small on disk, but would fill the memory when it is read."""
     zeros = np.zeros(15_000_000)
     pq.write_table(
         pa.table({"ra": zeros, "dec": zeros, "id": zeros}), tmp_path / "a.parquet", row_group_size=len(zeros)

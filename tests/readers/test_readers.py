@@ -1,4 +1,4 @@
-"""Files that lost rows, reached for other files, or ended in a traceback when they were read."""
+"""Regression tests: files that lost rows, caused other files to be read, or raised unhandled exceptions."""
 
 import gzip
 import json
@@ -31,7 +31,7 @@ def csv(path, lines, end="\n"):
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
 def test_an_open_quotation_mark_drops_no_rows(tmp_path, name, end):
-    """50 of 100,000 targets were left, without a word."""
+    """Regression: only 50 of 100,000 targets were read, without a warning."""
     lines = list(GOOD)
     lines[48] = '"' + lines[48]
     path = csv(tmp_path / "a.csv", lines, end)
@@ -42,7 +42,7 @@ def test_an_open_quotation_mark_drops_no_rows(tmp_path, name, end):
 
 
 def test_a_quoted_value_over_several_lines_is_refused(tmp_path):
-    """Ten rows were taken for one value."""
+    """Regression: ten rows were interpreted as one value."""
     lines = list(GOOD)
     lines[48], lines[58] = '"' + lines[48], lines[58] + '"'
     assert "an open quotation mark in line 50" in refusal(csv(tmp_path / "a.csv", lines))
@@ -90,14 +90,14 @@ def test_blank_lines_comments_and_line_ends_are_no_rows(tmp_path):
     ],
 )
 def test_rows_that_are_not_whole_are_refused(tmp_path, line, message):
-    """Short rows had empty values, and a NUL byte moved all values after it."""
+    """Regression: short rows had empty values, and a NUL byte shifted all values after it."""
     path = tmp_path / "a.csv"
     path.write_bytes("\n".join(["id,ra,dec", *GOOD[:2], line, *GOOD[2:]]).encode("utf-8", "surrogateescape"))
     assert message in refusal(path)
 
 
 def test_text_of_other_alphabets_has_as_many_rows(tmp_path):
-    """Characters at which Python breaks lines are no line breaks of a file."""
+    """Unicode line separators, at which Python splits text, do not end the lines of a file."""
     lines = ["Ä\u2028ö,10,20", "b\x0bc,11,21", "c\x85d,12,22"]
     assert len(rs.Catalog.read(csv(tmp_path / "a.csv", lines))) == 3
 
@@ -147,7 +147,7 @@ ROWS = "<TABLEDATA><TR><TD>1</TD><TD>2</TD><TD>abc</TD></TR></TABLEDATA>"
 @pytest.mark.parametrize("encoding", ["", ' encoding="base64"', ' encoding="gzip"'])
 @pytest.mark.parametrize("text", ["utf-8", "utf-16"])
 def test_a_stream_is_not_fetched(tmp_path, monkeypatch, kind, encoding, text):
-    """Addresses of the network and files of this machine were read."""
+    """Regression: addresses on the network and files of this machine were read."""
     monkeypatch.setattr(urllib.request, "urlopen", lambda *_: pytest.fail("fetched"))
     (tmp_path / "secret").write_bytes(struct.pack(">dd3s", 1, 2, b"abc"))
     tag = kind.split()[0]
@@ -165,7 +165,7 @@ def test_entities_and_lost_rows_of_a_votable(tmp_path):
     path.write_text(VOTABLE.format(ROWS).replace("<VOTABLE", '<!DOCTYPE V [<!ENTITY a "b">]><VOTABLE', 1))
     assert "must not have entities, got 'a'" in refusal(path)
     path.write_text(VOTABLE.format(ROWS).replace("<VOTABLE", '<!DOCTYPE V SYSTEM "file:///etc/passwd"><VOTABLE', 1))
-    assert len(rs.Catalog.read(path)) == 1  # what is named is not read
+    assert len(rs.Catalog.read(path)) == 1  # the named file is not read
     path.write_text(VOTABLE.format(ROWS.replace("abc", "abcd")))
     assert "every value must fit into its column" in refusal(path)
     path.write_text(VOTABLE.format(ROWS).replace("<TABLE>", '<TABLE nrows="2">'))
@@ -192,7 +192,7 @@ def test_votables_of_each_form(tmp_path, form):
         assert "STREAM must hold nothing but its data, got FIELD" in refusal(path)
 
 
-# --- what ended in a traceback -------------------------------------------------------------------------------------
+# --- unhandled exceptions ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_units_that_nobody_knows(tmp_path):
 
 
 def test_the_meta_of_a_focal_plane(small):
-    """In YAML the name y is a truth value, and no text."""
+    """In YAML, the name y is a truth value and not text."""
     table = small.focal_plane.to_table()
     table.meta["positioner"] = {True: "8.25 mm"}
     with pytest.raises(rs.InputError, match="unknown entries: True"):
@@ -278,7 +278,7 @@ def test_the_meta_of_a_focal_plane(small):
 
 
 def test_a_damaged_part_of_a_survey_is_named(tmp_path, small):
-    """With a checksum that agrees, as another program leaves it behind."""
+    """The part has a correct checksum, as if another program had written it."""
     from valid_files import sign
 
     sky = rs.synthetic_catalog("uniform", SkyCoord(95 * DEG, 23 * DEG), 0.5 * DEG, n_targets=50, rng=1)

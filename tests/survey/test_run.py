@@ -1,4 +1,4 @@
-"""Surveys on disk: any number of workers, killed at any moment, damaged, refused."""
+"""Surveys on disk: any number of workers, interruptions at any time, damaged files, refused requests."""
 
 import errno
 import hashlib
@@ -28,7 +28,7 @@ CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
 
 @pytest.fixture(scope="module")
 def case(small):
-    """Arguments of a survey with draws, several passes, priorities and collisions."""
+    """Return the arguments of a survey with random numbers, several passes, priorities and collisions."""
     sky = rs.synthetic_catalog("poisson", CENTER, 4 * u.deg, density=100 / u.deg**2, rng=3)
     rng = np.random.default_rng(1)
     sky = rs.Catalog(sky.coord, visits=rng.integers(1, 4, len(sky)))
@@ -45,7 +45,7 @@ def plan(case, folder, **options):
 
 @pytest.fixture(scope="module")
 def undisturbed_folder(case, tmp_path_factory):
-    """The folder of a run that nothing happened to."""
+    """Return the folder of a survey that was planned without interruption."""
     folder = tmp_path_factory.mktemp("undisturbed") / "survey"
     plan(case, folder)
     return folder
@@ -53,13 +53,13 @@ def undisturbed_folder(case, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def undisturbed(undisturbed_folder):
-    """The content of every file of a run that nothing happened to."""
+    """Return the content of every file of a survey that was planned without interruption."""
     return content(undisturbed_folder)
 
 
 @pytest.fixture
 def folder(undisturbed_folder, tmp_path):
-    """The folder of a finished survey: a copy, which the test may damage."""
+    """Return a copy of the folder of a finished survey, which the test may damage."""
     return shutil.copytree(undisturbed_folder, tmp_path / "survey")
 
 
@@ -97,7 +97,7 @@ def test_threads_and_processes(case, tmp_path, undisturbed):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.filterwarnings("ignore")  # those of a cluster that loses workers
+@pytest.mark.filterwarnings("ignore")  # warnings of a cluster that loses workers
 def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
     distributed = pytest.importorskip("distributed")
     with (
@@ -120,7 +120,7 @@ def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.parametrize("n", [6, pytest.param(20, marks=pytest.mark.exhaustive)])
 def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
-    """Each time somewhere between the first and the last file, and several times in a row."""
+    """The process is killed several times, each time between writing the first and the last file."""
     context = multiprocessing.get_context("fork")
     begin = time.perf_counter()
     plan(case, tmp_path / "clock")
@@ -141,7 +141,7 @@ def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
 
 
 def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
-    """A part without its line, a line without its end, a line without its part, a temporary file."""
+    """There is a part without its line in the index, an incomplete line, a line without part, and a hidden file."""
     for name in ("tiles.fits", "completeness.ecsv", "outcomes.fits"):
         (folder / name).unlink()
     lines = (folder / "index.csv").read_text().splitlines(keepends=True)
@@ -159,7 +159,7 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
 
 @pytest.mark.parametrize("what", ["text", "another table", "cut off"])
 def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, folder, undisturbed, what):
-    """A part with the right checksum was taken for a table of visits: a traceback."""
+    """Regression: a file with a correct checksum was read as a table of visits, which raised an unhandled exception."""
     part = folder / "tiles" / "000" / "000007.fits"
     other = _io.table_bytes(QTable({"a": [1, 2]}), "a.fits")
     content_of = {"text": b"nothing", "another table": other, "cut off": part.read_bytes()[:5760]}[what]
@@ -220,7 +220,10 @@ def test_killed_before_anything_is_there(case, tmp_path, undisturbed):
 
 
 def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path):
-    """A whole and verified part, but of a run that drew otherwise: the books still balance."""
+    """The part is complete and verified, but is from a survey with other random numbers.
+
+    The numbers of visits remain correct.
+    """
     one, other = folder, tmp_path / "other"
     plan(case, other, rng=7)
     tiles = rs.Survey.read(one).tiles
@@ -354,7 +357,7 @@ def test_a_full_disk_keeps_what_is_there(case, tmp_path, undisturbed, monkeypatc
             plan(case, folder)
     assert not list(folder.rglob(".*"))
     parts = [name for name in content(folder) if name.startswith("tiles/")]
-    assert len(parts) == 28  # two writes were those of the request and of the index
+    assert len(parts) == 28  # the request and the index were also written
     assert all(content(folder)[name] == undisturbed[name] for name in parts)
     plan(case, folder, resume=True)
     assert content(folder) == undisturbed

@@ -44,7 +44,7 @@ def test_a_plan_of_ours_scores_as_it_was_planned(presets, tiles, name, positions
 
 
 def test_hole_names_and_field_columns(presets, tiles):
-    """The way SDSS-V lists its designs."""
+    """The table has the format of SDSS-V designs."""
     t = tiles["sdss_apo"].table
     t = t[t["status"] == "assigned"]
     other = QTable(
