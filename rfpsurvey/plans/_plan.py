@@ -23,6 +23,8 @@ __all__ = [
     "is_plan",
     "is_tile",
     "make_plan",
+    "native_format",
+    "plan_roles",
     "read_plan",
     "recognize_plan",
     "text_of_lost",
@@ -150,7 +152,7 @@ def write_plan(
     lost = module.lost(plan)
     module.write(plan, path, overwrite=overwrite)
     if lost:
-        warn(f"{path}: this format cannot hold {', '.join(lost)}, which were left out")
+        warn(f"{path}: the following was left out, because the format cannot hold it: {'; '.join(lost)}")
 
 
 def recognize_plan(path: str | os.PathLike) -> str | None:
@@ -179,8 +181,22 @@ def recognize_plan(path: str | os.PathLike) -> str | None:
     >>> rs.plans.recognize_plan("stars.csv") is None
     True
     """
+    return native_format(path) or ("table" if _module("table").recognizes(_existing(path)) else None)
+
+
+def native_format(path: str | os.PathLike) -> str | None:
+    """Return the format of a file of another program, or None if it is something else, such as a table."""
     path = _existing(path)
-    return next((name for name in FORMATS if _module(name).recognizes(path)), None)
+    return next((name for name in FORMATS if name != "table" and _module(name).recognizes(path)), None)
+
+
+def plan_roles(table: Table) -> dict[str, str]:
+    """Return the names of the columns of a plan by role, as in `Catalog.from_table`; nothing for other tables."""
+    if not is_plan(table):
+        return {}
+    names = {"id": "target_id", "pmra": "pm_ra", "pmdec": "pm_dec", "epoch": "coord_epoch"}
+    own = ("positioner", "fiber_type", "kind", "x", "y", "ra", "dec", "priority")
+    return {role: name for role, name in {**{n: n for n in own}, **names}.items() if name in table.colnames}
 
 
 def is_plan(table: object) -> bool:
