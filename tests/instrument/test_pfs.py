@@ -6,9 +6,9 @@ import re
 import astropy.units as u
 import numpy as np
 import pytest
+from pfs_files import OFFSET, centers, cobra_columns, write_cobras, write_files
 
 import rfpsurvey as rs
-from pfs_files import OFFSET, centers, cobra_columns, write_cobras, write_files
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
 
@@ -243,7 +243,10 @@ def tag(name, value, row=10):
 MODELS = [
     (lambda text: text[: len(text) // 2], "cannot be read as XML"),
     (lambda text: "<ARM_DATA></ARM_DATA>", "elements ARM_DATA_CONTAINER, one per cobra, got none"),
-    (edit("<Link1_Link_Length>[^<]*</Link1_Link_Length>", ""), "Link1_Link_Length of element 1 must be a number, got no"),
+    (
+        edit("<Link1_Link_Length>[^<]*</Link1_Link_Length>", ""),
+        "Link1_Link_Length of element 1 must be a number, got no",
+    ),
     (tag("Global_base_pos_x", "left"), "Global_base_pos_x of element 11 must be a number, got 'left'"),
     (tag("Global_base_pos_x", "nan"), "Global_base_pos_x of element 11 must be finite, got nan"),
     (tag("Module_Id", "2"), "must be unique, but 68 occurs more than once"),
