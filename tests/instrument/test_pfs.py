@@ -288,7 +288,7 @@ def test_the_real_files_agree_with_each_other(real_data):
     plane = pfs.focal_plane
     fiducials = plane.arrays.obstacles[:, :2]
     assert len(fiducials) == 92
-    table = np.genfromtxt(folder / INTERFERENCE, delimiter=",", skip_header=17)
+    table = np.genfromtxt(folder / INTERFERENCE, delimiter=",", skip_header=15)
     table = table[np.isfinite(table[:, 3])]
     assert len(table) == 87
     off = []
