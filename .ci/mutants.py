@@ -1,9 +1,10 @@
-"""Break the code in one place at a time, and see whether the tests notice: ``python .ci/mutants.py --number 50``.
+"""Change the code in one place at a time, and test whether the tests fail: ``python .ci/mutants.py --number 50``.
 
-A mutant is one small change: a boundary or the sense of a comparison, a sum that becomes a difference, a number that
-becomes another one, a condition that always or never holds, a statement that is left out. Mutants are drawn at random,
-by a seed, and run against the tests that ``TESTS`` names for their file, all in a copy of the tree. A mutant that needs
-more processor time than it may counts as killed. Those that survive are to be read: ``docs/testing.rst`` has the list.
+A mutant is one small change of the code: a different comparison, a difference instead of a sum, a different number, a
+condition that is always true or always false, or a statement that is removed. A seed determines a random selection of
+mutants. For each of them, the tests that ``TESTS`` lists for its file run in a copy of the source tree. A mutant that
+exceeds the limit of processor time counts as killed. Mutants that survive must be inspected; ``docs/testing.rst`` lists
+them.
 """
 
 import argparse
@@ -63,7 +64,7 @@ TESTS = {
     ),
     "rfpsurvey/_kernels/simulate.py": "probability/targets probability/hard_cases probability/collision_probability",
 }
-# What rfpsurvey and its tests import: once, and not once a mutant.
+# These modules, which rfpsurvey and its tests import, are imported only once, not for each mutant.
 IMPORTS = "astropy.coordinates astropy.table matplotlib.figure scipy.optimize scipy.spatial scipy.stats shapely"
 EXCEPT = ("*/__init__.py", "rfpsurvey/collision/_gpu.py")
 
@@ -98,7 +99,7 @@ DROPPED = (ast.AugAssign, ast.Raise, ast.Continue, ast.Break)
 
 
 def changed(node, **fields):
-    """Copy a node with other fields."""
+    """Return a copy of a node with other values of some fields."""
     new = copy.deepcopy(node)
     for name, value in fields.items():
         setattr(new, name, value)
@@ -106,7 +107,7 @@ def changed(node, **fields):
 
 
 def alternatives(node, parent):
-    """Yield what may stand in the place of a node."""
+    """Yield the nodes that replace a node."""
     match node:
         case ast.Compare():
             for k, operator in enumerate(node.ops):
@@ -133,7 +134,7 @@ def alternatives(node, parent):
 
 
 def mutants(path):
-    """List the mutants of a file: line, old code, new code, source of the whole file."""
+    """Return the mutants of a file: line, old code, new code, source of the whole file."""
     tree, found = ast.parse(path.read_text()), []
 
     def visit(parent):
@@ -148,7 +149,7 @@ def mutants(path):
                     setattr(parent, name, [*items[:k], new, *items[k + 1 :]] if isinstance(value, list) else new)
                     found.append((node.lineno, brief(node), brief(new), ast.unparse(tree)))
                     setattr(parent, name, value)
-                if not isinstance(node, ast.Raise):  # what errors say is tested as a whole
+                if not isinstance(node, ast.Raise):  # error messages are tested in a different way
                     visit(node)
 
     visit(tree)
@@ -161,7 +162,7 @@ def brief(node):
 
 
 def draw(pool, number, seed):
-    """Draw mutants by the digest of what they change, so that edits elsewhere do not change who is drawn."""
+    """Select mutants by a hash of their change, so that edits of other lines do not change the selection."""
     met = Counter()
 
     def key(mutant):
@@ -173,7 +174,7 @@ def draw(pool, number, seed):
 
 
 def tests_of(name):
-    """Return the test files of a source file, or None if it is not looked at."""
+    """Return the test files of a source file, or None if its code is not changed."""
     if any(fnmatch.fnmatch(name, pattern) for pattern in EXCEPT):
         return None
     named = next((tests for pattern, tests in TESTS.items() if fnmatch.fnmatch(name, pattern)), None)
@@ -181,13 +182,13 @@ def tests_of(name):
 
 
 def path_of(test):
-    """Return the path of a test file that ``TESTS`` names by its folder in ``tests`` and what it tests."""
+    """Return the path of a test file, for a name in ``TESTS`` (a folder in ``tests`` and the subject of the test)."""
     folder, slash, name = test.rpartition("/")
     return f"tests/{folder}{slash}test_{name}.py"
 
 
 def survives(folder, tests, seconds, cache):
-    """Run the tests in the copy, in a child that has all but rfpsurvey imported; its processor time is limited."""
+    """Return whether all tests pass in the copy; they run in a child process with a limit of processor time."""
     child = os.fork()
     if child == 0:
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
@@ -240,7 +241,7 @@ def main():
             start = time.monotonic()
             text = (folder / name).read_text()
             (folder / name).write_text(source)
-            # what is compiled from mutants is of no use to others
+            # kernels compiled from a mutant must not be used again
             cache = "mutant" if "_kernels" in name else "cache"
             alive = survives(folder, tests_of(name), options.seconds, cache)
             (folder / name).write_text(text)

@@ -1,4 +1,4 @@
-"""The build step that puts the catalog of ``rfpsurvey.example_catalog`` into the wheel; pyproject.toml names it."""
+"""The build step that adds the catalog of ``rfpsurvey.example_catalog`` to the wheel; pyproject.toml refers to it."""
 
 import bz2
 import gzip
@@ -11,10 +11,10 @@ EXAMPLES = ("tycho2_anticenter_r8.ecsv.gz",)
 
 
 class BuildWithExamples(build_py):
-    """Copy examples from ``data/``, compressed by bzip2, which makes them smaller by a sixth than gzip does."""
+    """Copy examples from ``data/``, compressed by bzip2, whose files are smaller than those of gzip by a sixth."""
 
     def run(self) -> None:
-        """Build; an editable installation reads ``data/`` itself."""
+        """Run the build. An editable installation reads ``data/`` directly."""
         super().run()
         if not self.editable_mode:
             folder = Path(self.build_lib) / "rfpsurvey" / "catalog" / "examples"

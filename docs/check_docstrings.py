@@ -1,7 +1,7 @@
-"""Validate the docstrings of all public names; print what is wrong and exit with 1.
+"""Validate the docstrings of all public objects; print the problems, and exit with 1 if there are any.
 
-All must follow the numpydoc standard. Functions and classes show an example, which the tests run. What can raise an
-InputError, itself or in a function of the package that it calls, says so.
+All docstrings must follow the numpydoc standard. Functions and classes must have an example, which the tests run. If a
+function, or a function of the package that it calls, can raise an InputError, the docstring must state this.
 """
 
 import ast
@@ -26,14 +26,14 @@ OTHERS = (property, cached_property, classmethod, staticmethod)
 
 
 def public_names():
-    """Yield the dotted names of public objects and their public methods and properties, and what they are."""
+    """Yield the dotted names of public objects and of their public methods and properties, and the objects."""
     listed = re.findall(r"^    ([\w.]+)$", (Path(__file__).parent / "api.rst").read_text(), re.MULTILINE)
     for name in listed:
         thing = attrgetter(name)(rfpsurvey)
         if name.startswith("_") or (inspect.isclass(thing) and issubclass(thing, Exception)):
             continue
         yield f"rfpsurvey.{name}", thing
-        # plain views describe their columns under Attributes
+        # classes of plain arrays describe their columns under Attributes
         if inspect.isclass(thing) and "    Attributes\n" not in (thing.__doc__ or ""):
             for member, value in vars(thing).items():
                 documented = callable(value) or isinstance(
@@ -44,7 +44,7 @@ def public_names():
 
 
 def raises(thing, owner=None, seen=None):
-    """Say whether a function can raise an InputError: its own, or one of a function of the package that it calls."""
+    """Return whether a function, or a function of the package that it calls, can raise an InputError."""
     seen = set() if seen is None else seen
     if inspect.isclass(thing):
         thing, owner = getattr(thing, "__post_init__", None), thing
@@ -61,7 +61,7 @@ def raises(thing, owner=None, seen=None):
 
 
 def called(node, function, owner):
-    """Return what a call in a function refers to, and the class that it is a method of; None where that is unclear."""
+    """Return the function that a call refers to, and the class if it is a method; None if unknown."""
     match node:
         case ast.Name(id=name):
             return function.__globals__.get(name), None
@@ -73,7 +73,7 @@ def called(node, function, owner):
 
 
 def problems(name, thing):
-    """Yield what is wrong with one docstring."""
+    """Yield the problems of one docstring."""
     yield from (f"{code} {text}" for code, text in validate(name)["errors"] if code in CHECKS)
     doc = get_doc_object(thing)
     owner = getattr(rfpsurvey, name.split(".")[1])

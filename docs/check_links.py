@@ -1,4 +1,4 @@
-"""Walk the built pages; print links that lead nowhere and files that the network would have to serve.
+"""Check the links in the built documentation; print broken links, and files that would be loaded from the network.
 
 python docs/check_links.py [FOLDER]
 """
@@ -8,12 +8,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-# what a browser fetches by itself when it opens a page
+# elements whose files a browser loads when it opens a page
 FETCHED = {("script", "src"), ("img", "src"), ("iframe", "src"), ("source", "src"), ("link", "href")}
 
 
 class Page(HTMLParser):
-    """The anchors of a page, and where it links to."""
+    """The anchors and the links of a page."""
 
     def __init__(self, path: Path):
         super().__init__()
@@ -21,7 +21,7 @@ class Page(HTMLParser):
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attrs):
-        """Keep anchors and links of a tag."""
+        """Record the anchors and links of a tag."""
         for name, value in attrs:
             if value is None:
                 continue
@@ -34,7 +34,7 @@ class Page(HTMLParser):
 
 
 def find_problems(folder: Path):
-    """Yield a sentence for each broken link."""
+    """Yield a sentence for each broken link, and for each file that would be loaded from the network."""
     paths = [path for path in sorted(folder.rglob("*.html")) if "_static" not in path.parts]
     pages = {path.resolve(): Page(path) for path in paths}
     if not pages:

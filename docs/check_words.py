@@ -1,7 +1,7 @@
-"""Find words and phrases that the documentation avoids; print where they are and exit with 1.
+"""Find words and phrases that the documentation avoids; print their locations, and exit with 1 if there are any.
 
-Checked are README.rst, CHANGES.rst, the pages and examples in docs/, and docstrings, comments, help texts and messages
-of the package. Code in double backquotes and doctests are not. A phrase may be wrapped over two lines.
+The script checks README.rst, CHANGES.rst, the pages and examples in docs/, and the docstrings, comments, help texts and
+messages of the package. It ignores code in double backquotes and doctests. A phrase may extend over two lines.
 """
 
 import ast
@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-# Regular expression (a blank stands for any white space), and what to write.
+# Regular expression (a blank matches any white space), and the words to use instead.
 WORDS = {
     r"aim(s|ed|ing)?": "objective; intend",
     r"anew": "again",
@@ -62,19 +62,19 @@ WORDS = {
     r"wish(es|ed)?": "constraint, requirement",
     r"written down": "recorded",
 }
-# Files and the phrases that may stand in them.
+# Phrases that are allowed in a file.
 ALLOWED = {
-    "rfpsurvey/report/_tables.py": ("middle",),  # the middle one of three panels
+    "rfpsurvey/report/_tables.py": ("middle",),  # the panel between two others
 }
 CODE = re.compile(r"``.*?``|`[^`]*`_?|:\w+:`[^`]*`", re.DOTALL)
 DOCTEST = re.compile(r"^[ \t]*>>> .*(\n[ \t]*\S.*)*", re.MULTILINE)
-BLANK = r"\s+(?:#\s*)?"  # also in a wrapped comment
+BLANK = r"\s+(?:#\s*)?"  # also matches the line break in a comment
 GROUPS = [f"(?P<w{k}>{word.replace(' ', BLANK)})" for k, word in enumerate(WORDS)]
 PATTERN = re.compile(rf"\b(?:{'|'.join(GROUPS)})(?![\w-])", re.IGNORECASE)
 
 
 def texts_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the texts of a file, each with the number of its first line."""
+    """Yield the texts of a file, with the number of the first line of each text."""
     content = path.read_text()
     if path.suffix != ".py":
         yield 1, content
@@ -94,12 +94,12 @@ def texts_of(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def hide(match: re.Match) -> str:
-    """Return a placeholder with the line breaks of a match, so that later lines keep their numbers."""
+    """Return a placeholder with the line breaks of a match, so that the numbers of later lines remain correct."""
     return "code" + "\n" * match.group().count("\n")
 
 
 def words_in(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield the line of each phrase in a text, counted from 0, the phrase, and what to write."""
+    """Yield the line (counted from 0) of each phrase in a text, the phrase, and the words to use instead."""
     text = CODE.sub(hide, DOCTEST.sub(hide, text))
     for match in PATTERN.finditer(text):
         advice = list(WORDS.values())[int(match.lastgroup[1:])]

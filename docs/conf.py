@@ -1,4 +1,4 @@
-"""Sphinx configuration: astropy's, without anything that needs the network, neither to build nor to read."""
+"""Sphinx configuration, based on that of astropy; the documentation can be built and read without a network."""
 
 import sys
 from importlib.metadata import version as installed_version
@@ -18,7 +18,7 @@ copyright = f"2026, {author}"
 release = installed_version("rfpsurvey")
 version = release.split("+")[0]
 
-# scripts of other sites, and what is not used
+# extensions that load scripts from the network, or that are not used
 for name in ("sphinx.ext.mathjax", "sphinx.ext.inheritance_diagram"):
     if name in extensions:
         extensions.remove(name)
@@ -55,12 +55,12 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "min_reported_time": 1e9,
 }
-# names of other packages: those in docs/inventories
+# links to other packages use the files in docs/inventories
 intersphinx_mapping = write_inventories(Path(__file__).parent / "_build" / "inventories")
 
 
 def write_help(app):
-    """Keep what commands print, for pages to include."""
+    """Write the help of all commands to files, which pages include."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     commands = (
@@ -90,5 +90,5 @@ def write_help(app):
 
 
 def setup(app):
-    """Connect to Sphinx."""
+    """Connect the functions to Sphinx."""
     app.connect("builder-inited", write_help)

@@ -1,4 +1,4 @@
-"""Pages run as their readers do: in a folder without the source tree, where they may write."""
+"""Run the code of each page in an empty, writable folder, as a reader of the page would."""
 
 import pytest
 

@@ -1,8 +1,8 @@
-"""A Sphinx extension: links to the documentation of other packages, from lists kept here, without the network.
+"""A Sphinx extension that links to the documentation of other packages, without the network.
 
-Each file of ``docs/inventories`` is named after a package. Its first line is the address of the documentation of the
-package; each other line has a domain and role, a name, and its page. When the documentation is built, they become
-inventories of intersphinx.
+Each file of ``docs/inventories`` has the name of a package. Its first line is the address of the documentation of the
+package. Each other line contains a domain and role, a name, and the page of this name. When the documentation is built,
+these files are converted to inventories of intersphinx.
 """
 
 import re
@@ -10,18 +10,18 @@ import zlib
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "inventories"
-# words of docstrings' types that are neither names of Python and numpy nor classes with a page here
+# words in the types of docstrings that have no link
 PLAIN = ("array", "callable", "generator", "numpy", "scalar", "string")
 
 
 def read(path):
-    """Return the address of a package's documentation, and its entries as lists of role, name and page."""
+    """Return the address of the documentation of a package, and its names as a list of (role, name, page)."""
     address, *lines = path.read_text().splitlines()
     return address, [line.split() for line in lines]
 
 
 def write_inventories(folder):
-    """Write the inventories; return what ``intersphinx_mapping`` needs."""
+    """Write the inventories, and return the value of ``intersphinx_mapping``."""
     folder.mkdir(parents=True, exist_ok=True)
     mapping = {}
     for path in sorted(FOLDER.glob("*.txt")):
@@ -36,7 +36,7 @@ def write_inventories(folder):
 
 
 def linked_types():
-    """Return what types of docstrings link to: classes of other packages, and those on the page ``api``."""
+    """Return the types in docstrings that become links: classes of other packages, and classes on the page ``api``."""
     aliases = {word: word for word in PLAIN}
     aliases |= {"bool": ":class:`python:bool`", "unit-like": ":term:`astropy:unit-like`"}
     for path in FOLDER.glob("*.txt"):

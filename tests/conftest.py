@@ -13,7 +13,7 @@ from packages import HERS
 from rfpsurvey import _cli, _plugins
 
 matplotlib.use("agg")
-# the first call of a kernel compiles it; the same examples every time, so that a red run can be repeated
+# the first call of a kernel compiles it; examples are the same in every run, so that a failure can be reproduced
 settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database=None)
 settings.load_profile("rfpsurvey")
 
@@ -25,19 +25,19 @@ def rng():
 
 @pytest.fixture(scope="session")
 def presets():
-    """All shipped instruments, built once."""
+    """Return all presets, made once."""
     return {name: rs.Instrument.preset(name) for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs")}
 
 
 @pytest.fixture(scope="session")
 def tycho():
-    """The shipped real catalog."""
+    """Return the real catalog of the package."""
     return Path(__file__).parent.parent / "data" / "tycho2_anticenter_r8.ecsv.gz"
 
 
 @pytest.fixture(scope="session")
 def real_data():
-    """Return a function from file name to path among the optional catalogs, or skip."""
+    """Return a function that returns the path of an optional catalog by its name, or skips the test."""
 
     def find(name):
         folder = os.environ.get("RFPSURVEY_TEST_DATA")
@@ -53,7 +53,7 @@ def real_data():
 
 @pytest.fixture(scope="session")
 def small():
-    """A small instrument with equal arms."""
+    """Return a small instrument with equal arms."""
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
     return rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg)
@@ -61,7 +61,7 @@ def small():
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Run the command line in this process; returns exit code, output and errors."""
+    """Run the command line in this process, and return the exit code, the output and the errors."""
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["rfpsurvey", *map(str, arguments)])
@@ -78,7 +78,7 @@ def run(monkeypatch, capsys):
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Return a function that leaves a distribution behind as pip would."""
+    """Return a function that writes the files of an installed distribution, as pip would."""
     names = []
 
     def make(name, code, version="1.0", **groups):
@@ -104,7 +104,7 @@ def install(tmp_path, monkeypatch):
 
 @pytest.fixture
 def hers(install):
-    """A package with allocators and a method."""
+    """Install a package with allocators and a method of collision probability."""
     allocators = {
         "begin": "begin",
         "swapped": "swapped",

@@ -1,4 +1,4 @@
-"""Rules that hold for every file of the package, and for the tests beside it."""
+"""Rules for all files of the package and of the tests."""
 
 import ast
 import importlib.util
@@ -13,7 +13,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE, TESTS = ROOT / "rfpsurvey", ROOT / "tests"
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "_version.py")
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
-# Of numba, the interpreter and astropy; and of named tuples.
+# names of numba, Python and astropy, and methods of named tuples
 FOREIGN = {"_repr_html_", "_cache", "_cache_file", "_exit", "_construct_mixins_from_columns", "_replace", "_asdict"}
 MOST_LINES, MOST_PARAMETERS = 400, 14
 
@@ -69,7 +69,7 @@ def test_files_are_small(path):
 
 
 def test_public_functions_have_few_parameters():
-    """All but the first three are passed by name; commands and kernels are exempt."""
+    """All parameters except the first three are passed by name. Commands and kernels are exempt."""
     long = []
     for path in FILES:
         if package_of(path) in ("_cli", "_kernels", "_readers"):
@@ -89,7 +89,7 @@ def test_folders_of_tests_are_those_of_the_package():
 
 
 def test_paths_in_the_configuration_of_tox_exist():
-    """A test file that is ignored by a name it no longer has runs, unnoticed."""
+    """Tests that are excluded under an old name would run."""
     paths = re.findall(r"(?<![\w/])(?:tests|docs|rfpsurvey)/[\w./*-]*[\w*]", (ROOT / "tox.ini").read_text())
     assert len(paths) > 30
     assert not [path for path in paths if not list(ROOT.glob(path))]

@@ -1,4 +1,4 @@
-"""The embedded default in fresh processes, without and with a cache of compiled kernels."""
+"""A small plan in new processes, without and with a cache of compiled kernels."""
 
 import pytest
 
@@ -7,9 +7,9 @@ from cold_start import plan_seconds, processor_time
 
 @pytest.mark.exhaustive
 def test_the_embedded_default_starts_fast(tmp_path):
-    """Under 20 s with all kernels to be compiled, under 3 s with a cache: the least of several.
+    """The smallest of several times is below 20 s if all kernels are compiled, and below 3 s with a cache.
 
-    In processor time, which other processes on the machine do not stretch as they do that on the wall.
+    Times are processor times, which depend less on other processes than wall times.
     """
     cold, *warm = plan_seconds(str(tmp_path), 3, processor_time)
     assert cold < 20

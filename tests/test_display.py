@@ -1,4 +1,4 @@
-"""Results in a notebook: a heading, some numbers, the first rows of a table; what is in them is text."""
+"""Results in a notebook: a heading, some numbers, and the first rows of a table, all as text."""
 
 import astropy.units as u
 import numpy as np

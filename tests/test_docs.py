@@ -1,4 +1,4 @@
-"""The documentation says what is there."""
+"""The documentation agrees with the package."""
 
 import doctest
 import importlib.util
@@ -52,7 +52,7 @@ def test_commands_of_the_cheat_sheet_run(run, tmp_path, monkeypatch):
     text = (DOCS / "cheatsheet.rst").read_text()
     commands = re.findall("^    rfpsurvey (.*)$", text, re.MULTILINE)
     assert len(commands) == 10
-    assert 30 <= len(commands) + text.count("\n>>> ") <= 42  # more would not fit on a page
+    assert 30 <= len(commands) + text.count("\n>>> ") <= 42  # more columns would not fit on a page
     for command in commands:
         code, out, err = run(*shlex.split(command, comments=True))
         assert code == 0, (command, err)
@@ -62,7 +62,7 @@ def test_commands_of_the_cheat_sheet_run(run, tmp_path, monkeypatch):
 
 
 def load(name):
-    """A module of the folder docs, which is not a package."""
+    """Return a module of the folder ``docs``, which is not a package."""
     spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -118,7 +118,7 @@ def test_inventories_are_written_as_sphinx_reads_them(tmp_path):
 
 
 def table_words(path):
-    """The words of the table that compares packages, without marks of sources."""
+    """Return the words of the table that compares packages, without references."""
     table = re.search(r"^(={5,} .*?)\n\n", path.read_text(), re.MULTILINE | re.DOTALL).group(1)
     return Counter(re.sub(r"\[\w\d\]_", "", table).split())
 

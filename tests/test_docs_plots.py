@@ -1,4 +1,4 @@
-"""Plots on the pages of the documentation are described for those who cannot see them."""
+"""Plots on the pages of the documentation have descriptions for readers who cannot see them."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ PAGES = sorted(page for page in DOCS.glob("*.rst") if ".. plot::" in page.read_t
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_plots_have_alternative_texts(page):
-    """Without one, Sphinx takes the name of the file."""
+    """Without an alternative text, Sphinx uses the name of the file."""
     texts = []
     for options in re.findall(r"^\.\. plot::.*\n((?:    :.*\n)*)", page.read_text(), re.MULTILINE):
         if ":nofigs:" not in options:
@@ -23,7 +23,7 @@ def test_plots_have_alternative_texts(page):
 
 
 def test_scripts_of_the_gallery_have_thumbnails_of_their_own():
-    """Those that are not run all had the same one."""
+    """Regression: all scripts that are not run had the same thumbnail."""
     scripts = [path for path in (DOCS / "examples" / "scripts").glob("*.py") if not path.name.startswith("plot_")]
     found = [re.findall(r"sphinx_gallery_thumbnail_path = [\"'](.*)[\"']", script.read_text()) for script in scripts]
     assert all(len(paths) == 1 for paths in found)

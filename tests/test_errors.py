@@ -1,4 +1,4 @@
-"""Errors are sentences, and of the kinds that callers of astropy and the standard library expect."""
+"""Error messages are sentences, and errors have the types that users of astropy and of the standard library expect."""
 
 import inspect
 import pickle

@@ -1,4 +1,4 @@
-"""The scripts of the documentation: the pages show what they print when the pages are made."""
+"""The scripts of the documentation. The pages show the output of the scripts when the pages are built."""
 
 import importlib.util
 import re
@@ -17,7 +17,7 @@ MOST_LINES = 40
 
 @pytest.fixture
 def script(tmp_path, monkeypatch, capsys):
-    """Return a function that runs a script in a folder of its own, and returns its variables and what it printed."""
+    """Return a function that runs a script in a separate folder, and returns its variables and its output."""
     monkeypatch.chdir(tmp_path)
     plt.close("all")
 
@@ -98,4 +98,4 @@ def test_desi_footprint(monkeypatch, real_data, tmp_path):
     spec.loader.exec_module(module)
     survey = module.main("tiles.ecsv", 1e5)
     assert survey.summary["n_tiles"] == 120
-    assert module.main("tiles.ecsv", 1e5).summary == survey.summary  # resumed
+    assert module.main("tiles.ecsv", 1e5).summary == survey.summary  # the survey is resumed

@@ -1,4 +1,4 @@
-"""Workers that end with the process that started them."""
+"""Worker processes end when the process that started them ends."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from rfpsurvey._executors import map_in_order, submit
 
 SECONDS = 5.0
 
-# the package without the imports of its __init__, which each process that is spawned would repeat
+# import the package without its __init__, whose imports every new process would repeat
 SCRIPT = """
 import os, sys, time, types
 sys.modules.setdefault("rfpsurvey", types.ModuleType("rfpsurvey")).__path__ = [PACKAGE]
@@ -44,7 +44,7 @@ if __name__ == "__main__":
 
 
 def is_alive(pid):
-    """Tell whether a process runs; one that has ended may still be listed until somebody asks for its status."""
+    """Return whether a process runs. A process that has ended is listed until its status is read."""
     try:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rpartition(")")[2].split()[0] not in "ZX"
@@ -59,7 +59,7 @@ def is_alive(pid):
     ids=["idle workers", "busy workers", "workers of the command"],
 )
 def test_workers_end_when_their_parent_is_killed(tmp_path, script, arguments):
-    """They waited for work forever, with 215 MB each."""
+    """Regression: each worker waited for work forever, with 215 MB of memory."""
     path = tmp_path / "script.py"
     script = script.replace("PACKAGE", repr(os.path.dirname(rfpsurvey.__file__)))
     path.write_text(script if arguments[-1:] != ["0.01"] else script + "        time.sleep(600)\n")

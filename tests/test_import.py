@@ -16,7 +16,7 @@ PLAN = """
 import astropy.units as u, rfpsurvey as rs
 rs.plan_tile(rs.synthetic_catalog("uniform", "95 23", .2 * u.deg, n_targets=50, rng=1), "moons")
 """
-# an empty step takes the modules of rfpsurvey away again
+# an empty step removes the modules of rfpsurvey again
 STEPS = """
 import sys
 def loaded(step):
@@ -31,7 +31,9 @@ sys.stdout.write(repr([loaded(step) for step in sys.argv[1:]]))
 
 @pytest.fixture(scope="module")
 def stages():
-    """Modules after the dependencies, the package, a plan, the use of all of the package, and `plot` on its own."""
+    """Return the modules that are imported by the dependencies, the package, a plan, all of the package, and `plot`
+    alone.
+    """
     use = "import rfpsurvey as rs; " + "; ".join(f"rs.{name}" for name in ON_USE)
     steps = (BASE, "import rfpsurvey", PLAN, use, "", "from rfpsurvey import plot")
     done = subprocess.run([sys.executable, "-c", STEPS, *steps], capture_output=True, text=True, check=True)
@@ -40,16 +42,16 @@ def stages():
 
 
 def test_import_brings_in_nothing_heavy(stages):
-    """What is not needed to plan a tile waits until it is."""
+    """Modules that planning a tile does not require are imported later."""
     before, after, _, used, _ = stages
     extra = {name.split(".")[0] for name in after - before}
     assert "rfpsurvey" in extra
-    assert "jinja2" not in used  # until a report is written
+    assert "jinja2" not in used  # not imported before a report is written
     assert not extra & {"matplotlib", "typer", "rich", "pandas", "pyarrow", "shapely"}
 
 
 def test_all_that_is_imported_is_declared():
-    """Pillow and pyerfa came with other packages, and were not asked for."""
+    """Regression: Pillow and pyerfa were used, but not declared as dependencies."""
     root = Path(__file__).parent.parent
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
     lists = [
@@ -66,7 +68,7 @@ def test_all_that_is_imported_is_declared():
     found = packages_distributions()
     for name in (
         imported - sys.stdlib_module_names - {"rfpsurvey", "shapely"}
-    ):  # shapely is compared with where it is there
+    ):  # shapely is used for comparisons if it is installed
         distributions = {d.lower().replace("_", "-") for d in found.get(name, [name])}
         assert distributions & declared, name
 
@@ -84,10 +86,11 @@ for _ in range(5):  # the first fills the folder
 
 
 def test_import_costs_little(tmp_path):
-    """At most 0.15 s of processor time after its dependencies are imported: the least of several processes.
+    """The import takes at most 0.15 s of processor time after its dependencies are imported (the smallest time of
+    several).
 
-    Bytecode is kept in a folder of this test, since an environment may forbid Python to keep any, and then
-    every process would compile all sources again.
+    The test writes bytecode to its own folder. If the environment forbids bytecode, each process would otherwise
+    compile all sources again.
     """
     keep = f"import sys; sys.pycache_prefix = {str(tmp_path)!r}; sys.dont_write_bytecode = False\n"
     code = IMPORTS.replace("for _", keep + "for _", 1)
@@ -140,7 +143,7 @@ def test_the_public_names_are_there():
 
 
 def test_names_that_are_offered():
-    """Completion offers functions, classes and public subpackages, and no module that has the name of a noun."""
+    """Completion offers functions, classes and public subpackages, but no private modules."""
     import rfpsurvey as rs
 
     offered = dir(rs)

@@ -1,4 +1,4 @@
-"""What cannot be used is refused by public functions, in a sentence that says what must be what and what was given."""
+"""Public functions refuse invalid input with a sentence that states what is required and what was given."""
 
 from dataclasses import replace
 
@@ -189,7 +189,7 @@ def test_a_wrong_path_is_a_sentence(tmp_path):
 
 
 def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
-    """The sentence asked for other target ids."""
+    """Regression: the error message asked for other target identifiers."""
     instrument = rs.Instrument("small", replace(PLANE, fiber_type=["Ä"] * 3), plate_scale=200 * MM / DEG)
     with pytest.raises(rs.InputError, match="hold ASCII text only, but the column 'fiber_type' has other"):
         rs.plan_survey(rs.Catalog(TWO), instrument, CENTER, folder=tmp_path / "survey")
@@ -237,6 +237,6 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
     ],
 )
 def test_bad_input_is_a_sentence(small, call, message):
-    """These ended in exceptions of other packages, or in nonsense."""
+    """Regression: such input raised exceptions of other packages, or gave wrong results."""
     with pytest.raises(rs.InputError, match=message):
         call(small)

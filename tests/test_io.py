@@ -1,4 +1,4 @@
-"""Files that are written: whole or not at all, by nobody else, and never in the place of another unasked."""
+"""Files are written completely or not at all, are safe from other users, and are not replaced by default."""
 
 import io
 import os
@@ -26,7 +26,7 @@ def table(k):
 
 @pytest.mark.parametrize("name", ["tile.fits", "tile.ecsv", "tile.ecsv.gz"])
 def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path, name):
-    """Temporary names were those of the process: threads wrote into the same file, and took it from one another."""
+    """Regression: names of temporary files depended only on the process, so that threads wrote into the same file."""
     path = tmp_path / name
     with ThreadPoolExecutor(N_THREADS) as pool:
         list(pool.map(lambda k: _io.write_table(table(k), path, overwrite=True), range(N_WRITES)))
@@ -74,7 +74,7 @@ def test_disks_without_hard_links_do(tmp_path, monkeypatch):
 
 
 def test_links_under_names_that_could_be_guessed_are_not_followed(tmp_path):
-    """A link under the temporary name, which was that of the process, sent the output elsewhere."""
+    """Regression: a link with the predictable name of the temporary file redirected the output."""
     victim = tmp_path / "victim"
     victim.write_text("mine")
     for name in (f".{os.getpid()}-tile.ecsv", "tile.ecsv"):
@@ -92,7 +92,7 @@ def test_temporary_names_are_random_and_closed_to_others(tmp_path):
             names.add(temporary.parent.name)
             temporary.write_text("x")
     assert len(names) == 20
-    # the file itself may be read by whom the umask lets
+    # the umask determines who may read the file
     plain = tmp_path / "plain"
     plain.write_text("x")
     assert (tmp_path / "a.npz").stat().st_mode == plain.stat().st_mode
@@ -110,7 +110,7 @@ NUMBERS = st.one_of(
 @given(NUMBERS, st.sampled_from(["", "deg", "targets in the field, still wanted"]))
 def test_cards_are_those_of_astropy(value, comment):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of comments that are cut
+        warnings.simplefilter("ignore")  # from comments that are cut off
         assert _io.fits_card("NREACH", value, comment).decode() == str(fits.Card("NREACH", value, comment))
 
 

@@ -1,4 +1,4 @@
-"""The on-disk cache of machine code, in processes without kernels and a copy of the package."""
+"""The cache of compiled code on disk, in processes without kernels and with a copy of the package."""
 
 import json
 import os
@@ -13,8 +13,9 @@ import rfpsurvey
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
-# Each line of its input has a copy of the package and environment variables. For each, a new process that has imported
-# numba, but no kernel, uses the cache of the copy. It imports the package without its __init__, which no kernel needs.
+# Each line of the input of this program contains a copy of the package and environment variables. For each line, a new
+# process that has imported numba, but no kernel, uses the cache of the copy. It imports the package without its
+# __init__, which kernels do not require.
 PROBES = """
 import json, os, sys, types
 import numba
@@ -46,7 +47,9 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def probe(tmp_path_factory):
-    """Return a function from a copy of the package to a value that a new process computes, and its cache hits."""
+    """Return a function that takes a copy of the package, and returns a value computed in a new process and its cache
+    hits.
+    """
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     environment = {**clean, "PYTHONDONTWRITEBYTECODE": "1"}
@@ -71,14 +74,17 @@ def copy(tmp_path):
 
 @pytest.fixture(scope="module")
 def compiled(probe, tmp_path_factory):
-    """A copy of the package with a cache, and what a process prints that finds none and compiles."""
+    """Return a copy of the package with a cache, and the output of a process that compiles without a cache."""
     package, folder = Path(rfpsurvey.__file__).parent, tmp_path_factory.mktemp("compiled")
     shutil.copytree(package, folder / "rfpsurvey", ignore=shutil.ignore_patterns("__pycache__"))
     return folder, probe(folder / "rfpsurvey")
 
 
 def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(probe, compiled, tmp_path):
-    """The edit keeps the size and the time of the file, as an upgrade may do, and numba would not notice."""
+    """The edit keeps the size and the time of the file, as an upgrade may do.
+
+    The cache of numba would not detect it.
+    """
     folder, first = compiled
     copy = shutil.copytree(folder, tmp_path / "copy") / "rfpsurvey"
     assert first[1] == 0
@@ -115,7 +121,7 @@ def test_the_cache_can_be_switched_off(probe, copy):
 
 
 def test_without_a_place_for_the_cache_it_still_runs(probe, copy, tmp_path):
-    """NUMBA_CACHE_DIR in a folder that cannot be made: no cache, no error."""
+    """NUMBA_CACHE_DIR is in a folder that cannot be made. Nothing is cached, and no error is raised."""
     blocked = tmp_path / "a_file"
     blocked.write_text("")
     assert probe(copy, NUMBA_CACHE_DIR=str(blocked / "below"))[1] == 0

@@ -1,4 +1,4 @@
-"""What other packages add: as pip leaves it behind, written by hand, and once by pip itself."""
+"""Plugins of other packages: installed files written by the test, and one installation by pip."""
 
 import importlib.util
 import shutil
@@ -29,7 +29,7 @@ def test_nothing_is_looked_up_before_it_is_needed(install, monkeypatch):
     assert not calls
     with pytest.raises(rs.InputError, match="unknown allocator 'swapped'; choose one of: balanced, lamost"):
         rs.allocate(PAIR, FOUR, allocator="swapped")
-    install("hers", HERS, allocators={"swapped": "swapped"})  # meanwhile
+    install("hers", HERS, allocators={"swapped": "swapped"})  # while the plugin is loaded
     calls.clear()
     for _ in range(3):
         assert rs.allocate(PAIR, FOUR, allocator="swapped").target_of_positioner.tolist() == [1, 2]
@@ -84,7 +84,7 @@ def test_a_broken_package_breaks_nothing_else(hers, install, run):
 
 @pytest.mark.parametrize("code", ["raise SystemExit(0)", "import sys\nsys.exit()", "raise SystemExit('enough')"])
 def test_a_plugin_that_exits_ends_nothing(install, run, code):
-    """The program ended with exit code 0 and without a word."""
+    """Regression: the program ended with exit code 0 and without a message."""
     body = code.replace("\n", "\n    ")
     install("gone", f"{code}\n", allocators={"import": "f"}, instruments={"import": "f"})
     install("going", f"def f(problem):\n    {body}\n", allocators={"call": "f"}, probability_methods={"call": "f"})
@@ -119,7 +119,7 @@ def test_what_is_no_name_is_refused(name):
         rs.allocate(PAIR, FOUR, allocator=name)
 
 
-# in surveys and comparisons
+# plugins in surveys and comparisons
 
 
 def test_surveys_know_them_by_name(small, install, tmp_path):
@@ -179,11 +179,14 @@ def test_instruments_are_compared_without_those_that_fail(hers, install, monkeyp
 
 
 def test_the_example_serves_the_rarest_first():
-    """Target 1 has a choice, 0 and 2 do not; whoever comes first would take its place otherwise."""
+    """Only target 1 is in reach of two positioners.
+
+    If it were assigned first, it would take the positioner of another target.
+    """
     spec = importlib.util.spec_from_file_location("rfpsurvey_example", EXAMPLE / "rfpsurvey_example" / "__init__.py")
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
-    xy = [[12, 0], [13, 1], [-10, 0], [99, 0]] * u.mm  # both reach 0 and 1, the first alone 2
+    xy = [[12, 0], [13, 1], [-10, 0], [99, 0]] * u.mm  # both positioners reach 0 and 1, and only the first reaches 2
     assert rs.allocate(PAIR, xy, allocator=example.rarest).target_of_positioner.tolist() == [2, 0]
     ranked = rs.allocate(PAIR, xy, allocator=example.rarest, priority=[1, 2, 0, 0])
     assert ranked.target_of_positioner.tolist() == [0, 1]
@@ -194,7 +197,7 @@ def test_the_example_serves_the_rarest_first():
 
 @pytest.fixture(scope="module")
 def target(tmp_path_factory):
-    """Return a folder where pip has installed the example."""
+    """Return a folder in which pip has installed the example."""
     setuptools = [int(found.version.split(".")[0]) for found in metadata.distributions(name="setuptools")]
     if not setuptools or setuptools[0] < 77:
         pytest.skip("there is no setuptools that can build the example; the extra 'test' brings one")
@@ -207,7 +210,7 @@ def target(tmp_path_factory):
 
 @pytest.fixture
 def installed(target, monkeypatch):
-    """Let this process find it."""
+    """Make the installed example available to this process."""
     monkeypatch.syspath_prepend(target)
     yield target
     _plugins._load.cache_clear()
@@ -236,7 +239,7 @@ def test_its_dice_agree_with_the_quadrature(installed, run):
 
 
 def test_processes_find_it_by_its_name(installed, run, tmp_path):
-    """Processes that are spawned look for packages where this one does."""
+    """New processes search for packages in the same folders as this process."""
     command = ["survey", "--instrument", "toy", "--allocator", "rarest", "--folder", tmp_path / "survey"]
     assert run(*command, "--processes", "--workers", 1)[0] == 0
     survey = rs.Survey.read(tmp_path / "survey")

@@ -1,4 +1,4 @@
-"""How much of a run is done is shown where that is asked for, with a rate of what is done in this run."""
+"""The progress of work is shown on request, with the rate of the work of this run."""
 
 import io
 import re
@@ -21,7 +21,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A clock that a test sets."""
+    """Return a clock that the test sets."""
     times = [0.0]
     monkeypatch.setattr(_progress, "monotonic", lambda: times[0])
     return times
@@ -29,11 +29,11 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def open_terminal(monkeypatch):
-    """A function that puts a terminal in place of the standard error."""
+    """Return a function that replaces the standard error by a terminal."""
 
     def put():
         terminal = Terminal()
-        monkeypatch.setattr(sys, "stderr", terminal)  # in the test, as pytest puts its own there before
+        monkeypatch.setattr(sys, "stderr", terminal)  # replace it during the test, because pytest replaces it before
         monkeypatch.setenv("COLUMNS", "120")
         monkeypatch.setenv("TERM", "xterm")
         return terminal
@@ -42,7 +42,7 @@ def open_terminal(monkeypatch):
 
 
 def test_the_remaining_time_after_a_resume_is_that_of_the_work_that_is_left(clock, open_terminal):
-    """900 tiles were read in 30 s, and 10 were planned in 1 s: 90 are left for 9 s, not for minutes or hours."""
+    """900 tiles are read in 30 s, and 10 are planned in 1 s. The remaining 90 tiles therefore take 9 s."""
     terminal = open_terminal()
     with Progress(True, 1000, "tiles") as tell:
         for k in range(900):
@@ -67,7 +67,7 @@ def test_what_an_earlier_run_did_does_not_count_for_the_rate(clock, open_termina
 
 
 def test_a_fraction_is_shown_in_percent_and_may_fall(clock, open_terminal):
-    """A goal that moves away lowers the fraction."""
+    """The fraction decreases if the number of tiles to plan increases."""
     terminal = open_terminal()
     with Progress(True) as tell:
         for fraction in (0.5, 0.25):
@@ -118,11 +118,11 @@ def test_the_line_ends_with_the_stage(clock, open_terminal):
 
 
 def test_a_search_tells_how_many_classes_are_proven(open_terminal):
-    """The classes are proven one after the other; a function is told the fraction, a terminal the class, too."""
+    """Classes are proven one after the other. A function receives the fraction, and a terminal also shows the class."""
     center = SkyCoord("6h20m +23d")
     sky = rs.synthetic_catalog("uniform", center, 0.5 * u.deg, n_targets=4000, rng=1)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 12)
-    asked = rs.AllocationOptions("optimal", requirements="sky=0-5")  # as one part
+    asked = rs.AllocationOptions("optimal", requirements="sky=0-5")  # in one step
     told = []
     plain = rs.plan_tile(sky, "moons", center, allocator=asked)
     tile = rs.plan_tile(sky, "moons", center, allocator=asked, progress=lambda *words: told.append(words))

@@ -1,4 +1,4 @@
-"""What the package says of real catalogs and of plans that surveys really observed."""
+"""Results for real catalogs, and for designs that surveys observed."""
 
 import astropy.units as u
 import numpy as np
@@ -16,14 +16,16 @@ def field_a(real_data):
 
 
 def similarity_residuals(model, truth):
-    """Residuals after the best offset, rotation and scale (points as complex numbers)."""
+    """Return residuals after fitting an offset, a rotation and a scale (points are complex numbers)."""
     design = np.column_stack([model, np.ones(len(model))])
     solution, *_ = np.linalg.lstsq(design, truth, rcond=None)
     return np.abs(truth - design @ solution)
 
 
 def test_sdss_focal_plane_is_reproduced(presets, field_a):
-    """Robostrategy's own positions: at most 0.012 mm rms within a fiber type, 0.02 mm over all."""
+    """The differences from positions of robostrategy are at most 0.012 mm rms for each fiber type, and 0.02 mm for all
+    fibers.
+    """
     t = field_a[field_a["within"] == 1]
     plane = presets["sdss_apo"].projection(SkyCoord(269.59, 66.55, unit="deg"), 40 * u.deg)
     types = np.asarray(t["fiber_type"])
@@ -39,9 +41,9 @@ def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
     tile = rs.score_tile(field_a, presets["sdss_apo"])
     assert tile.summary["n_assigned"] == 494
     assert tile.summary["n_colliding_pairs"] == 0
-    # one target lies 0.01 mm beyond the nominal arms: the survey knows the true length of each
+    # one target is 0.01 mm beyond the nominal reach; the survey uses the measured length of each arm
     assert tile.summary["n_out_of_reach"] <= 1
-    # the arm model matters: a segment to the fiber finds 7 pairs, with an arm of 15 mm 9
+    # the result depends on the arm model: a segment to the fiber has 7 colliding pairs, and an arm of 15 mm has 9
     plane = presets["sdss_apo"].focal_plane
     fields = ("central_arm", "clearance", "step", "displacement")
     for length, pairs in ((np.hypot(14.965, 0.376), 7), (15.0, 9)):
@@ -65,14 +67,14 @@ def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
     ],
 )
 def test_designs_of_both_sites_score_from_the_sky(presets, real_data, design, name):
-    """From ra and dec alone, without refraction: nearly all in reach, and few pairs near the limit."""
+    """With only ra and dec, and without refraction, nearly all targets are in reach, and few pairs collide."""
     t = QTable.read(real_data("sdssv_eight_designs.ecsv"))
     t = t[t["design_id"] == design]
     tile = rs.score_tile(t, presets[name], equinox="J2022.0")
     assert tile.summary["n_assigned"] == len(t)
     assert tile.summary["n_out_of_reach"] <= 8
     assert tile.summary["n_colliding_pairs"] <= 6
-    # the north of ICRS instead of that of date is 0.1 deg off, and loses more targets
+    # ICRS north differs from north of date by 0.1 deg, and fewer targets are in reach
     icrs = rs.score_tile(t, presets[name])
     assert icrs.summary["n_colliding_pairs"] >= tile.summary["n_colliding_pairs"]
 
@@ -110,7 +112,7 @@ REQUIRED = {"sky_boss": 300, "standard_boss": 20, "sky_apogee": 50, "standard_ap
 def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_collision(
     presets, real_data, field_a, where
 ):
-    """The survey's own planner assigned 494 of the 500."""
+    """The planner of the survey assigned 494 of 500 robots."""
     plane = presets["sdss_apo"].focal_plane
     requirements = [f"{name}={n}" for name, n in REQUIRED.items()]
     catalog = rs.Catalog.read(real_data("sdssv_robostrategy_field_a.ecsv"))

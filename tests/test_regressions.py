@@ -1,4 +1,4 @@
-"""What once went wrong, each with the sentence that says what it was."""
+"""Regression tests; each docstring describes the error that was corrected."""
 
 from dataclasses import replace
 
@@ -21,7 +21,10 @@ from scenes import CENTER, MM, few
     "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]
 )
 def test_scoring_a_written_tile_counts_idle_positioners_as_idle(small, tmp_path, suffix, ids):
-    """Blank ids of a FITS table are not masked, and parked arms were taken for assigned ones; uint64 was unreadable."""
+    """Blank ids of a FITS table are not masked, and parked arms were counted as assigned.
+
+    Unsigned integers could not be read.
+    """
     tile = rs.plan_tile(few(id=ids), small, CENTER)
     path = tmp_path / f"tile{suffix}"
     tile.write(path)
@@ -34,7 +37,7 @@ def test_scoring_a_written_tile_counts_idle_positioners_as_idle(small, tmp_path,
 
 
 def test_a_table_with_both_frames_is_read_in_the_one_asked_for():
-    """Right ascension was taken for galactic longitude where a table has both."""
+    """In a table with both frames, right ascension was read as galactic longitude."""
     c = SkyCoord(266.4, -28.9, unit="deg")
     table = QTable({"ra": [c.ra], "dec": [c.dec], "l": [c.galactic.l], "b": [c.galactic.b]})
     for frame in ("icrs", "galactic"):
@@ -44,7 +47,7 @@ def test_a_table_with_both_frames_is_read_in_the_one_asked_for():
 
 
 def test_decimal_text_is_not_sexagesimal():
-    """Degrees held as text were read as hours."""
+    """Decimal degrees in a text column were read as hours."""
     for table, units in (
         (Table({"ra": ["95.5"], "dec": ["23.0"]}), {"ra": "deg", "dec": "deg"}),
         (Table({"ra": Column(["95.5"], unit="deg"), "dec": Column(["23.0"], unit="deg")}), {}),
@@ -58,7 +61,7 @@ def test_decimal_text_is_not_sexagesimal():
 
 
 def test_a_unit_that_contradicts_the_column_is_an_error():
-    """It silently replaced the column's own."""
+    """The unit of the option replaced the unit of the column without an error."""
     table = QTable({"ra": [95.5] * u.deg, "dec": [23] * u.deg})
     with pytest.raises(rs.InputError, match="column 'ra' has the unit deg, but units says rad"):
         rs.Catalog.from_table(table, units={"ra": "rad"})
@@ -67,7 +70,9 @@ def test_a_unit_that_contradicts_the_column_is_an_error():
 
 
 def test_both_hands_with_arm_lengths_of_their_own():
-    """The elbow was chosen with the common arm lengths, against the joint limits."""
+    """The elbow was chosen with the arm lengths of the instrument instead of those of the positioner, against joint
+    limits.
+    """
     unit = rs.Positioner(5 * MM, 5 * MM, 1 * MM, handedness="both", phi_range=[0, 180] * u.deg)
     plane = rs.FocalPlane([[0, 0]] * MM, unit, central_arm=[8] * MM, eccentric_arm=[8] * MM)
     allocation = rs.allocate(plane, [[12, 0]] * MM)
@@ -76,7 +81,7 @@ def test_both_hands_with_arm_lengths_of_their_own():
 
 
 def test_scoring_chooses_the_elbows_that_planning_chose(small):
-    """Elbows of two-handed positioners were set right without a look at the joint limits."""
+    """Scoring ignored joint limits when it chose the elbow of positioners with two possible elbows."""
     unit = replace(small.focal_plane.positioner, handedness="both", theta_range=[0, 200] * u.deg)
     instrument = replace(small, focal_plane=replace(small.focal_plane, positioner=unit))
     tile = rs.plan_tile(few(60), instrument, CENTER)
@@ -89,7 +94,7 @@ def test_scoring_chooses_the_elbows_that_planning_chose(small):
 
 @pytest.mark.filterwarnings("ignore:.*out of reach of their positioners")
 def test_joint_limits_are_looked_at_when_scoring(small):
-    """Poses that the joints forbid passed as assigned."""
+    """Poses that the joint limits do not allow were accepted as assigned."""
     unit = replace(small.focal_plane.positioner, theta_range=[0, 90] * u.deg)
     plane = replace(small.focal_plane, positioner=unit)
     x, y = plane.xy[0]
@@ -104,7 +109,7 @@ def test_joint_limits_are_looked_at_when_scoring(small):
 
 
 def test_a_unit_without_a_target_turns_its_arm_as_its_own_fiber_does():
-    """Stuck units took the arm angle of the first fiber type of the instrument."""
+    """The arm angle of stuck positioners was that of the first fiber type of the instrument."""
     unit = rs.Positioner(
         7 * MM, 12 * MM, 1 * MM, arm_model="capsule", arm_length=11 * MM, arm_angle={"A": 10 * u.deg, "B": -10 * u.deg}
     )
@@ -114,7 +119,7 @@ def test_a_unit_without_a_target_turns_its_arm_as_its_own_fiber_does():
 
 
 def test_targets_without_a_type_go_to_the_first_type_where_maps_differ(small):
-    """They were projected with the first map and then given to fibers of the other type."""
+    """Such targets were projected with the first map, and then assigned to fibers of another type."""
     maps = {
         "A": rs.RadialMap("theta", [349.0], max_angle=2 * u.deg),
         "B": rs.RadialMap("theta", [330.0], max_angle=2 * u.deg),
@@ -127,7 +132,7 @@ def test_targets_without_a_type_go_to_the_first_type_where_maps_differ(small):
 
 
 def test_masked_values_count_as_missing(small):
-    """Values under a mask were used."""
+    """Masked values were used."""
     with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
         assert len(rs.Catalog(SkyCoord(Masked([5, 1] * u.deg, mask=[True, False]), [0, 0] * u.deg))) == 1
     tips = Masked([[3, 0]] * MM, mask=[[True, True]])
@@ -143,7 +148,7 @@ def test_masked_values_count_as_missing(small):
 
 
 def test_rows_for_units_that_cannot_be_used_are_counted(small):
-    """They vanished, and with NaN rates the tile did not equal itself."""
+    """Such rows were omitted, and tiles with NaN rates were not equal to themselves."""
     plane = replace(small.focal_plane, disabled=np.arange(37) == 0)
     x, y = plane.xy[:1].T
     tile = rs.score_tile(QTable({"positioner": [0], "x": x, "y": y}), replace(small, focal_plane=plane))
@@ -153,7 +158,7 @@ def test_rows_for_units_that_cannot_be_used_are_counted(small):
 
 
 def test_a_focal_plane_keeps_its_physics_in_a_table(presets, tmp_path):
-    """Only the clearance came back."""
+    """Only the clearance was read from the table; other properties of positioners were lost."""
     plane = presets["sdss_apo"].focal_plane
     plane.to_table().write(tmp_path / "plane.ecsv")
     back = rs.FocalPlane.from_table(QTable.read(tmp_path / "plane.ecsv"))
@@ -174,7 +179,7 @@ def test_a_focal_plane_keeps_its_physics_in_a_table(presets, tmp_path):
 
 
 def test_a_focal_plane_from_fits_has_text_ids(small, tmp_path):
-    """They were bytes."""
+    """The identifiers were bytes."""
     plane = replace(small.focal_plane, id=[f"p{k}" for k in range(37)])
     table = plane.to_table()
     table.meta.clear()
@@ -184,14 +189,14 @@ def test_a_focal_plane_from_fits_has_text_ids(small, tmp_path):
 
 
 def test_a_tile_does_not_make_every_unit_stuck(small):
-    """Its columns theta and phi were taken for those of stuck units."""
+    """The columns theta and phi of a tile were read as those of stuck positioners."""
     tile = rs.plan_tile(few(), small, CENTER)
     assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner).arrays.usable.all()
 
 
 @pytest.mark.filterwarnings("ignore:without proper motions the epoch changes nothing")
 def test_catalogs_with_velocities_and_odd_representations(small):
-    """Radial velocities alone, cartesian coordinates and distances raised errors of other packages."""
+    """Radial velocities without proper motions, cartesian coordinates and distances raised errors of other packages."""
     still = few(3)
     coord = still.coord
     for odd in (
@@ -208,7 +213,7 @@ def test_catalogs_with_velocities_and_odd_representations(small):
 
 
 def test_epochs_matter_only_where_something_moves():
-    """One unusable epoch made a catalog unreadable, proper motions or not."""
+    """A single invalid epoch made a catalog unreadable, even without proper motions."""
     deg, pm = u.deg, u.mas / u.yr
     base = {"ra": [1, 2] * deg, "dec": [1, 2] * deg}
     assert rs.Catalog.from_table(QTable({**base, "ref_epoch": [0.0, np.nan]})).epoch is None
@@ -221,14 +226,14 @@ def test_epochs_matter_only_where_something_moves():
 
 
 def test_proper_motions_of_another_frame_are_not_used_without_a_word():
-    """They were dropped silently."""
+    """The proper motions were ignored without a warning."""
     table = QTable({"l": [1] * u.deg, "b": [2] * u.deg, "pmra": [1] * u.mas / u.yr, "pmdec": [1] * u.mas / u.yr})
     with pytest.warns(rs.RfpsurveyWarning, match="are not those of the frame asked for"):
         assert not rs.Catalog.from_table(table, frame="galactic").has_proper_motion
 
 
 def test_ids_are_clean_text(small, tmp_path):
-    """Blanks around ids and newlines in them did not survive files."""
+    """Identifiers with leading or trailing blanks, or with newlines, changed when they were written to files."""
     tile = rs.plan_tile(few(3, id=[" a", "b\nc", "d "]), small, CENTER)
     assert sorted(tile.table["target_id"].compressed()) == ["a", "b c", "d"]
     for suffix in (".fits", ".ecsv"):
@@ -237,7 +242,7 @@ def test_ids_are_clean_text(small, tmp_path):
 
 
 def test_meta_of_any_kind_can_be_written(small, tmp_path):
-    """A numpy value in the meta of a catalog made writing fail after all the work."""
+    """A numpy value in the meta of a catalog raised an error when results were written."""
     catalog = few(3, meta={"value": np.float32(1.5), "array": np.arange(3)})
     tile = rs.plan_tile(catalog, small, CENTER)
     catalog.write(tmp_path / "c.fits")
@@ -250,7 +255,7 @@ def test_meta_of_any_kind_can_be_written(small, tmp_path):
 
 
 def test_the_field_of_a_table_has_units(presets):
-    """Position angles in radians and centers in hours were read as degrees."""
+    """Position angles in radians, and centers in hours, were read as degrees."""
     plane = presets["lamost"].focal_plane
     xy = plane.xy[:1] + [3, 4] * MM
     sky = presets["lamost"].projection(CENTER, 40 * u.deg).to_sky(xy)
@@ -264,14 +269,14 @@ def test_the_field_of_a_table_has_units(presets):
 
 
 def test_our_own_tile_knows_its_field(small):
-    """The center was asked for although the tile holds it."""
+    """A center had to be given, although the tile contains it."""
     tile = rs.plan_tile(few(), small, CENTER, position_angle=30 * u.deg)
     score = rs.score_tile(tile.table, small, positions="sky")
     np.testing.assert_allclose(score.table["tip_x"].value, tile.table["tip_x"].value, atol=1e-6)
 
 
 def test_text_flags_are_read():
-    """The text False disabled a positioner."""
+    """The text "False" disabled a positioner."""
     unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [30, 0]] * MM, unit, disabled=["False", "true"])
     assert plane.disabled.tolist() == [False, True]
@@ -280,7 +285,7 @@ def test_text_flags_are_read():
 
 
 def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
-    """A plan for another field scored as free of collisions without a word."""
+    """A plan for another field was scored as free of collisions, without a warning."""
     x, y = small.focal_plane.xy[:2].T
     plan = QTable({"positioner": [0, 1], "x": x + 40 * MM, "y": y})
     with pytest.warns(rs.RfpsurveyWarning, match="2 of 2 targets are out of reach"):
@@ -295,7 +300,7 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
 
 
 def test_collisions_with_obstacles_are_named(small):
-    """The column that names partners was empty."""
+    """The column that names the other objects of a collision was empty."""
     plane = replace(small.focal_plane, obstacles=[[200, 0, 3], [8, 0, 3]] * MM)
     tile = rs.plan_tile(few(), replace(small, focal_plane=plane), CENTER)
     assert "obstacle-1" in " ".join(tile.table["colliding_with"]).split()
@@ -303,7 +308,7 @@ def test_collisions_with_obstacles_are_named(small):
 
 
 def test_tables_with_mixed_columns_are_read(tmp_path):
-    """A column of coordinates or times made reading a file fail."""
+    """A column of coordinates or times raised an error when a file was read."""
     coord = SkyCoord([95, 96] * u.deg, [23, 24] * u.deg)
     QTable({"target": coord, "when": Time([2016, 2017], format="jyear")}).write(tmp_path / "t.ecsv")
     catalog = rs.Catalog.read(tmp_path / "t.ecsv")
@@ -311,7 +316,7 @@ def test_tables_with_mixed_columns_are_read(tmp_path):
 
 
 def test_mistakes_in_a_description_are_named(tmp_path):
-    """Unknown keys were ignored; inheriting from itself never ended."""
+    """Unknown keys were ignored, and a description that refers to itself caused an infinite loop."""
     (tmp_path / "a.toml").write_text('inherits = "a"\nname = "a"\n')
     with pytest.raises(rs.InputError, match="inherits from itself"):
         rs.Instrument.read(tmp_path / "a.toml")
@@ -321,13 +326,13 @@ def test_mistakes_in_a_description_are_named(tmp_path):
 
 
 def test_a_circle_has_one_center():
-    """The first of many was taken."""
+    """The first of several centers was used."""
     with pytest.raises(rs.InputError, match="center must be one direction, got the shape"):
         few().within(few().coord, 1 * u.deg)
 
 
 def test_a_description_points_to_a_table_of_positions(small, tmp_path):
-    """Real layouts could not be used from the command line."""
+    """Tables of positions could not be used from the command line."""
     small.focal_plane.to_table().write(tmp_path / "positions.ecsv")
     rest = 'status = "assumed", source = "a test of mine" }\n'
     arms = "".join(
@@ -345,7 +350,7 @@ def test_a_description_points_to_a_table_of_positions(small, tmp_path):
 
 
 def test_a_column_in_collision_does_not_make_a_table_ours(small):
-    """A planner's own column of that name, without a status, ended in a KeyError."""
+    """A table of another planner with this column, but without a status, raised a KeyError."""
     x, y = small.focal_plane.xy[:1].T
     plan = QTable({"positioner": [0], "x": x, "y": y, "in_collision": [False]})
     assert rs.score_tile(plan, small).summary["n_assigned"] == 1

@@ -1,4 +1,4 @@
-"""Every argument of every public function refuses an object of a wrong type, in a sentence that does not paste it."""
+"""All arguments of all public functions refuse objects of a wrong type; messages do not contain the whole object."""
 
 import inspect
 
@@ -22,7 +22,7 @@ TABLE = QTable({"ra": [95.0, 96.0] * DEG, "dec": [23.0, 23.0] * DEG})
 SCORED = QTable({"positioner": [0, 1], "x": [1.0, 25.0] * MM, "y": [0.0, 1.0] * MM})
 TILING = rs.Tiling.from_table(TABLE)
 
-# what is given where the argument in question is not the wrong one
+# valid arguments, of which each test replaces one
 CALLS = [
     (rs.Positioner, {"central_arm": 8 * MM, "eccentric_arm": 8 * MM, "clearance": 2 * MM}),
     (rs.FocalPlane, {"xy": PLANE.xy, "positioner": ROBOT}),
@@ -78,7 +78,7 @@ SCORE = {"table": SCORED_ON_SKY, "positions": "sky"}
 CLUSTERED = {"kind": "clustered", "cluster_size": 3, "cluster_scale": 0.1 * DEG}
 SERVED = {"field": SKY, "method": "max_density"}
 POISSON = {"catalog": "poisson"}
-# what a file is not read for, and what nothing depends on
+# arguments that have no effect on the result of these calls
 NOT_LOOKED_AT = {
     "Catalog.read-columns",
     "Catalog.read-units",
@@ -86,9 +86,9 @@ NOT_LOOKED_AT = {
     "Catalog.read-fill",
     "Catalog.read-keep",
     "FocalPlane.reachable-fiber_type",
-    "allocate-fiber_type",  # without fiber types
+    "allocate-fiber_type",  # the focal plane has no fiber types
 }
-# what else an argument needs to be looked at
+# further arguments that are necessary for an argument to have an effect
 ALSO = {
     "Positioner-arm_angle": {"arm_model": "capsule", "arm_length": 9 * MM},
     "FocalPlane.hexagonal-count": {"rings": None},
@@ -118,7 +118,7 @@ ALSO = {
 
 
 class Strange:
-    """An object of no use anywhere, whose text is long."""
+    """An object that is not valid anywhere, and whose text is long."""
 
     def __repr__(self):
         return "strange " * 200
@@ -159,10 +159,10 @@ def test_an_object_of_a_wrong_type_is_a_type_error(monkeypatch, tmp_path, call, 
 )
 @pytest.mark.parametrize("kind", ["frame", "dict", "text"])
 def test_no_message_pastes_what_was_given(call, kind):
-    """A DataFrame as a catalog came back on the screen, row by row."""
+    """Regression: the message contained all rows of a DataFrame that was given as a catalog."""
     rows = {name: np.arange(2000.0) for name in ("alpha", "beta")}
     value = {"frame": lambda: pytest.importorskip("pandas").DataFrame(rows), "dict": lambda: rows, "text": Strange}
-    with pytest.raises(rs.InputError) as told:  # a DataFrame may be a catalog
+    with pytest.raises(rs.InputError) as told:  # a DataFrame is a valid catalog
         call(value[kind]())
     assert kind == "frame" or isinstance(told.value, TypeError)
     assert len(str(told.value)) < 400

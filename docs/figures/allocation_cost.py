@@ -1,4 +1,4 @@
-"""Time of each allocator against the number of targets over LAMOST, measured when this page was made."""
+"""Plot the time of each allocator against the number of targets, measured for LAMOST when the page is built."""
 
 from time import perf_counter
 
@@ -17,7 +17,7 @@ for method in ("balanced", "nearest", "lamost", "sdss", "optimal", "repair"):
         rng = np.random.default_rng(n)
         r, angle = 865 * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
         xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
-        rs.allocate(plane, xy, allocator=method)  # compiles, and fills the caches
+        rs.allocate(plane, xy, allocator=method)  # compiles the kernels, and fills the caches
         times = []
         for _ in range(3):
             begin = perf_counter()

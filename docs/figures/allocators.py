@@ -1,4 +1,4 @@
-"""One crowded corner of the focal plane under each allocator."""
+"""Plot a crowded part of the focal plane for each allocator."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""The closed form against the surrogate."""
+"""Plot the closed form and the surrogate."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""Where the convergence criterion stops, over and over, and where the interval does."""
+"""Plot the results of many simulations that end by the convergence criterion or by the interval."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -24,4 +24,4 @@ ax.set(xlabel="iterations", ylabel="collision probability", xscale="log")
 ax.xaxis.set_major_locator(LogLocator(subs=range(1, 10)))
 ax.xaxis.set_major_formatter("{x:g}")
 ax.xaxis.set_minor_formatter(NullFormatter())
-figure.legend(fontsize="small", loc="outside lower center")  # inside, it hid points
+figure.legend(fontsize="small", loc="outside lower center")  # a legend inside the axes would hide points

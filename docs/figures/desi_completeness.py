@@ -1,10 +1,10 @@
-"""Completeness of a survey by DESI's tiles, after each pass: the figures that survey_figures.py prints."""
+"""Plot the completeness of a survey with the tiles of DESI after each pass; survey_figures.py prints the numbers."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 N_WANTED, N_TARGETS = 49_903_061, 19_959_605
-# tiles so far, visits so far, targets observed as often as they are wanted
+# total number of tiles, total number of visits, number of targets with all requested visits
 PASSES = np.array(
     [
         [3629, 12_822_664, 3_609_931],

@@ -1,4 +1,4 @@
-"""The paper's box of designs: coverage against independent losses, the front, and arms that are there."""
+"""Plot coverage against independent losses for designs in the range of the paper, with the front and existing arms."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

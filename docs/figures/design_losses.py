@@ -1,4 +1,4 @@
-"""Three losses of the same arms, over the ratio of the arms: LAMOST's central arm and pitch, D = 4.5 mm."""
+"""Plot three losses against the ratio of the arms, for LAMOST's central arm and pitch and D = 4.5 mm."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""Collision probability over ratio and pitch, from the surrogate."""
+"""Plot the collision probability of the surrogate as a function of ratio and pitch."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""Pairs of arms on which some method fails: what exact, four ends and three points an arm make of them."""
+"""Plot pairs of arms for which a method fails, and the results of the exact method, four ends and three points."""
 
 import matplotlib.pyplot as plt
 import numpy as np

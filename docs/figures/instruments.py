@@ -1,4 +1,4 @@
-"""All presets, one target for each positioner."""
+"""Plot a comparison of all presets with one target per positioner."""
 
 import matplotlib.pyplot as plt
 

@@ -1,4 +1,4 @@
-"""A crowded field of SDSS-V by two allocators, for the first page (python docs/figures/overview.py FILE writes it)."""
+"""Plot a crowded field of SDSS-V with two allocators, for the first page (``python docs/figures/overview.py FILE``)."""
 
 import sys
 

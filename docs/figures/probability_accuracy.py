@@ -1,4 +1,4 @@
-"""The chart of ``rfpsurvey benchmark probability`` for 469 positioners, drawn when this page was made."""
+"""Plot the results of ``rfpsurvey benchmark probability`` for 469 positioners, measured when the page is built."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""How far the elbow moves when the tip moves by a little, in mid reach and at its limits."""
+"""Plot the motion of the elbow for a small motion of the tip, in the center and at the limits of the patrol area."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

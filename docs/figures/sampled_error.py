@@ -1,4 +1,4 @@
-"""Largest error of distances between sampled arms, against the bound."""
+"""Plot the largest error of distances between sampled arms, and its upper limit."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,4 +1,4 @@
-"""The charts of ``rfpsurvey benchmark collisions`` for two instruments, drawn when this page was made."""
+"""Plot the results of ``rfpsurvey benchmark collisions`` for two instruments, measured when the page is built."""
 
 import matplotlib.pyplot as plt
 

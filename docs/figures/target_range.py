@@ -1,4 +1,4 @@
-"""Probability against the radius within which targets fall."""
+"""Plot the probability against the radius of the circle that contains the targets."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

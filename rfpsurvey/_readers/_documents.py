@@ -11,7 +11,8 @@ __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# A key with `MOST_DEPTH` parts. The pattern starts at the beginning of a word, so that the search takes linear time.
+# Matches a key with `MOST_DEPTH` parts. A match can begin only at the start of a word; the search then takes linear
+# time.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
 
 
@@ -56,7 +57,7 @@ def parse_json(text: object, what: object) -> dict:
 
 
 def check_size(found: object, what: object) -> None:
-    """Raise an error if values are nested too deep or if there are too many; repeated references count each time."""
+    """Raise an error if there are too many values or too many levels; a value counts once for each reference to it."""
     todo, n = [(found, 0)], 0
     while todo:
         value, depth = todo.pop()

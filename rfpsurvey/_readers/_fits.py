@@ -1,4 +1,4 @@
-"""FITS tables, whose headers are compared with the size of the file before astropy reads the data."""
+"""Read FITS tables, after checking that the sizes stated in the headers agree with the size of the file."""
 
 import io
 import re
@@ -12,20 +12,21 @@ from astropy.table import QTable
 from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["META_KEY", "read_fits", "read_fits_bytes", "read_fits_units"]
+__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
 
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
 META_KEY = "RFPSURVY"
-"""Keyword of the card that contains the meta of a table in files of this package."""
+"""Keyword of the header card in which this package stores the ``meta`` of a table."""
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
 def read_fits(path: Path, number: int | None = None) -> QTable:
-    """Return a table of a FITS file by number, or the first one, with a warning if there are others.
+    """Return the table with the given number in a FITS file; by default, return the first table.
 
-    Text is returned as bytes. For files of this package, whose tables belong together, there is no warning.
+    Text is returned as bytes. By default, a warning states that the file contains other tables, if there are any and
+    this package did not write the file.
     """
     with open_content(path) as file:
         found = _find_tables(file, path)
@@ -40,21 +41,44 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
     return table
 
 
+def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
+    """Return the keywords of the first header of a FITS file, and all tables of the file, in which text is bytes.
+
+    The meta of each table has the keywords of its header.
+    """
+    from astropy.io import fits
+
+    with open_content(path) as file:
+        numbers = _find_tables(file, path)
+        file.seek(0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # as in _read
+            with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
+                header = dict(units[0].header)
+                found = [_table_of(units[at]) for at in numbers]
+    for table, n_rows in found:
+        if len(table) != n_rows:
+            raise InputError(f"{path}: each table must have the rows of its header ({n_rows}), got {len(table)}")
+    return header, [table for table, _ in found]
+
+
 def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
     """Return the table of a header-data unit, and the number of rows that its header states."""
     from astropy.io import fits
 
     file.seek(0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings about nonstandard cards, and about units, which are checked on use
+        warnings.simplefilter("ignore")  # ignore warnings about cards and units; units are checked later
         with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
-            unit = units[at]
-            table = QTable.read(unit, format="fits", mask_invalid=False)
-            return table, unit.header["NAXIS2"]
+            return _table_of(units[at])
+
+
+def _table_of(unit) -> tuple[QTable, int]:
+    return QTable.read(unit, format="fits", mask_invalid=False), unit.header["NAXIS2"]
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
-    """Return rows and cards of a FITS file with one table; anything else is an InputError that begins with ``name``."""
+    """Return the rows and header cards of a FITS file with one table; error messages begin with ``name``."""
     from astropy.io import fits
 
     try:
@@ -111,7 +135,7 @@ def _native(values: np.ndarray) -> np.ndarray:
 
 
 def _find_tables(file: BinaryIO, path: object) -> list[int]:
-    """Return the numbers of the units that are tables; raise an error if there are none or data are missing."""
+    """Return the numbers of the header-data units that are tables; raise an error if tables or data are missing."""
     size, place, tables = file.seek(0, io.SEEK_END), 0, []
     if size == 0:
         raise InputError(f"{path}: the file must be a FITS file, got an empty one")
@@ -142,7 +166,7 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
 
 
 def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | None, int]:
-    """Return the values of the cards that are used, and the end of the header; None if only padding follows."""
+    """Return the required values of a header and the end of the header, or None if only padding is left in the file."""
     file.seek(place)
     cards, first = {}, b"XTENSION" if place else b"SIMPLE  "
     for _ in range(-(-MOST_CARDS * CARD // BLOCK)):

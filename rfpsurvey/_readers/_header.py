@@ -16,12 +16,12 @@ QUOTED = re.compile(rb'"[^"]*"')
 
 
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
-    """Return the content with the names of the columns in its first row, the delimiter, and the units by name.
+    """Return the content of a table with column names as the first row, its delimiter, and its units by column name.
 
-    The delimiter is the one in the line of names. If this line contains several possible delimiters, it is the one that
-    occurs equally often in the next line. Names can be in a comment before the first row. Lines that are not rows
-    become comments: ``sep=;``, which spreadsheets read, and lines with units and dashes after the names, as written by
-    VizieR.
+    The delimiter is the one in the line of names. If this line contains several possible delimiters, the delimiter is
+    the one that occurs equally often in the next line. Names can be in a comment before the first row. Lines that are
+    not rows become comments. Examples are the line ``sep=;`` of spreadsheets, and the lines with units and dashes that
+    VizieR writes after the names.
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content
@@ -54,7 +54,7 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
 
 
 def _data_lines(content: bytes) -> list[tuple[int, int]]:
-    """Return the offsets of the begin and end of each of the first three lines that are neither blank nor comments."""
+    """Return the offsets at which the first three lines that are neither blank nor comments begin and end."""
     return [line.span() for line in islice(DATA.finditer(content, 0, MOST_BYTES), 3)]
 
 

@@ -1,4 +1,4 @@
-"""Limits of the size of a file in memory, and functions that return its content within these limits."""
+"""Limits on the memory that the content of a file may use, and functions that apply these limits."""
 
 import bz2
 import gzip
@@ -13,9 +13,9 @@ from rfpsurvey.errors import InputError
 __all__ = ["MOST_COLUMNS", "check_width", "content_of", "is_compressed", "open_content", "sentence"]
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
-# Largest ratio of decompressed to compressed size; tables of real targets stay below a tenth of it.
+# Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than a tenth of this.
 MOST_RATIO = 100
-# Smaller contents, in bytes, have no limit.
+# Decompressed contents of at most this many bytes are always allowed.
 FREE = 2**26
 # In a text column, every row takes as much memory as the longest value. A column may take at most this many times the
 # size of the file, or this many bytes.
@@ -77,7 +77,7 @@ def open_content(path: Path) -> BinaryIO:
 
 
 def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:
-    """Raise an error for a text that is so long that a column of this width would not fit into memory."""
+    """Raise an error if the longest value is so long that a text column of this width would not fit into memory."""
     needed = 4 * n_rows * longest
     if needed > max(FREE_TEXT, MOST_PADDING * size):
         raise InputError(

@@ -1,7 +1,8 @@
-"""Checks of the lines of a text table, each of which must be a complete row.
+"""Check that each line of a text table is a complete row.
 
 Readers interpret the text after an unclosed quotation mark as one long value, and drop the rest of the file without a
-warning. Here, each line is checked first, without Python loops if the lines are well formed.
+warning. The functions of this module check each line before a reader is called. If the lines are well formed, the check
+uses no Python loops.
 """
 
 from pathlib import Path
@@ -20,7 +21,7 @@ NEWLINE, RETURN, TAB, SPACE, QUOTE, HASH = b'\n\r\t "#'
 
 
 def line_number(content: bytes, where: int) -> int:
-    """Return the number of the line, counted from 1, that contains a byte."""
+    """Return the number, counted from 1, of the line that contains the byte at offset ``where``."""
     return content.count(b"\n", 0, where) + 1
 
 

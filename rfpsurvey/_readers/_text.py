@@ -17,7 +17,7 @@ __all__ = ["read_csv", "read_ecsv"]
 
 MOST_HEADER = 2**18
 MOST_CELLS = 100_000
-MARK = "x"  # a prefix that makes a number text
+MARK = "x"  # with this prefix, a number is read as text
 COMMA = re.compile(rb"^# *delimiter: *['\"]?,", re.MULTILINE)
 SHAPE = re.compile(rb"subtype: *['\"]?\w+\[([^\]\n]*)")
 WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
@@ -85,15 +85,15 @@ def _parse(text: str, options: dict) -> Table:
     from astropy.io import ascii as text_tables
 
     if text.isascii():
-        if "\n" not in text:  # otherwise it would be interpreted as a path
+        if "\n" not in text:  # astropy interprets text without a line break as a path
             text += "\n"
         return text_tables.read(text, fast_reader={"enable": "force"}, **options)
-    # the fast reader cannot read these
+    # the fast reader cannot read characters outside ASCII
     return text_tables.read([line for line in text.split("\n") if _is_data(line)], fast_reader=False, **options)
 
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
-    """Restore the text of columns of digits that have leading zeros; ``marked`` tells which columns these are."""
+    """Restore leading zeros in columns of digits; in ``marked``, numbers with leading zeros were read as text."""
     for name, other in zip(table.colnames, marked.colnames, strict=True):
         if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
             continue

@@ -1,4 +1,4 @@
-"""VOTables; files and addresses to which they refer are never read.
+"""Read VOTables, without reading the files and addresses to which they refer.
 
 A first pass over the XML counts rows and columns. The table that astropy returns must have the same numbers.
 """
@@ -31,7 +31,7 @@ SIZES = {
     "floatComplex": 8,
     "doubleComplex": 16,
 }
-# Largest number of bytes of a row; number of bytes of all rows that is always allowed, also for a small file.
+# Largest number of bytes in a row, and number of bytes in all rows that is allowed for a file of any size.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
 # Warnings of astropy about values that it changes: truncated text, and numbers out of the range of their type.
 ALTERED = re.compile(r"\b(?:W46|W51): (.*)")
@@ -179,7 +179,7 @@ class _Contents:
 
 
 def _skip_row(content: bytes, place: int, steps: list) -> int:
-    """Return the end of a row that begins at ``place``: fixed numbers of bytes, and arrays preceded by their length."""
+    """Return the end of the row at ``place``; a row has values of fixed size and arrays preceded by their length."""
     place = int(place)
     for step in steps:
         if isinstance(step, tuple):

@@ -33,12 +33,13 @@ def benchmark_batches(
     instrument : str, Instrument or FocalPlane, optional
         Name of a preset, instrument or focal plane.
     sizes : sequence of int, optional
-        Numbers of configurations scored in one call. At most 256 different ones are made, and then repeated. Their
-        tips are kept in memory: 640 MB for 10,000 configurations of 4000 positioners.
+        Numbers of configurations scored in one call. At most 256 different configurations are made; larger batches
+        repeat them. The positions of all tips are kept in memory, for example 640 MB for 10,000 configurations of 4000
+        positioners.
     workers : sequence of int, optional
         Numbers of threads.
     repeats : int, optional
-        Number of calls with the same settings, of which the median time is returned.
+        Number of calls with the same settings. The table contains the median of their times.
     rng : int, Generator or None, optional
         Seed or random number generator of the targets, which are uniform in the patrol areas.
 

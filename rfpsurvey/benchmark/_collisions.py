@@ -40,7 +40,7 @@ def every_pair(case: Configuration) -> Found:
 
 
 def endpoints(case: Configuration) -> Found:
-    """Compute distances from the four ends of two arms only, which misses crossings."""
+    """Compute distances only from the four ends of two arms; crossings are not detected."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.endpoints(case.segments, first, second, squared)
@@ -149,7 +149,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each run finds in each case, and its times; a first round for compilation is not timed."""
+    """Return the pairs that each run finds in each case, and its times; the first round compiles and is not timed."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -165,7 +165,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
                     times[run].append(perf_counter() - start)
                 if turn == 0:
                     found[run] = results
-                    # the last call of a slow method counts, because there may be time for only one call
+                    # keep the time of the last call of a slow method, because the time limit may not allow another call
                     times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
             bar(turn + 1)
     return found, times

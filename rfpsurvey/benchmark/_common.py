@@ -14,7 +14,10 @@ __all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
-    """Return one target (mm) per positioner, uniform within its reach; NaN if a hundred attempts found none."""
+    """Return one target (mm) per positioner, uniform within its reach.
+
+    It is NaN if a hundred random points are out of reach.
+    """
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
     for _ in range(100):

@@ -40,9 +40,9 @@ def benchmark_probability(
 ) -> QTable:
     """Measure the time and the error of each method of estimating collision probabilities.
 
-    The reference value for allocated targets is a long conditional simulation; that for independent (uniform) targets
-    is a fine quadrature. Methods run alternately. Errors smaller than ``truth_error``, the error of the reference
-    value, are not significant.
+    The reference value for allocated targets is computed by a long conditional simulation. The reference value for
+    independent (uniform) targets is computed by a fine quadrature. Methods run alternately. Errors smaller than
+    ``truth_error``, the error of the reference value, are not significant.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def benchmark_probability(
         Name of a preset, instrument or focal plane. Random targets are the default ones of
         `~rfpsurvey.collision_probability`.
     efforts : mapping of str to sequence of int, optional
-        Numbers of iterations, realizations or points for each method; 0 for formulas.
+        Numbers of iterations, realizations or points for each method; the number for formulas is 0.
     repeats : int, optional
         Number of runs with different random numbers for each method and effort.
     precision : float, optional

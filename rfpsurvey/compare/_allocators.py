@@ -56,17 +56,18 @@ def compare_allocators(
     QTable
         Table with a row for each allocator. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (number of
         fibers on each kind of target); the number of fibers on each priority class, if there are from two to eight
-        classes; ``missing`` (number of fibers missing for requirements); ``colliding`` (number of positioners in
-        collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles); ``usable`` (number of
-        science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller than the number of
-        science fibers of the best plan that ignores collisions; it can be negative for allocators that ignore
-        requirements); ``gap`` (NaN if nothing is proven); ``seconds`` (time of reach and allocation, without
-        compilation). ``meta`` contains the unmet requirements of each allocator, and the provenance.
+        classes; ``missing`` (number of further fibers that the requirements demand); ``colliding`` (number of
+        positioners in collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles);
+        ``usable`` (number of science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller
+        than the number of science fibers of the best plan that ignores collisions; it can be negative for allocators
+        that ignore requirements); ``gap`` (relative difference between the objective of the plan and its proven upper
+        bound; NaN without a proven bound); ``seconds`` (time of reach and allocation, without compilation). ``meta``
+        contains the unmet requirements of each allocator, and the provenance.
 
     Raises
     ------
     InputError
-        As for `plan_tile`.
+        If `plan_tile` raises it for one of the allocators.
 
     Examples
     --------
@@ -88,7 +89,8 @@ def compare_allocators(
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field only once
-            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)  # compiles
+            # this plan compiles the kernels
+            plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)
         log.info("planned by %s: %s", method.name, tiles[method])

@@ -90,7 +90,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
 
 
 def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
-    """Return the fraction of uniform targets in the field whose images are on the footprint."""
+    """Return the fraction of targets that are on the footprint, if targets are uniform in the field."""
     sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
     xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
     return float(on_footprint(model.focal_plane, xy).mean())

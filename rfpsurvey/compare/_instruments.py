@@ -135,16 +135,17 @@ def compare_instruments(
         ``multiplicity`` (mean number of positioners that reach a point of the footprint); ``reach_0``, ``reach_1``,
         ``reach_2``, ``reach_3`` (fraction of the footprint within reach of no, one, two, and at least three
         positioners). Columns on the plans, averaged over the fields: ``allocator``; ``targets`` (number of science
-        targets in reach); ``targets_per_positioner`` (their number divided by ``positioners``); ``assigned`` (number of
+        targets in reach); ``targets_per_positioner`` (``targets`` divided by ``positioners``); ``assigned`` (number of
         fibers on science targets); ``assigned_part`` (fraction of the positioners assigned to science targets);
         ``probability``, ``low``, ``high`` (collision probability of the positioners that have a target or are parked
         obstacles, with its 95 % interval); ``pairs_per_positioner`` (number of colliding pairs divided by the number of
         these positioners); ``usable`` (number of fibers on science targets without a collision); ``usable_per_area``
-        (per area of the footprint); ``usable_per_solid_angle`` (per solid angle of the field); ``loss`` (fraction by
-        which ``usable`` is smaller than the number of science fibers of the best plan that ignores collisions; for
-        ``optimal`` this is the fraction of targets lost to collisions; it can be negative for allocators that ignore
-        requirements); ``gap`` (largest gap of all fields; NaN if nothing is proven); ``seconds`` (median time of reach
-        and allocation of a field, without compilation). ``meta`` states which columns can be compared, and the
+        (``usable`` divided by the area of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid
+        angle of the field); ``loss`` (fraction by which ``usable`` is smaller than the number of science fibers of the
+        best plan that ignores collisions; for ``optimal`` this is the fraction of targets lost to collisions; it can be
+        negative for allocators that ignore requirements); ``gap`` (relative difference between the objective of a plan
+        and its proven upper bound, maximum over the fields; NaN without a proven bound); ``seconds`` (median time of
+        reach and allocation of a field, without compilation). ``meta`` states which columns can be compared, and the
         provenance.
 
     Raises
@@ -279,7 +280,7 @@ def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan],
     probabilities = [plan.probability for plan in own]
     value, low, high = rate_interval(model.focal_plane, probabilities, CONFIDENCE)
     if value == 0 and allocator.name in WITHOUT_COLLISIONS:
-        high = 0.0  # by construction
+        high = 0.0  # these allocators never allow a collision
     counted = np.count_nonzero(~np.isnan(probabilities))
     number = int(model.focal_plane.arrays.usable.sum())
     half = model.field_radius.to_value(u.rad) / 2

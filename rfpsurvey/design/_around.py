@@ -61,7 +61,7 @@ def explore_around(
     Warns
     -----
     RfpsurveyWarning
-        If the arm model of the instrument is not ``elbow_to_tip``, the arm model of all designs.
+        If the arm model of the instrument is not ``elbow_to_tip``. All designs have this arm model.
 
     See Also
     --------
@@ -89,7 +89,7 @@ def explore_around(
 def design_improvements(table: QTable) -> QTable:
     """Compare an instrument with the best designs of a scan, for each objective.
 
-    For each objective, the best design is that among the designs that are at least as good as the instrument in the
+    For each objective, the best design is selected from the designs that are at least as good as the instrument in the
     other objective.
 
     Parameters
@@ -101,9 +101,9 @@ def design_improvements(table: QTable) -> QTable:
     -------
     QTable
         Table with a row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best design,
-        or of the instrument if no design is better); ``change`` (``best`` minus ``value``); ``other`` (other objective,
-        of the best design); ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best design. Values of
-        objectives are plain numbers in the units of the columns of ``table``.
+        or of the instrument if no design is better); ``change`` (``best`` minus ``value``); ``other`` (value of the
+        other objective for the best design); ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best
+        design. Values of objectives are plain numbers in the units of the columns of ``table``.
 
     Raises
     ------

@@ -20,7 +20,7 @@ EVERY = 10.0  # seconds
 
 
 class Checkpoint:
-    """The file of a scan, complete at any time, with the designs that are finished.
+    """The file of a scan, which contains all finished designs and is a valid table at any time.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Checkpoint:
             write_table(table, self._path, overwrite=True)
 
     def _load(self):
-        """Return the designs that an earlier run has finished."""
+        """Return the rows of the finished designs in an existing file."""
         table = read_table(self._path)
         before, now = table.meta.get("request"), self.meta["request"]
         if not isinstance(before, dict) or not set(ROW.names) <= set(table.colnames):

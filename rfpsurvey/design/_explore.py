@@ -87,7 +87,7 @@ def explore_designs(
     path : str or path-like, optional
         File (.ecsv or .fits) to which finished designs are written every ten seconds and at the end.
     resume : bool, optional
-        Whether to continue an unfinished scan in ``path``. The objectives may differ from those before.
+        Whether to continue an unfinished scan in ``path``. The objectives may differ from those of the unfinished scan.
     overwrite : bool, optional
         Whether to replace an existing file.
 
@@ -96,16 +96,16 @@ def explore_designs(
     QTable
         Table with a row for each design: ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
         ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors can, 3:
-        further ones can too); ``multiplicity`` (patrol area divided by the area of a cell); ``reach_0`` to
+        further ones can too); ``multiplicity`` (patrol area divided by the area of a lattice cell); ``reach_0`` to
         ``reach_3`` (fractions of the plane within reach of no, one, two, and at least three positioners) and
         ``coverage`` (fraction within reach of at least one); ``targets`` (number per positioner) and ``empty``
-        (fraction of the positioners with no target in reach); ``assigned`` (number of fibers with a target per
-        positioner if arms could pass through each other; 1 for independent targets), ``loss`` (fraction of these lost
-        to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per positioner);
+        (fraction of the positioners with no target in reach); ``assigned`` (number of fibers with a target, per
+        positioner, if arms could pass through each other; it is 1 for independent targets), ``loss`` (fraction of these
+        lost to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per positioner);
         ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven``
-        (number of searches that the time limit ended; the loss is then too large, and depends on the machine);
-        ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good in both
-        objectives and better in one). ``meta`` contains the request.
+        (number of searches that the time limit ended; if it is not 0, the loss is too large and depends on the speed of
+        the machine); ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good
+        in both objectives and better in one). ``meta`` contains the request.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def scan(
     resume: bool = False,
     overwrite: bool = False,
 ) -> QTable:
-    """Return the table of the designs on axes in mm and, if given, of the design from which the scan starts."""
+    """Return the table of the designs on ``axes`` (in mm), and of the design of an instrument if ``start`` is given."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)

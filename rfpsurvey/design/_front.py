@@ -32,7 +32,7 @@ def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
     known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
     order = known[np.lexsort((second[known], first[known]))]
     a, b = first[order], second[order]
-    start = np.searchsorted(a, a, side="left")  # the first row with the same first value, which is the best of these
+    start = np.searchsorted(a, a, side="left")  # first row with an equal first value; it has the best second value
     least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before them
     front = np.zeros(len(table), dtype=bool)
     front[order] = (b == b[start]) & (b < least)

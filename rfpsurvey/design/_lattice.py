@@ -12,7 +12,8 @@ from rfpsurvey.positioner import Positioner
 __all__ = ["Lattice", "make_lattice"]
 
 MOST_REACH = 4.0
-"""Largest reach of arms, in pitches; designs beyond it have hundreds of neighbors and are not computed."""
+"""Largest reach of arms, in pitches. With a larger reach, a positioner has hundreds of neighbors; such designs are not
+computed."""
 N_LINES = 256
 DEPTHS = 4
 """Classes of points: within reach of 0, 1, 2 and at least 3 positioners."""
@@ -65,8 +66,9 @@ class Lattice:
     def coverage(self, n_lines: int = N_LINES) -> np.ndarray:
         """Return the fractions of the plane within reach of exactly 0, 1, 2, and at least 3 positioners.
 
-        A cell consists of twelve equal triangles. On lines across a triangle, the segments between the edges of
-        patrol areas are exact; with 256 lines, errors are typically 1e-4, and at most 4e-4.
+        A cell consists of twelve equal triangles. The areas in a triangle are integrated along 256 lines. The lengths
+        of the segments of a line between the edges of patrol areas are exact. Errors of the fractions are typically
+        1e-4, and at most 4e-4.
         """
         inner, outer = (r / self.pitch for r in self.radii)
         x = (np.arange(n_lines) + 0.5) / (2 * n_lines)
@@ -85,8 +87,8 @@ class Lattice:
         edges = np.take_along_axis(edges, order, axis=1)
         pieces = np.diff(edges, axis=1, append=top[:, None])
         parts = np.bincount(np.clip(depth, 0, DEPTHS - 1).ravel(), pieces.ravel(), minlength=DEPTHS)
-        parts[0] += edges[:, 0].sum()  # before the first edge
-        return np.round(parts / top.sum(), 9)  # so that a plane that is covered except for rounding counts as covered
+        parts[0] += edges[:, 0].sum()  # no positioner reaches the points before the first edge
+        return np.round(parts / top.sum(), 9)  # without rounding errors, full coverage is exactly 1
 
 
 @cache

@@ -22,11 +22,11 @@ __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 N_POINTS = 256
 """Number of points of a quadrature; its relative error is then about 0.002."""
 SURROGATE_ERROR = 5e-4
-"""Upper limit of the root-mean-square error of the surrogate in its box; see ``tests/benchmarks/design_figures.py``."""
+"""Upper limit of the root-mean-square error of the surrogate; see ``tests/benchmarks/design_figures.py``."""
 SURE = 0.01
 """Smallest value for which the relative error of the surrogate is acceptable."""
 CORE = 5.0
-"""Positioners at most this many pitches from the center of a patch are counted: 91 of them."""
+"""Radius, in pitches, of the part of a patch whose 91 positioners are counted."""
 
 
 class Loss(NamedTuple):
@@ -115,7 +115,7 @@ def cheapest(estimand: str, lattice: Lattice) -> str:
 
 
 def in_box(lattice: Lattice) -> bool:
-    """Return whether a design is inside the box of the surrogate."""
+    """Return whether the parameters of a design are within the range of the surrogate."""
     return not any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
 
 
@@ -136,7 +136,8 @@ def _over_skies(lattice, skies, look, *, whole=False):
     """Return the fraction of the fibers assigned in the center of a patch that are lost, over all realizations.
 
     Positioners near the edge of a patch have fewer neighbors and are not counted. If nothing is lost, the error is that
-    of one lost fiber. If only ``whole`` fibers can be lost, it is never smaller than that.
+    of one lost fiber. With ``whole``, a fiber is either lost or not, and the error is always at least that of one lost
+    fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
@@ -156,7 +157,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
 
 
 def _patch(lattice, each):
-    """Return counted positioners, their neighbors and all that share targets with these, and the source of targets."""
+    """Return a patch (counted positioners, their neighbors, those that share targets with these) and its targets."""
     edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
     plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
     radius = float(np.hypot(*plane.arrays.xy.T).max()) + lattice.radii[1]

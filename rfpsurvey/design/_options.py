@@ -25,14 +25,14 @@ class LossOptions:
     Parameters
     ----------
     estimand : {"independent", "allocated", "collision_free"}, optional
-        Definition of the loss, see `~rfpsurvey.design.explore_designs`; by default that of the method, or
-        ``independent``.
+        Definition of the loss, see `~rfpsurvey.design.explore_designs`; by default the definition that the method uses
+        or, without a method, ``independent``.
     method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
         Method: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for ``allocated``; exact for
         each realization), ``optimal`` (for ``collision_free``; proven) or ``repair`` (for ``collision_free``; the
         method of LAMOST, repaired by local moves). ``auto`` selects the fastest method that is accurate enough for a
-        design: for ``independent``, ``surrogate`` inside its box if the result is at least 0.01, otherwise
-        ``quadrature``; for ``allocated``, ``conditional``; for ``collision_free``, ``optimal``.
+        design: for ``independent``, ``surrogate`` if the design is within its range and the result is at least 0.01,
+        otherwise ``quadrature``; for ``allocated``, ``conditional``; for ``collision_free``, ``optimal``.
     targets_per_positioner : float, optional
         Mean number of Poisson-distributed targets per positioner; four by default.
     target_density : Quantity, optional

@@ -82,5 +82,6 @@ def to_rows(table: QTable) -> np.ndarray:
     rows = np.zeros(len(table), ROW)
     for name in ROW.names:
         values = getattr(table[name], "value", table[name])
-        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values  # empty text
+        # files can contain empty text as masked values
+        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values
     return rows

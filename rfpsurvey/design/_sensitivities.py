@@ -18,19 +18,19 @@ DEGREE = 4
 def design_sensitivities(
     table: QTable, *, figures: Sequence[str] = ("coverage", "loss", "usable", "usable_per_area")
 ) -> QTable:
-    """Return the share of the variance of each column over a scan that each parameter explains.
+    """Return the fraction of the variance of each column that each parameter of a scan explains.
 
     The values of a column are fitted by a sum of polynomials, one for each parameter that varies, of degree four (less
     for a parameter with fewer than five values). The share of a parameter is the variance of its polynomial divided by
     that of the column. This is the first-order Sobol index; it is exact on a grid with at most five nodes per axis. The
-    rest of the variance is due to interactions of parameters and to noise of the values. Chance alone adds about the
-    number of coefficients divided by the number of designs to a share.
+    rest of the variance is due to interactions of parameters and to noise of the values. Chance increases each share by
+    about the ratio of the number of coefficients to the number of designs.
 
     Parameters
     ----------
     table : QTable
-        Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored, as is the design of
-        an instrument that a scan around it added.
+        Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored, and so is the design
+        that a scan around an instrument added.
     figures : sequence of str, optional
         Columns to explain.
 

@@ -12,7 +12,7 @@ from rfpsurvey.instrument import Instrument, arm_facts
 __all__ = ["Start", "start_of"]
 
 SAME = 1e-9
-"""A design equals that of the instrument if the relative differences are below this."""
+"""Two designs are equal if the relative differences of their parameters are below this value."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,15 +2,16 @@
 
 from copy import copy
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
+from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints
 from rfpsurvey.focal_plane._idle import Idle, find_idle
+from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
 __all__ = ["FocalPlaneArrays"]
@@ -164,19 +165,11 @@ class FocalPlaneArrays:
 
     def is_hidden(self, points: np.ndarray) -> np.ndarray:
         """Return whether each point (mm) is in one of the circles ``hidden``."""
-        found = np.zeros(len(points), dtype=bool)
-        if len(self.hidden):
-            rows = np.flatnonzero(np.isfinite(points).all(axis=1))
-            near = self._hidden_tree.query_ball_point(points[rows], self.hidden[:, 2].max())
-            size = np.fromiter(map(len, near), dtype=np.int64, count=len(rows))
-            point = np.repeat(rows, size)
-            circle = self.hidden[np.fromiter(chain.from_iterable(near), dtype=np.int64, count=size.sum())]
-            found[point[((points[point] - circle[:, :2]) ** 2).sum(axis=1) <= circle[:, 2] ** 2]] = True
-        return found
+        return self._circles.contain(points)
 
     @cached_property
-    def _hidden_tree(self) -> cKDTree:
-        return cKDTree(self.hidden[:, :2])
+    def _circles(self) -> Circles:
+        return Circles(self.hidden)
 
     @cached_property
     def first_type(self) -> np.ndarray:
@@ -324,26 +317,13 @@ class FocalPlaneArrays:
 
     @cached_property
     def runs(self) -> np.ndarray:
-        """Neighbors as sorted rows (i, j, n), each of which stands for n pairs: i and j, i + 1 and j + 1, and so on.
-
-        On a lattice that is numbered row by row, a few runs contain thousands of pairs.
-        """
-        pairs = self.neighbors
-        if len(pairs) == 0:
-            return np.empty((0, 3), dtype=np.int64)
-        pairs = pairs[np.lexsort((pairs[:, 0], pairs[:, 1] - pairs[:, 0]))]
-        first = np.append(True, (np.diff(pairs, axis=0) != 1).any(axis=1))
-        rows = np.flatnonzero(first)
-        runs = np.column_stack([pairs[rows], np.diff(np.append(rows, len(pairs)))])
-        return runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+        """Neighbors as sorted rows (i, j, n); each stands for n pairs: i and j, i + 1 and j + 1, and so on."""
+        return find_runs(self.neighbors)
 
     @cached_property
     def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
         """All neighbors of each positioner: the start of each row, and the neighbors (an array that is never empty)."""
-        pairs = self.neighbors
-        both = np.vstack([pairs, pairs[:, ::-1]])
-        both = both[np.lexsort((both[:, 1], both[:, 0]))]
-        return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)
+        return both_ways(self.neighbors, len(self.plane))
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:

@@ -72,6 +72,9 @@ class FocalPlane:
     axis and the colliding segment. Without it, the axis points to the fiber. A target without a fiber type is observed
     with the first fiber type of a positioner.
 
+    Idle positioners are parked, and count as obstacles, if their arms have equal lengths. This includes positioners
+    whose own lengths differ by at most 5 % of their sum, if the arms of ``positioner`` have equal lengths.
+
     Examples
     --------
     >>> import astropy.units as u

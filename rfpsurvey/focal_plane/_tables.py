@@ -23,7 +23,7 @@ CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
-    """Return the arguments of a FocalPlane from a table."""
+    """Return the arguments of `FocalPlane` for a table."""
     if not isinstance(table, Table):
         raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
@@ -64,7 +64,7 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
 
 
 def to_table(plane) -> QTable:
-    """Return a table with the columns of a focal plane, and the positioner in the meta."""
+    """Return a table with the columns of a focal plane and with the positioner in its ``meta``."""
     n, k = len(plane), len(plane.arrays.obstacles)
     circles = np.vstack([plane.arrays.obstacles, plane.arrays.hidden])
     m = len(circles)
@@ -115,7 +115,7 @@ def _quantity(table, name, unit):
 
 
 def _spare_names(ids, m):
-    """Return identifiers for obstacles that differ from those of all positioners."""
+    """Return identifiers for obstacles that differ from the identifiers of all positioners."""
     if ids.dtype.kind == "i":
         return ids.max() + 1 + np.arange(m)
     taken, prefix = set(ids.tolist()), "obstacle-"
@@ -125,7 +125,7 @@ def _spare_names(ids, m):
 
 
 def _positioner_to_meta(positioner) -> dict:
-    """Return the arguments of a Positioner as plain text, exact to the last bit."""
+    """Return the arguments of a Positioner as text from which the numbers can be recovered exactly."""
 
     def text(value):
         if isinstance(value, u.Quantity):

@@ -1,4 +1,4 @@
-"""Instruments: focal plane, optics and the source of every value; presets are data files."""
+"""Instruments, which consist of a focal plane, optics and the sources of all values; presets are data files."""
 
 from rfpsurvey.instrument._facts import arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (

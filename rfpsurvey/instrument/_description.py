@@ -1,4 +1,4 @@
-"""Descriptions of instruments: TOML files in which every value has a status and a source."""
+"""Read descriptions of instruments, which are TOML files in which every value has a status and a source."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -20,9 +20,9 @@ PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Return a description with its defaults and the values that it inherits.
+    """Read a description, and add default values and the values of the description that it inherits from.
 
-    The entry ``inherits`` names the other description: a file in the same folder, or a preset.
+    The key ``inherits`` is the name of that description, which is a file in the same folder or a preset.
     """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
@@ -44,7 +44,7 @@ def load(path: Path, heirs: tuple = ()) -> dict:
 
 
 def build(content: dict, folder: Path) -> dict:
-    """Return the arguments of the Instrument for a description; tables are read from ``folder``."""
+    """Return the arguments of `Instrument` for a description; tables are read from ``folder``."""
     check_description(content)
     if "positioner" not in content:
         raise InputError("the section [positioner] must be there, got none")
@@ -136,7 +136,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Return names such as R+10C1 and R0C3, made of a signed row number and a column number from the left (from 1)."""
+    """Return names such as R+10C1 and R0C3, from a signed row number and a column number; the leftmost column is 1."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"
@@ -145,7 +145,7 @@ def _hole_names(cells, rings):
 
 
 def _groups(xy, n_groups, shape):
-    """Split positioners into contiguous groups of equal size: wedges, or blocks by halving."""
+    """Split positioners into contiguous groups of equal size: wedges, or blocks that result from repeated halving."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
         raise InputError(f"spectrographs must be from 1 to the number of positioners, got {n_groups}")

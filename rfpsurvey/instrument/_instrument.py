@@ -26,9 +26,9 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
-from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
 from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
@@ -39,7 +39,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class Instrument(AsBuilt):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -226,10 +226,10 @@ class Instrument:
             If the file does not exist or is not a valid description of an instrument.
         """
         path = to_path(path)
-        if path.is_dir():
-            files = find_pfs_files(path)
-            if files is not None:
-                return cls.from_pfs(**files)
+        if path.exists() and path.suffix.lower() != ".toml":
+            found = cls._read_as_built(path)
+            if found is not None:
+                return found
         try:
             return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:
@@ -239,46 +239,6 @@ class Instrument:
             raise InputError(
                 f"{path}: the description must be one of an instrument, got what fails with {what}"
             ) from error
-
-    @classmethod
-    def from_pfs(
-        cls,
-        dots: str | os.PathLike,
-        *,
-        fiducials: str | os.PathLike | None = None,
-        interference: str | os.PathLike | None = None,
-        cobras: str | os.PathLike | list | None = None,
-    ) -> "Instrument":
-        """Read PFS as built from files of the observatory.
-
-        The ids of the positioners are the cobraIds, 1 to 2394. Values that the files do not contain are those of the
-        preset ``pfs``.
-
-        Parameters
-        ----------
-        dots : str or path-like
-            File of the dots (``black_dots_mm*.csv``) with the columns ``spotId``, ``x``, ``y`` and ``r``, or a folder
-            with this file and, optionally, the others. Targets behind a dot are out of reach.
-        fiducials : str or path-like, optional
-            File of the fiducials (``fiducial_positions*.csv``), which are obstacles of radius 0.
-        interference : str or path-like, optional
-            File of the cobras whose joints a fiducial limits (``cobraInterference*.csv``).
-        cobras : str, path-like or list of them, optional
-            Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without it, a
-            center is the position of the cobra's dot minus the mean offset of the dots from the nominal centers, and
-            arms and joint limits are nominal.
-
-        Returns
-        -------
-        Instrument
-            The instrument; its ``notes`` list what was read.
-
-        Raises
-        ------
-        InputError
-            If a file is incomplete, lacks a column, or has values that cannot be those of PFS.
-        """
-        return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
 
     def facts(self) -> dict:
         """Return facts derived from the description: numbers of fibers, field, patrol areas and their overlap.

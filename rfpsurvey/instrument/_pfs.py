@@ -1,4 +1,4 @@
-"""PFS as built: dots, fiducials, interference limits and the calibration model of the cobras, from their files.
+"""PFS as built, from files of the observatory: dots, fiducials, interference limits and calibration of the cobras.
 
 Cobra identifiers are those of the observatory, 1 to 2394: three fields of 14 modules of 57 cobras.
 """
@@ -23,9 +23,9 @@ N_FIDUCIALS = 96
 # Boards of cobras in the order of their fibers along the slit of each spectrograph: module of a field and half of it.
 # Each entry stands for three boards, one of each field.
 BOARDS = ("4A 12A 4B 14B 12B 8B 8A", "3A 11A 3B 13B 11B 7B 7A", "2A 10A 2B 14A 10B 6B 6A", "1A 9A 1B 13A 9B 5B 5A")
-FIRST_HALF = 29  # number of cobras on board A of a module; board B has the others
+FIRST_HALF = 29  # number of cobras on board A of a module; the other cobras are on board B
 HOLES = 651
-# Holes of a slit without a fiber of a cobra: engineering fibers and empty holes.
+# Holes of a slit that contain no fiber of a cobra: engineering fibers and empty holes.
 ENGINEERING = (1, 45, 92, 137, 184, 229, 273, 316, 336, 382, 426, 471, 515, 560, 607, 651)
 EMPTY = (44, 91, 93, 136, 183, 185, 228, 272, *range(317, 336), 383, 427, 470, 472, 516, 559, 561, 608)
 EMPTY_IN_FIRST_TWO = (280, 309, 359)
@@ -91,9 +91,9 @@ def pfs_engineering_fibers() -> np.ndarray:
 
 
 def find_pfs_files(folder: Path) -> dict | None:
-    """Return the files of PFS in a folder, as arguments of `read_pfs`; None if it has no file with dots.
+    """Return the files of PFS in a folder, as arguments of `read_pfs`; None if no file contains dots.
 
-    Of several files of one kind, the last by name is used, which is the latest by the dates in the names.
+    If there are several files of one kind, the last file in the order of names is used, because names contain dates.
     """
     patterns = {
         "dots": "black_dots*.csv*",
@@ -194,7 +194,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
 
 
 def read_interference(path: Path) -> np.ndarray:
-    """Return begin and end of the window of directions and the largest phi of each cobra in degrees; or NaN."""
+    """Return the limits of each cobra (deg): begin and end of the window of directions, and largest local phi."""
     names = ("theta_limit_1", "theta_limit_2", "max_phi_angle")
     table = _read(path, ("cobra_id", *names))
     _check_ids(path, table["cobra_id"], "cobra_id", N)
@@ -313,15 +313,16 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     """Restrict one joint of each limited cobra so that it never interferes with its fiducial; return a note.
 
     A cobra interferes if its phi, counted from the folded stop, exceeds a limit while the direction of the central arm
-    or of the fiber is in a window. Either phi stays below the limit, or theta outside all values for which one of the
-    two directions can be in the window; the restriction that leaves the larger patrol area is used.
+    or of the fiber is in a window. This is avoided by restricting phi to values below the limit, or by restricting
+    theta to values for which neither direction can be in the window. The restriction that leaves the larger patrol area
+    is used.
     """
     rows = np.flatnonzero(np.isfinite(limits[:, 0]))
     begin, end, most = limits[rows].T
     folded = np.full(len(rows), -FOLDED) if arms is None else arms["phi_low"][rows] - 180
     zero = np.zeros(len(rows)) if arms is None else arms["theta_low"][rows]
     span = np.full(len(rows), 360.0) if arms is None else columns["theta_range"][rows, 1].to_value(u.deg)
-    extended = folded + most  # the limit, counted from the extended arm
+    extended = folded + most  # the limit, measured from the extended arm
     lengths = (1.0, 1.0) if arms is None else (columns[f"{name}_arm"][rows].value for name in ("central", "eccentric"))
     width = (end - begin) % 360 + _largest_lag(extended, *lengths)
     by_theta = (1 - width / 360 >= np.cos(np.deg2rad(extended) / 2) ** 2) & (span >= 360) & (width < 360)
@@ -350,7 +351,7 @@ def _largest_lag(extended: np.ndarray, l1, l2) -> np.ndarray:
 def _note_on_dots(path: Path, circles: np.ndarray, offset: np.ndarray) -> str:
     return (
         f"{path.name}: {len(circles)} dots of radius {circles[:, 2].min():.3f} to {circles[:, 2].max():.3f} mm hide "
-        "fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal "
+        f"fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal "
         f"center of its cobra is ({offset[0]:.3f}, {offset[1]:.3f}) mm."
     )
 
@@ -368,7 +369,7 @@ def _paths(paths) -> list[Path]:
 
 
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Return columns of numbers; missing values are NaN."""
+    """Return columns of numbers, with NaN for missing values."""
     table, columns = read_table(path), {}
     if len(table) == 0:
         raise InputError(f"{path}: the table must have at least one row, got none")
@@ -393,7 +394,7 @@ def _is_float(text: str) -> bool:
 
 
 def _check_ids(path, ids: np.ndarray, name: str, n: int) -> None:
-    """Raise an error unless identifiers are 1 to n, each once."""
+    """Raise an error unless identifiers are the numbers 1 to n, without repetition."""
     if len(ids) != n:
         raise InputError(f"{path}: the file must have {n} rows, one for each {name} from 1 to {n}, got {len(ids)}")
     values, counts = np.unique(ids, return_counts=True)

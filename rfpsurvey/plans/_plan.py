@@ -21,6 +21,7 @@ __all__ = [
     "FORMATS",
     "as_plan",
     "is_plan",
+    "is_tile",
     "make_plan",
     "read_plan",
     "recognize_plan",
@@ -30,6 +31,7 @@ __all__ = [
 
 FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
+    "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
     "pfsdesign": ("rfpsurvey.plans._pfsdesign", (".fits",)),
     "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),  # the last one, because it recognizes any table
 }
@@ -232,7 +234,7 @@ def as_plan(plan: object) -> QTable:
     >>> lamost = rs.Instrument.preset("lamost")
     >>> x, y = lamost.focal_plane.xy[:2].T
     >>> tile = rs.score_tile(QTable({"positioner": [0, 1], "x": x, "y": y}), lamost)
-    >>> rs.plans.as_plan(tile)["assigned"].sum()
+    >>> int(rs.plans.as_plan(tile)["assigned"].sum())
     2
     """
     if is_plan(plan):

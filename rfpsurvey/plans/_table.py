@@ -20,7 +20,9 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan as ECSV or FITS."""
+    """Write a plan as ECSV or FITS, without the other tables of the file from which it was read."""
+    plan = plan.copy(copy_data=False)
+    plan.meta.pop("extensions", None)
     write_table(plan, path, overwrite=overwrite, name="PLAN")
 
 
@@ -36,5 +38,5 @@ def recognizes(path: Path) -> bool:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return what this format cannot hold: nothing."""
-    return []
+    """Return what this format cannot hold."""
+    return ["the other tables of its file"] if plan.meta.get("extensions") else []

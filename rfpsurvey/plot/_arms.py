@@ -11,14 +11,14 @@ from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OPEN_CI
 __all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
-"""Status to its marker and label."""
+"""Marker and label of each status."""
 
 
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
     """Draw the inner and outer edge of each patrol area, and yield legend entries.
 
-    With ``gray``, edges are gray and thinner, which suits cells that are filled. With ``alike``, all edges are drawn in
-    this way, which suits dots of targets.
+    With ``gray``, edges are gray and thinner; this is for plots with filled cells. With ``alike``, this style is used
+    for all positioners, whether they have a target or not; this is for plots with dots of targets.
     """
     gray = gray or alike
     free = scene.with_target | (scene.status == "usable") | alike

@@ -1,4 +1,4 @@
-"""Bars of classes: the fractions of a total, with a number beside each bar."""
+"""Stacked bars that show fractions of a total, with a bar for each class and numbers beside it."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from rfpsurvey.plot._axes import legend_below
 __all__ = ["stacked_bars"]
 
 FEWEST = 4
-HEADING = 0.9  # above the first bar
+HEADING = 0.9  # position of the word "observed" above the first bar
 
 
 def stacked_bars(
@@ -21,9 +21,10 @@ def stacked_bars(
     *,
     columns: int = 2,
 ) -> None:
-    """Draw a bar from 0 to 1 for each class; the number of ``counted`` (observed) ones and the total are on the right.
+    """Draw a bar from 0 to 1 for each class; the numbers of observed (``counted``) and all members are on the right.
 
-    Each of ``pieces``, from the left to the right, consists of the numbers for all classes, a label and a style.
+    ``pieces`` are the parts of the bars from left to right. Each consists of the numbers for all classes, a label and a
+    style.
     """
     left, handles = np.zeros(len(y)), []
     style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}
@@ -38,7 +39,7 @@ def stacked_bars(
         ax.annotate(f"{done:.0f} of {of:.0f}", (1, place), (4, 0), **text)
     ax.annotate("observed", (1, HEADING), (4, 0), **text)
     ax.set_yticks(y, labels, fontsize="small")
-    around = 0.6 + max(FEWEST - len(y), 0) / 2  # a single bar is not as high as the panel
+    around = 0.6 + max(FEWEST - len(y), 0) / 2  # a single bar must not fill the panel
     ax.set_ylim(y.min() - around, max(around, HEADING + 0.4))
     ax.set_xlim(0, 1)
     legend_below(ax, handles, columns=columns)

@@ -34,11 +34,12 @@ OUTCOME_COLORS = {
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
-"""Ratio of the size of a dot to the distance between dots, and limits in points, for other and assigned targets."""
-ON_ARMS = 7.0  # points: largest dot with a white edge, on the end of an arm
+"""For unassigned and for assigned targets: the size of a dot divided by the distance between dots, and its limits in
+points."""
+ON_ARMS = 7.0  # points: size of the largest dot with a white edge at the end of an arm
 MANY = 3000
-"""Smallest number of dots that vector files contain as an image."""
-LONGEST = 74  # letters in three columns of a legend
+"""In vector files, this many dots or more are stored as an image."""
+LONGEST = 74  # largest number of letters in a row of a legend with three columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ def _by_class(color, assigned, columns) -> Iterator[Layer]:
     class_of, names = _classes(color, columns, len(assigned))
     if color == "kind":
         colors = [KIND_COLORS.get(name, OUTLINE) for name in names]
-    elif color == "priority" and len(names) > 2:  # in order, the most important class is darkest
+    elif color == "priority" and len(names) > 2:  # the most important class has the darkest color
         colors = [tuple(rgba) for rgba in light_scale()(np.linspace(0, 0.85, len(names)))]
     else:
         colors = [SERIES[1], SERIES[2]] if len(names) <= 2 else GROUP_COLORS

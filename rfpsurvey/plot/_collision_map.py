@@ -23,7 +23,7 @@ __all__ = ["plot_collision_map"]
 
 COLOR_BAR = 0.95  # inches
 SMALL = 4.0
-"""Points (1/72 inch): smaller disks touch each other and have no edges, which would hide their colors."""
+"""Disks with a smaller diameter (points, 1/72 inch) have no edges, because edges would hide their colors."""
 
 
 def plot_collision_map(

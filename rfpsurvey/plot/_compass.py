@@ -21,7 +21,7 @@ MARGIN = 35  # points, from the corner of the axes to the center of the compass
 
 
 def position_angle_of(thing: object) -> float | None:
-    """Return the position angle (degrees) at which a focal plane is drawn; None for a tile without one."""
+    """Return the position angle (degrees) at which a focal plane is drawn, or None if that of a tile is unknown."""
     if isinstance(thing, Tile):
         return thing.provenance["parameters"].get("position_angle_deg")
     return 0.0
@@ -30,9 +30,9 @@ def position_angle_of(thing: object) -> float | None:
 def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> None:
     """Draw arrows toward north and east in a corner of a focal plane, and write the position angle.
 
-    The position angle (degrees) turns +y from north toward east; +x is 90 deg farther in the same direction. Nothing is
-    drawn if it is None. The compass is in the corner where it hides the fewest of the points ``avoid``, shape (n, 2),
-    in mm.
+    The position angle (degrees) is the angle of +y from north toward east; the angle of +x is larger by 90 deg. Nothing
+    is drawn if the position angle is None. The compass is in the corner where it hides the fewest of the points
+    ``avoid``, shape (n, 2), in mm.
     """
     from matplotlib.patches import Circle, FancyArrowPatch
     from matplotlib.transforms import Affine2D, ScaledTranslation

@@ -116,7 +116,7 @@ def _colors(most):
 
 
 def _parts(plane, top):
-    """Return the fractions of the footprint within reach of 0, 1, ... and at least ``top`` positioners, or None."""
+    """Return the fractions of the footprint within reach of 0, 1, ... ``top`` or more positioners; None if unknown."""
     try:
         parts = plane.coverage(n_points=N_POINTS)
     except InputError:
@@ -136,6 +136,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Return a percentage with two digits, if the sample allows these."""
+    """Return a percentage as text, with two digits unless it is very small or close to 100."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

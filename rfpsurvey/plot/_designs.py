@@ -134,7 +134,7 @@ def plot_designs(
 
 
 def _mark(ax, name, across, up):
-    """Draw designs as stars, with their name beside the first one on the side of the center."""
+    """Draw designs as stars, and write their name beside the first star, toward the center of the axes."""
     ax.scatter(across, up, marker="*", s=260, color=COLLISION, edgecolors="white", linewidths=1.2, zorder=4)
     right = across[0] > np.mean(ax.get_xlim())
     style = {"fontweight": "bold", "zorder": 5, "xytext": (-11 if right else 11, 6), "ha": "right" if right else "left"}

@@ -27,7 +27,7 @@ __all__ = ["plot_focal_plane"]
 
 WITH_TARGET = ("assigned", "out_of_reach", "stuck")
 BLANK_SKY = SERIES[3]
-ROW = 0.22  # inches, of a legend
+ROW = 0.22  # inches, height of a row of the legend
 
 
 def plot_focal_plane(
@@ -82,7 +82,8 @@ def plot_focal_plane(
         With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
         ``"focal plane"``, x increases to the right.
     **kwargs
-        Passed to the collections of arms or dots or, without a tile, to that of patrol areas; for example ``alpha``.
+        Passed to the collections of arms or dots or, if there is no tile, to the collection of patrol areas; for
+        example ``alpha``.
 
     Returns
     -------

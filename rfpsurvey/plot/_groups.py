@@ -12,7 +12,7 @@ from rfpsurvey.plot._style import GROUP_COLORS
 __all__ = ["draw_groups"]
 
 PALE = 0.4
-"""Opacity of fills below arms or dots, whose colors can equal those of the fills."""
+"""Opacity of fills below arms or dots, so that arms and dots of the same color remain visible."""
 
 
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:

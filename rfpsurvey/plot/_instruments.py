@@ -16,7 +16,7 @@ __all__ = ["draw_instruments", "plot_instruments"]
 
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
 SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
-"""White to dark blue; a darker color would look like the first one on a dark page."""
+"""Colors from white to dark blue. On a dark page, white becomes dark gray, which would look like a darker blue."""
 REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 

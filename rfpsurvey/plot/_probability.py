@@ -34,13 +34,13 @@ def plot_probability(
     Parameters
     ----------
     table : QTable
-        Table with a row for each design, for example made from estimates, and the columns ``x`` and ``values``.
+        Table with a row for each design and with the columns ``x`` and ``values``, for example a table of estimates.
     x : str, optional
         Column along the axis, such as ``ratio`` or ``pitch``.
     values : str or list of str, optional
         Columns to plot. The interval of ``value`` is from ``low`` to ``high`` or, without these columns, 1.96 times
         ``standard_error`` to either side. For another column, such as ``formula``, the columns are ``formula_low`` and
-        ``formula_high``, or ``formula_error``. Without any such columns, there is only a line.
+        ``formula_high``, or ``formula_error``. If the table has none of these columns, only a line is drawn.
     by : str, optional
         Column that defines groups; each group has its own lines.
     ax : matplotlib.axes.Axes, optional

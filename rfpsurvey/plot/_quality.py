@@ -24,9 +24,9 @@ __all__ = ["plot_quality"]
 
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
-LONGEST = 50  # letters in a row of a legend
+LONGEST = 50  # largest number of letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
-"""Largest range of whole numbers for which each number has a bar, and number of bins for other columns."""
+"""Largest range of whole numbers in which each number has its own bar, and number of bins for all other columns."""
 FEW_PER_RING, MOST_RINGS = 40, 12
 UNEVEN = 20.0
 """Ratio of available to assigned targets above which numbers are drawn on a logarithmic scale."""
@@ -56,17 +56,17 @@ def plot_quality(
         The axes of the four panels.
 
         For a tile, the first panel has one bar for each class (a row of `Tile.completeness
-        <rfpsurvey.Tile.completeness>`). It shows the fraction of the targets with each outcome; the numbers of observed
-        targets and of all targets are on the right. The second panel shows the number of fibers on sky and on standard
-        stars in each spectrograph. If the tile has requirements, it shows the number of fibers that each of them
-        counts, with its minimum as a dashed line. Without such fibers and requirements, it shows fibers on science
-        targets. The third panel is a histogram of ``column`` for all science targets and for those that are assigned;
-        it is empty if there is no column of numbers. The fourth panel shows the fractions of science targets that are
-        in reach and that are assigned, in rings of equal area around the center of the focal plane, with 68 %
-        intervals.
+        <rfpsurvey.Tile.completeness>`). It shows the fraction of the targets with each outcome, and on the right the
+        numbers of observed targets and of all targets. The second panel shows the number of fibers on sky and on
+        standard stars in each spectrograph. If the tile has requirements, the panel shows the number of fibers that
+        each requirement counts, and its minimum as a dashed line. If there are neither such fibers nor requirements,
+        the panel shows fibers on science targets. The third panel is a histogram of ``column`` for all science targets
+        and for those that are assigned; it is empty if there is no column of numbers. The fourth panel shows the
+        fractions of science targets that are in reach and that are assigned, in rings of equal area around the center
+        of the focal plane, with 68 % intervals.
 
         For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). It shows the
-        fraction of the visits that each pass observed; the numbers of observed and requested visits are on the right.
+        fraction of the visits that each pass observed, and on the right the numbers of observed and requested visits.
         The second panel shows the number of targets with each outcome. The third panel shows the number of fibers on
         science targets, standard stars and sky in each pass. The fourth panel shows the fraction of its fibers that
         each tile uses, and its collision rate.
@@ -202,7 +202,11 @@ class Series(NamedTuple):
 
 
 def _series_of(tile) -> list[Series]:
-    """Return the positioners that each requirement counts; without any, those on sky and standards, or on science."""
+    """Return the positioners that each requirement counts.
+
+    If there are no requirements, return the positioners on sky and on standard stars or, without these, the positioners
+    on science targets.
+    """
     t = tile.table
     asked = tile.provenance["parameters"].get("requirements") or []
     found = [Requirement.parse(text) for text in asked if isinstance(asked, list)]

@@ -17,7 +17,8 @@ __all__ = ["draw_reproduction"]
 
 GROUPS = ("arms", "targets_per_positioner", "sky")
 BESIDE = 1.025
-"""Ratio of the positions of neighboring groups on a logarithmic axis."""
+"""Points of different groups are drawn beside each other; this is the ratio of their positions on a logarithmic
+axis."""
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
@@ -26,7 +27,7 @@ def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, 
 
 
 def _small(tables):
-    """Plot the probability against arm ratio and pitch; lower panels show formula and simulation, scaled to 0 and 1."""
+    """Plot the probability against arm ratio and pitch; in the lower panels, the curves are scaled to 0 to 1."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))

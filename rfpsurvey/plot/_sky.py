@@ -141,7 +141,10 @@ def _filled_part(number):
 
 
 def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
-    """Color tiles by a column; draw a color bar, with steps for a few whole numbers, unless there is only one value."""
+    """Color tiles by a column.
+
+    If there are several values, draw a color bar, which has separate colors if the values are a few whole numbers.
+    """
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import BoundaryNorm
 
@@ -163,7 +166,7 @@ def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: 
         edges = np.concatenate([[levels[0] - 0.5], (levels[1:] + levels[:-1]) / 2, [levels[-1] + 0.5]])
         style["norm"] = BoundaryNorm(edges, 256)
     elif len(levels) == 1:
-        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the center of the scale, which is neither dark nor pale
+        style["clim"] = (levels[0] - 1, levels[0] + 1)  # the color at the center of the scale
     elif len(levels):
         style["clim"] = (levels[0], levels[-1])
     if whole:  # the edges are projected here, because the axes would put thousands of points on every edge

@@ -12,7 +12,7 @@ __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whol
 
 CORNERS, MOST_CORNERS = 36, 7200
 """Number of points on the edge of each field; there are more for few fields, so that large circles look round."""
-WIDE = 60.0  # deg from the mean direction; if fields are farther away, the map shows the whole sky
+WIDE = 60.0  # deg; the map shows the whole sky if fields are farther from the mean direction
 POLAR = 75.0
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
 
@@ -75,7 +75,10 @@ def _mean_direction(centers):
 
 
 def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
-    """Return points on the edge of each field (radius in deg), shape (n, m); m is from CORNERS to 144 (few fields)."""
+    """Return points on the edge of each field (radius in deg), shape (n, m).
+
+    The number of points m is ``CORNERS``, or up to 144 if there are few fields.
+    """
     corners = int(np.clip(MOST_CORNERS // max(len(centers), 1), CORNERS, 4 * CORNERS)) // 4 * 4
     angles = np.linspace(0, 360, corners, endpoint=False) * u.deg
     return centers[:, None].directional_offset_by(
@@ -84,7 +87,7 @@ def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
 
 
 def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return outlines of fields on a map of the whole sky, cut at its edge, and the row of the field of each."""
+    """Return outlines of fields on a map of the whole sky, cut at its edge, and the row of each outline's field."""
     rims = rims_of(centers, radius)
     # x on the map decreases with right ascension; it is unwrapped around the center of each field
     center = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad

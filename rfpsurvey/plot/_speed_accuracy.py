@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 SHORT_AXIS = 100.0
-"""Ratio of the ends of an axis below which 1, 2 and 5 of each decade are labeled."""
+"""On a logarithmic axis that covers a smaller ratio than this, 1, 2 and 5 of each decade are labeled."""
 BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and free space around a label, in points."""
@@ -222,7 +222,7 @@ def _state(ax, table, number, legend, *, figure=False):
 def _label(ax, points):
     """Write labels (x, y, text) beside their points, where they overlap no marker and no label if possible.
 
-    This comes last, since all other text changes the size of the axes.
+    This function must be called after all other text is drawn, because other text changes the size of the axes.
     """
     ax.figure.draw_without_rendering()
     scale = 72 / ax.figure.dpi

@@ -14,7 +14,8 @@ from rfpsurvey.survey import Survey
 __all__ = ["class_rows", "draw_survey_quality"]
 
 MOST_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
-"""Largest numbers of bars of classes, of bars of categories, and of passes with different colors."""
+"""Largest number of bars of classes, largest number of bars of categories, and largest number of passes with separate
+colors."""
 MOST_DOTS = 3000
 KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
 
@@ -46,7 +47,7 @@ def _after(survey, k) -> QTable:
     category = np.asarray(rows["category"]) != "all"
     few = category & (np.cumsum(category) <= MOST_CATEGORIES)
     group = np.where(few, 1, np.where(category, 3, 2))
-    group[0] = 0  # all targets
+    group[0] = 0  # the row of all targets is the first one
     return rows[np.argsort(group, kind="stable")]
 
 
@@ -109,7 +110,8 @@ def _draw_fibers(ax, survey):
     passes, place = np.unique(np.asarray(tiles["pass"]), return_inverse=True)
     n_fibers = s["n_fibers"] / max(s["n_tiles"], 1) * np.bincount(place)
     bottom, handles = np.zeros(len(passes)), []
-    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}  # old surveys: only n_science
+    # surveys of older versions have only the column n_science
+    columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}
     for kind, name in columns.items():
         n = np.bincount(place, weights=np.asarray(tiles[name], float))
         if n.any():

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_tiling"]
 
 MOST_PANELS = 8
-WIDTH, PAD = 7.0, 0.08  # inches: a page, and the space around everything
+WIDTH, PAD = 7.0, 0.08  # inches: width of a page, and margin around the figure
 WIDE = 1.6
 """Panels with a larger ratio of width to height are below each other, not side by side."""
 

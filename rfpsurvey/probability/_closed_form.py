@@ -1,4 +1,4 @@
-"""Formulas without an error estimate: overlap of patrol areas, closed form of Chen et al. (2024), close targets."""
+"""Formulas without an error estimate: overlap of patrol areas, the closed form of Chen et al. (2024), close pairs."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -55,7 +55,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     the number of targets near a given target is binomial.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
-    # each point counts for the last positioner that reaches it
+    # count each point once, for the last positioner that reaches it
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
     near = min(1.0, np.pi * plane.arrays.separation**2 / union)

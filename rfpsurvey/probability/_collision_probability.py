@@ -57,10 +57,10 @@ def collision_probability(
     """Estimate the probability that a positioner at its target collides with another one.
 
     The probability is the expected fraction of positioners in collision, among positioners with a target and, if the
-    arms are equal, parked positioners. A method estimates one of two quantities (its estimand). In the first, targets
-    are **allocated** to queues, and a configuration has one target of each queue. In the second, every positioner draws
-    a target **independently** of all others. The two differ by up to a factor of five: compare only methods with the
-    same estimand.
+    arms are equal, parked positioners. A method estimates one of two quantities (its estimand). For the first quantity,
+    targets are **allocated** to queues, and a configuration has one target of each queue. For the second quantity,
+    every positioner draws a target **independently** of all other positioners. The two quantities differ by up to a
+    factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
@@ -68,42 +68,46 @@ def collision_probability(
         The positioners; a str is the name of a preset.
     method : str or callable, optional
         ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
-        ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024),
-        arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors.
-        Without an error estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (fraction of the
-        patrol area that others also reach), ``close_pair`` (probability that another observed target lies within the
-        minimum separation). ``auto``: the fastest method of the estimand that has an error estimate. Any other name is
-        that of a method of an installed package. A function of a `~rfpsurvey.probability.ProbabilityQuestion` is called
-        directly.
+        ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024), arXiv:2409.07288.
+        ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors. Without an error
+        estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (fraction of the patrol area that
+        other positioners also reach), ``close_pair`` (probability that another observed target lies within the minimum
+        separation). ``auto``: the fastest method of the estimand that has an error estimate. Any other name refers to a
+        method of an installed package. A function of a `~rfpsurvey.probability.ProbabilityQuestion` is called directly.
     estimand : {"allocated", "independent"}, optional
         For ``auto``: the quantity to estimate, ``allocated`` by default. Each other method has one estimand.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
         Allocated targets; methods for independent targets ignore them. For random targets, give
         `~rfpsurvey.probability.RandomTargets`, only their kind (``"uniform"`` or ``"poisson"``), or a function of a
         Generator that returns new targets, a Quantity of shape (n, 2), at each call. For one realization of the sky,
-        give points on the focal plane, or a Catalog, whose science targets the Instrument projects.
+        give points on the focal plane, or give a Catalog; its science targets are projected to the focal plane of the
+        Instrument.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
-        Rule that assigns targets, see `allocate`. Without queues (``lamost``) a realization has one configuration.
-        Options also state whether idle equal-arm positioners are obstacles and count (``parked_obstacles``, true by
-        default). They must not contain requirements or a sky separation, since all targets are science targets.
+        Rule that assigns targets, see `allocate`. A rule without queues (``lamost``) gives one configuration for each
+        realization. Options also state whether idle positioners with equal arms are obstacles and are counted
+        (``parked_obstacles``, true by default). They must not contain requirements or a sky separation, since all
+        targets are science targets.
     most_entries : int, optional
-        Maximum number of entries of each queue that ``conditional`` uses, drawn again for each realization. With long
-        queues, a larger number of faster realizations reaches a precision sooner. None for all entries.
+        Maximum number of targets of each queue that ``conditional`` uses; they are drawn again for each realization. If
+        queues are long, realizations with fewer targets are faster, and reach a given precision sooner. With None, all
+        targets are used.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
         at points that k positioners reach; ``"voronoi"``, only where no other center is nearer; a function
         of points (Quantity of shape (n, 2)) that returns their density up to a factor; or the combined queues of
         allocations.
     variant : {"corrected", "pitch", "printed"}, optional
-        Variant of the closed form: with misprints corrected and the distance of each neighbor; with the pitch instead
-        of that distance; or as printed, which is 0/0 for equal arms.
+        Variant of the closed form. ``corrected``: misprints are corrected, and the distance of each neighbor is used.
+        ``pitch``: the pitch is used instead of these distances. ``printed``: the formula is used as printed; it is 0/0
+        for equal arms.
     precision : float or Precision, optional
         A `~rfpsurvey.probability.Precision` states when iterations end, and how the interval is computed. A float is
         the standard error to reach. By default 0.001.
     dynamic : float, optional
-        Rate at which positioners fail to reach their target for dynamic reasons, independently; LAMOST's is 0.025.
+        Rate at which positioners independently fail to reach their targets for dynamic reasons. The rate of LAMOST is
+        0.025.
     rng : int, Generator or None, optional
         Seed or random number generator. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
@@ -114,10 +118,10 @@ def collision_probability(
     Returns
     -------
     Estimate
-        The probability with its interval, the probability of each positioner, and the expected number of pairs. For one
-        sky, the value is that of its targets, and the error states how far another patch of such a sky may differ. If a
-        focal plane has too few positioners to estimate this error, such as seven, there is no interval, and
-        ``meta["no_interval"]`` states the reason.
+        The probability with its interval, the probability of each positioner, and the expected number of pairs. If
+        targets are given, the value applies to these targets, and the error states how much the value of another patch
+        of the same kind of sky may differ. If a focal plane has too few positioners to estimate this error, such as
+        seven, there is no interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Independent targets with the density of the targets in real queues."""
+"""Independent targets whose density is that of the targets in the queues of allocations."""
 
 import numpy as np
 

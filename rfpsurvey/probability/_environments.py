@@ -8,15 +8,16 @@ from rfpsurvey.focal_plane import FocalPlane
 __all__ = ["environments"]
 
 RESOLUTION = 1e-6
-"""Positions that differ by less count as equal (mm)."""
+"""Positions that differ by less than this (mm) are equal."""
 
 
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a positioner for each distinct environment, and the number of the environment of each positioner.
 
-    Two environments are the same if all neighbors and obstacles within the radius (mm) are the same, after a rotation
-    by a multiple of 60 deg if no joint limit depends on the direction. The key of a positioner is the sum of hashes of
-    its neighbors, which does not depend on their order; it is computed for all six rotations.
+    Two environments are the same if all neighbors and obstacles within the radius (mm) are the same. If no joint limit
+    depends on the direction, environments that differ by a rotation by a multiple of 60 deg are also the same. The key
+    of a positioner is the sum of hashes of its neighbors, which does not depend on their order; it is computed for all
+    six rotations.
     """
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
@@ -35,7 +36,7 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         own = np.repeat(np.arange(n), [len(r) for r in rows])
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
         i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
-        what = np.append(what, 2 * n + k)  # obstacles differ in radius, and are few: each is a separate kind
+        what = np.append(what, 2 * n + k)  # each of the few obstacles is a separate kind
     rotations = range(6) if plane.arrays.joints_free else range(1)
     still = (what >= n) & (what < 2 * n)
     keys = np.array([_hash(n, i, away, what + still * (k * 1_000_000_007), k * np.pi / 3) for k in rotations])

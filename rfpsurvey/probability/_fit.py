@@ -71,7 +71,7 @@ class PolynomialFit:
         Raises
         ------
         InputError
-            If the designs are not finite columns of one length.
+            If the parameters are not one-dimensional arrays of the same length, or values are not finite.
         """
         designs = _designs(central_arm, ratio, pitch)
         return _features((designs - self.mean) / self.scale) @ self.coefficients

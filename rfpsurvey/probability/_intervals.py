@@ -44,7 +44,7 @@ def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=20
 
 
 INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstrap}
-"""Name to function (rates, p, effective number, trials, quantile, confidence, rng) -> (low, high)."""
+"""Intervals by name: functions (rates, p, effective number, trials, quantile, confidence, rng) -> (low, high)."""
 
 
 def quantile(confidence: float, freedom: float) -> float:

@@ -1,4 +1,4 @@
-"""The table of methods: functions from a question to the fields of an estimate."""
+"""The table of methods, which are functions that take a question and return the fields of an estimate."""
 
 from functools import partial
 
@@ -47,7 +47,7 @@ def _formula(function, question: ProbabilityQuestion) -> dict:
 def _simulated(name: str, question: ProbabilityQuestion) -> dict:
     simulation, given = question.simulation, question.targets.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional" and question.most_entries is None:  # one computation is enough
+    if given and name == "conditional" and question.most_entries is None:  # the result is exact
         tally = task(1, question.rng)
         found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
@@ -118,7 +118,7 @@ METHODS = {
     "monte_carlo": partial(_simulated, "monte_carlo"),
     "conditional": partial(_simulated, "conditional"),
 }
-"""Name to function of a `ProbabilityQuestion`."""
+"""Methods by name; each is a function of a `ProbabilityQuestion`."""
 
 ESTIMANDS = {
     "overlap_ratio": "independent",
@@ -131,7 +131,7 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""With fewer targets per positioner, an average over queues takes longer than it saves."""
+"""With fewer targets per positioner than this, ``monte_carlo`` reaches a precision sooner than ``conditional``."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
@@ -151,7 +151,8 @@ def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str
     """Return the fastest method of an estimand that has an error estimate.
 
     Averaging over queues takes additional time in proportion to their length. It also reduces the variance in
-    proportion to their length, by a much larger factor. With queues of one target, both remain the same.
+    proportion to their length, by a much larger factor. For queues of one target, neither the time nor the variance
+    changes.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

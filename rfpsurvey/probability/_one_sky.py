@@ -18,9 +18,11 @@ CORRELATION = 0.2
 """Typical correlation of positioners in the nearest ring (0.13 to 0.28 for LAMOST, SDSS-V and MOONS). Only the degrees
 of freedom depend on it."""
 BEYOND = -0.03
-"""Typical correlation of neighbors beyond the nearest ring, which compete for targets but rarely collide. It is taken
-as given, since a small plane is too small to measure it: for SDSS-V and MOONS it is -0.03 to -0.05 with four targets
-per positioner, and 0 to -0.01 with one."""
+"""Typical correlation of neighbors beyond the nearest ring, which compete for targets but rarely collide.
+
+This value is assumed, since it cannot be measured on a small focal plane. For SDSS-V and MOONS it is -0.03 to -0.05
+with four targets per positioner, and 0 to -0.01 with one target.
+"""
 
 
 def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, float]:

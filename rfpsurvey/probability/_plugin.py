@@ -69,7 +69,7 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
         n_effective, width = effective_number(value, error, np.inf), quantile(question.precision.confidence, np.inf)
         if n_effective >= 1 and 0 < value < 1:
             low, high = wilson(value, n_effective, width)
-        else:  # no number of trials gives such an error
+        else:  # use a normal interval
             low, high = max(value - width * error, 0.0), min(value + width * error, 1.0)
     usual = {
         "value_assigned": value,

@@ -25,12 +25,18 @@ __all__ = ["DENSITIES", "Quadrature", "integrate"]
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
 FIRST_POINTS = 128
-"""Points of the first estimate for a single environment; fewer for several, whose errors average out."""
+"""Number of points in the first estimate if there is one environment.
+
+The errors of several environments average out, so that fewer points suffice.
+"""
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""Minimum number of points, without and with weights: with weights the bias of the ratio does not average out."""
+"""Minimum number of points, without and with weights.
+
+Weights require more points, because the bias of a weighted mean does not average out.
+"""
 BITS = 30
 NARROW = 2**12
-"""A density that is 0 at this number of points of a patrol area is an error."""
+"""If a density is 0 at this number of points of a patrol area, an error is raised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +53,7 @@ class Quadrature:
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
         radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
-        if self.density != "uniform":  # positioners that share the neighbors' patrol areas matter, too
+        if self.density != "uniform":  # include positioners that overlap the neighbors
             radius += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, radius)
 

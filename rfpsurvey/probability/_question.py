@@ -36,11 +36,12 @@ class ProbabilityQuestion:
     options : AllocationOptions, optional
         How targets are allocated, and whether idle equal-arm positioners are obstacles.
     precision : Precision, optional
-        When iterations end. ``max_iterations`` is a number; if ``standard_error`` is None, exactly this number is done.
+        When iterations end. ``max_iterations`` is a number; if ``standard_error`` is None, the method does exactly this
+        number of iterations.
     rng : numpy.random.Generator, optional
         Random number generator. Methods must use no other generator, so that estimates are reproducible.
     most_entries : int, optional
-        Maximum number of entries of each queue that ``conditional`` uses; None for all.
+        Maximum number of targets of each queue that ``conditional`` uses; None for all targets.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets.
     variant : str, optional

@@ -21,18 +21,23 @@ FIRST_TASKS = 2
 GROWTH = 8
 """Largest factor by which the number of realizations grows before the next estimate of the error."""
 HITS = 25
-"""If most realizations have no collision (or only collisions), the number of other realizations that is required to
-estimate the scatter of the rates."""
+"""Number of realizations that must have a collision if most realizations have none.
+
+With fewer of them, the scatter of the rates is not known. If all positioners collide in most realizations, this is the
+number of all other realizations.
+"""
 FLOOR = 4.0
-"""Where collisions are rare, at least this many realizations over the precision are made, times the fraction of the
-positioners that is a pair: with fewer, runs without a collision would end early, and the mean of all estimates would
-be too low."""
+"""Factor of the minimum number of realizations if collisions are rare.
+
+The number is this factor, divided by the precision and multiplied by the rate that one colliding pair causes. With
+fewer realizations, simulations without a collision would end early, and the mean of many estimates would be too low.
+"""
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that a further step is rarely needed."""
 TOO_FEW = (
     "the focal plane has too few positioners to estimate from one sky how far another patch of such a sky may differ"
 )
-"""Why an estimate has no interval."""
+"""The reason why an estimate has no interval."""
 
 
 def run(
@@ -86,10 +91,12 @@ def run(
 
 
 def _fewest(tally, precision):
-    """Return the minimum number of realizations if fewer than half of them have a collision, or fewer have none.
+    """Return the minimum number of realizations, which is 0 unless events are rare.
 
-    The estimated error of rare events grows with their number. A stopping rule based on this error therefore ends too
-    early if there are too few events by chance. A minimum that depends only on the precision prevents this.
+    Events are rare if fewer than half of the realizations have a collision, or if all positioners collide in more than
+    half of them. The estimated error of rare events grows with their number. A stopping rule based on this error
+    therefore ends too early if there are too few events by chance. A minimum that depends only on the precision
+    prevents this.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -100,9 +107,9 @@ def _fewest(tally, precision):
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
     """Return the value, interval and error of a tally, and the half width that more iterations can reduce.
 
-    If the targets are given, or if realizations do not scatter for another reason, there is only one sky, and the error
-    states how far another patch of such a sky may differ. If the focal plane is too small to estimate this error, there
-    is no interval, and ``no_interval`` states the reason.
+    If the targets are given, or if realizations do not scatter for another reason, there is only one sky. The error
+    then states how much the value of another patch of the same kind of sky may differ. If the focal plane is too small
+    to estimate this error, there is no interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:

@@ -1,4 +1,4 @@
-"""Simulation of allocated targets: single configurations, or expected values over all entries of the queues."""
+"""Simulation of allocated targets: single configurations, or expected values over all targets of the queues."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,13 +20,13 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Columns: (expected) positioners in collision, counted positioners, assigned ones in collision, assigned ones."""
+    """Columns: counted positioners in collision, counted positioners, assigned ones in collision, assigned ones."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return the fraction of counted (``column=2``: assigned) positioners in collision, by realization."""
+        """Return the fraction of counted (``column=2``: assigned) positioners in collision, for each realization."""
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
@@ -41,7 +41,7 @@ class Tally:
 
     @property
     def per_positioner(self) -> np.ndarray:
-        """Fraction of the realizations that count each positioner in which it is in collision."""
+        """Collision rate of each positioner, over the realizations in which it is counted."""
         return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
     @staticmethod
@@ -63,7 +63,7 @@ class Simulation:
     source: Source
     options: AllocationOptions
     most_entries: int | None = None
-    """Maximum number of entries of each queue that `expect` uses; None means all entries."""
+    """Maximum number of targets of each queue that `expect` uses; None means all targets."""
 
     @property
     def compiled(self) -> bool:
@@ -151,7 +151,7 @@ class Simulation:
         return np.iinfo(np.int64).max if self.most_entries is None else self.most_entries
 
     def _queue_segments(self, rng, *, thin=False):
-        """Return the queues of one realization, and the segments of all their entries."""
+        """Return the queues of one realization, and the colliding segment for each target of a queue."""
         given = self.source.kind == "given"
         allocation = self._given if given else self.realize(rng)
         if thin and self.most_entries is not None:

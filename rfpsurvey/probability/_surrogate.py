@@ -27,7 +27,7 @@ AXES = {
     "eccentric over central arm": np.linspace(1.0, 3.0, 21),
     "minimum separation over pitch": np.linspace(0.02, 0.30, 9),
 }
-"""Nodes of the grid, which contains the box of the paper's designs."""
+"""Nodes of the grid, which contains the designs of the paper."""
 PITCH = 25.0
 N_POINTS = 1024
 FILE = "surrogate.npz"
@@ -40,8 +40,8 @@ def surrogate_probability(
 
     The result approximates that of the method ``quadrature`` of `~rfpsurvey.collision_probability` for a positioner far
     from the edge. Targets are independent and uniform over each patrol area; arms are right-handed, and the segment
-    from elbow to tip can collide. The interpolation is
-    a cubic spline through 3969 quadratures; its errors are in the documentation.
+    from elbow to tip can collide. The interpolation is a cubic spline through 3969 quadratures; the documentation
+    states its errors.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def surrogate_probability(
     Raises
     ------
     InputError
-        If a design is outside of the box: central arm 0.2 to 0.6 pitches, eccentric arm 1 to 3 central arms,
-        minimum separation 0.02 to 0.3 pitches. There is no extrapolation.
+        If a design is outside of the limits: central arm 0.2 to 0.6 pitches, eccentric arm 1 to 3 central arms, minimum
+        separation 0.02 to 0.3 pitches. There is no extrapolation.
 
     Examples
     --------

@@ -19,16 +19,22 @@ from rfpsurvey.probability._options import KINDS, RandomTargets
 __all__ = ["Source", "make_source"]
 
 PER_FIBER = 4.0
-"""Targets per positioner where no number is given (that of LAMOST, as in the paper)."""
+"""Default number of targets per positioner, which is the number of LAMOST in the paper."""
 FILLING = 0.5
-"""Largest fraction of the area that discs fill: random addition of discs ends at 0.547, and near that is too slow."""
+"""Largest fraction of the area that discs may fill.
+
+Random addition of discs ends at 0.547, and is too slow near this limit.
+"""
 FINEST = 700
-"""The minimum separation is at least the radius over this: smaller ones change little, but need much memory."""
+"""Largest ratio of the radius to the minimum separation.
+
+Smaller separations have little effect, but require much memory.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A source of targets in mm: given points, a function of the user, or a random sky of ``number`` targets."""
+    """A source of targets in mm: given points, a function of the user, or random points (``number`` of them)."""
 
     kind: str
     number: float = 0.0

@@ -118,7 +118,7 @@ def _groups(values: dict, name: str) -> dict[str, dict]:
     for key, value in values.items():
         if isinstance(value, dict):
             for title, group in _groups(value, f"{name} {key}".strip().replace("_", " ")).items():
-                while title in groups and groups[title] and group:  # dicts whose names are equal as text
+                while title in groups and groups[title] and group:  # another dict has the same name as text
                     title += "'"
                 groups[title] = groups.get(title, {}) | group
     return groups

@@ -60,7 +60,7 @@ FIGURES = {
         "Methods to the lower left are better.",
     ),
 }
-"""Name of a figure to its caption and a description."""
+"""Caption and description of each figure, by the name of the figure."""
 
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:

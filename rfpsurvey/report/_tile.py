@@ -44,10 +44,10 @@ ASSIGNMENTS = (
 VARYING = ("kind", "fiber_type", "spectrograph")
 """Columns of the assignments that are shown only if they have more than one value."""
 NARROW = 25
-MARGIN = 4  # radii of patrol areas around the point that is shown enlarged
+MARGIN = 4  # size of the enlarged region around a point, in radii of patrol areas
 MOST_OBJECTIVES = 12
 TITLE = 0.35  # inches, height of the title that a caption replaces
-LITTLE = 60  # positioners; of a larger focal plane, a part is also shown enlarged
+LITTLE = 60  # if there are more positioners, a part of the focal plane is also shown enlarged
 
 
 def page_of_tile(tile: Tile, where: str) -> Page:
@@ -177,7 +177,7 @@ def _draw(tile, region=None):
 
 
 def _crowded(tile) -> u.Quantity:
-    """Return the corners of a square that contains the most collisions or, without any, the smallest clearance."""
+    """Return the corners of a square with the most collisions or, if there are none, with the smallest clearance."""
     xy = np.column_stack([tile.table["x"].to_value(u.mm), tile.table["y"].to_value(u.mm)])
     colliding = np.asarray(tile.table["in_collision"])
     outer = np.max(tile.table.meta["geometry"]["outer_radius_mm"])

@@ -1,5 +1,5 @@
 "use strict";
-// Tables sort by any column: a click or the Enter key on its head. What is missing goes to the end either way.
+// A click or the Enter key on the name of a column sorts the table. Missing values are last in both directions.
 const words = new Intl.Collator(undefined, { numeric: true });
 
 function keysOf(body, column) {
@@ -41,7 +41,7 @@ for (const table of document.querySelectorAll("table.rows")) {
   });
 }
 
-// Above what is wider than the page: how much of it is hidden to the right.
+// Text above an element that is wider than the page, which states how much of it is hidden to the right.
 for (const region of document.querySelectorAll(".scroll")) {
   const heads = Array.from(region.querySelectorAll("thead th"));
   const more = document.createElement("p");

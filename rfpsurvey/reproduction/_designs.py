@@ -31,7 +31,7 @@ N_TARGETS = 20_000
 SMALL = {"rings": 2, "radius": 76.8 * u.mm}
 LARGE = {"rings": 12, "radius": 200 * u.mm}
 MOST_ENTRIES = 32
-"""Long queues are thinned to this number of entries, since more but faster realizations are more efficient."""
+"""Maximum number of targets of each queue that is used, since more but faster realizations are more efficient."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def plane_of(l1: float, ratio: float, pitch: float, rings: int) -> FocalPlane:
 
 
 def random_designs(settings: Settings) -> QTable:
-    """Return the designs of the large experiment, uniform in its box."""
+    """Return the designs of the large experiment, which are uniform in its ranges of parameters."""
     rng = np.random.default_rng([settings.seed, 80])
     l1, ratio, pitch = rng.uniform((7.25, 1, 24.6), (14.5, 2, 35), (80, 3))[: settings.pick(80, 24)].T
     return QTable({"central_arm": l1 * u.mm, "ratio": ratio, "pitch": pitch * u.mm})
@@ -95,7 +95,7 @@ def scaled(values: np.ndarray) -> np.ndarray:
 
 
 def error_of_fraction(p: float, n: int) -> float:
-    """Return the standard error of a fraction of n, never 0."""
+    """Return the standard error of a fraction of ``n`` trials, which is never 0."""
     return float(np.sqrt(max(p * (1 - p), 1 / n) / n))
 
 

@@ -77,7 +77,7 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 
 
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
-    """Return how often each interval contains the truth, for plain and conditional simulation.
+    """Return how often each interval contains the true value, for plain and for conditional simulation.
 
     Every repeat runs until the precision is met; the true value is estimated by a conditional simulation twenty
     times as precise.

@@ -14,7 +14,7 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Relative half width of an interval after a proper number of iterations; the paper does not state it."""
+"""Relative half width of the interval below which the number of iterations is sufficient; the paper states no value."""
 NORMALIZATIONS = {
     "scaled to 0 and 1": scaled,
     "divided by the largest": lambda v: v / v.max(),
@@ -169,7 +169,7 @@ def _of_plain(plain):
 
 
 def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the fits with random quarters of the designs held back, and the errors of the surrogate."""
+    """Return fits, each with a random quarter of the designs held back, and the errors of the surrogate."""
     table = large(settings)[0]["large"] if table is None else table
     claims, rows = [], []
     for way in ("range_200", "covered"):

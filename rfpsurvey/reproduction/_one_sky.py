@@ -33,9 +33,9 @@ CONFIDENCE = 0.95
 
 
 def one_sky(settings: Settings) -> QTable:
-    """Return how often the interval of given targets contains the truth, for focal planes of 7 to 469 positioners.
+    """Return how often the interval of given targets contains the true value, for focal planes of 7 to 469 positioners.
 
-    The truth is the mean over other skies of the same kind.
+    The true value is the mean over other skies of the same kind.
     """
     jobs = [
         (arms, rings, number, "uniform")
@@ -82,7 +82,7 @@ def _row(arms, rings, number, sky, settings):
     values, low, high, errors = (np.array([f[k] for f in found]) for k in ("value", "low", "high", "standard_error"))
     some = np.isfinite(low)
     n = int(np.count_nonzero(some))
-    if n < skies / 2:  # intervals that exist for only a few skies are a selection
+    if n < skies / 2:  # skies with an interval are a biased sample
         return (arms, len(plane), number, sky, truth, float(values.std()), *[np.nan] * 4, n / len(found), skies)
     held = float(np.mean((low <= truth) & (truth <= high), where=some))
     error, half_width = float(np.sqrt(np.mean(errors[some] ** 2))), float(np.mean((high - low)[some]) / 2)

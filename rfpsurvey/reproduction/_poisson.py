@@ -24,22 +24,22 @@ __all__ = ["drops_by_ratio", "poisson"]
 PAPER = 2.6
 """Percentage by which uniform targets collide more often than Poisson-distributed ones."""
 MARGIN = 0.2
-"""Tolerance of a result in percentage points; two standard errors if these are larger."""
+"""Smallest tolerance of a result, in percentage points; the tolerance is two standard errors if these are larger."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
 """Minimum separations (mm) of Poisson-disc targets. Random addition of 20,000 discs within 200 mm jams at 2.09 mm."""
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
-"""Name of the reading to minimum separation (mm)."""
+"""Minimum separation (mm) of each reading, by name."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
-"""Name of each reading to its index in the seeds."""
+"""Index of each reading in the seeds, by name."""
 DISC_DESIGNS = 24
-"""Number of designs with disc targets: the first designs and that of LAMOST are compared with uniform targets."""
+"""Number of random designs that are also simulated with Poisson-disc targets."""
 DISC_ERROR = 3e-3
-"""Relative standard error of a design with disc targets; drawing dense sets takes a long time."""
+"""Relative standard error of a design with Poisson-disc targets, which take a long time to draw."""
 LAMOST_ERROR = 0.4
-"""Ratio of the standard error of LAMOST's design, which is compared on its own, to that of the others."""
+"""Ratio of the standard error of LAMOST's design, which is also compared separately, to that of other designs."""
 FEW_ERROR = 5e-3
-"""Standard error of a design whose targets are in reach of few positioners; that of the mean is then 0.2 %."""
+"""Standard error of a design with targets in reach of few positioners; the error of the mean is then 0.2 %."""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
 """Edges of ranges of the ratio of the arms."""
 
@@ -50,8 +50,8 @@ def poisson(
     """Return estimates for every reading of Poisson-distributed targets, and the differences from uniform targets.
 
     The table ``poisson`` has a row for each design, the last one LAMOST's; ``poisson_disc`` has a row for each minimum
-    separation, with the drop compared with uniform targets in several averages. Without ``discs``, ``poisson_disc`` has
-    no rows, because most of the time is spent on these targets.
+    separation, which contains several averages of the drop (the percentage by which uniform targets collide more
+    often). Without ``discs``, ``poisson_disc`` has no rows, because most of the time is spent on these targets.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]
@@ -97,13 +97,14 @@ def poisson(
 
 
 def _averages(table, name):
-    """Return the rows of a table with a reading, and the drop for each design: how much more uniform targets collide.
+    """Return the rows of a table that have values for a reading, and the drop for each of these designs.
 
-    The rows of the second result are the drops (percent) and their standard errors.
+    A drop is the percentage by which uniform targets collide more often. The rows of the second result are the drops
+    and their standard errors.
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
-    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # else no drop
+    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # NaN: no drop
     drop = 100 * (uniform / own - 1)
     return part, np.array([drop, (100 + drop) * np.hypot(error / uniform, own_error / own)])
 
@@ -124,14 +125,14 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
     table : QTable
         Values and errors by design, the last one LAMOST's.
     discs : dict of str to float
-        Name of the reading to minimum separation (mm).
+        Minimum separation (mm) of each reading, by name.
 
     Returns
     -------
     QTable
-        A row for each separation: the drop of the mean over designs (``of_means``), the mean of the drops
-        (``of_designs``), the same for ranges of the ratio of the arms (``ratio_1.00_1.25``, ...), and that of LAMOST's
-        design (``lamost``), each with a standard error.
+        A row for each separation: the percentage for the mean over designs (``of_means``), the mean of the percentages
+        of the designs (``of_designs``), the same mean for ranges of the ratio of the arms (``ratio_1.00_1.25``, ...),
+        and the percentage for LAMOST's design (``lamost``), each with a standard error.
     """
     rows = []
     for name, separation in discs.items():
@@ -152,7 +153,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 
 
 def _of_reading(name, table):
-    """Compare averages over all designs and those of small ratios, and the last design, LAMOST's, with the paper.
+    """Compare averages over all designs, averages over designs of small ratios, and LAMOST's design with the paper.
 
     The paper averages over its designs. If only some of the designs agree, its text does not determine the verdict.
     """

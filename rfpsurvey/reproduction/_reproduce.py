@@ -31,7 +31,7 @@ EXPERIMENTS: dict[str, Callable] = {
     "intervals": intervals,
     "speed": speed,
 }
-"""Name to function of `Settings` -> (tables by name, claims)."""
+"""Experiments by name; each is a function of `Settings` that returns (tables by name, claims)."""
 TABLES = {
     "small": ("small",),
     "large": ("large", "large_differences", "large_plain"),
@@ -40,7 +40,7 @@ TABLES = {
     "intervals": ("intervals", "one_sky"),
     "speed": ("speed",),
 }
-"""Name to the tables that the experiment writes."""
+"""Tables that each experiment writes, by the name of the experiment."""
 
 
 @check_keywords
@@ -67,7 +67,7 @@ def reproduce(
     folder : str or path, optional
         Folder of the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); created if it is missing.
     quick : bool, optional
-        Whether to use few designs, repeats and iterations, which tests only the code, not the claims.
+        Whether to use few designs, repeats and iterations. The results then test the code, but not the claims.
     workers : int, optional
         Number of threads, by default the number of cores. Results do not depend on it.
     rng : int, optional
@@ -115,7 +115,7 @@ def reproduce(
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
-            if name in ("fit", "poisson") and "large" in made:  # the designs exist
+            if name in ("fit", "poisson") and "large" in made:  # use the existing designs
                 run = partial(run, table=made["large"])
             tables, own = run(settings)
             made.update(tables)

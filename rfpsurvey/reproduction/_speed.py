@@ -10,7 +10,7 @@ from rfpsurvey.reproduction._designs import Settings
 __all__ = ["speed"]
 
 FAR_LESS = 1.0
-"""Percentage of the time of swept areas above which the claim is refuted, independent of the machines."""
+"""Percentage of the time of swept areas. If arms of segments take longer, the claim is refuted on any machine."""
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:

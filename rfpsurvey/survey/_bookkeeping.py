@@ -1,4 +1,4 @@
-"""The state of all targets of a survey: requested and remaining visits, and outcomes, in a few bytes per target."""
+"""The state of all targets of a survey (requested and remaining visits, and outcomes) in a few bytes per target."""
 
 import numpy as np
 
@@ -33,7 +33,10 @@ class Tally:
         self.n_complete = np.zeros_like(self.n_observed)
 
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Add the visits of a pass (slots of targets), and the complete targets with the number of their last pass."""
+        """Add the visits of pass ``number`` to the targets ``slot``.
+
+        The targets ``complete`` have all visits since pass ``last``.
+        """
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
 
@@ -48,7 +51,7 @@ class Bookkeeping:
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
-        Which of the targets that are not science targets are in use; with None, they are not used.
+        Which of the standards and sky positions are used; None if none of them is used.
     in_turn : bool
         Whether the passes are planned one after the other.
     """

@@ -28,18 +28,18 @@ LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
 
 
 class Folder:
-    """The folder of a run, which is locked during the run.
+    """The folder of a survey, which is locked while the survey is planned.
 
     Parameters
     ----------
     path : str or path-like
         Path of the folder, which need not exist.
     request : dict
-        The request of the run; a run can only be continued with the same request.
+        The request of the survey; a survey can only be continued with the same request.
     n_tiles : int
         Number of tiles.
     resume : bool
-        Whether to continue an unfinished run.
+        Whether to continue an unfinished survey.
     """
 
     def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool):
@@ -92,7 +92,7 @@ class Folder:
             if n_strange or len(self._known) < len(known):
                 text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
                 warn(text)
-        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # temporary files of a run that was killed
+        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # left by a process that was killed
             if left_over.is_dir():
                 shutil.rmtree(left_over, ignore_errors=True)
             else:
@@ -113,7 +113,7 @@ class Folder:
         check_request(self.path, before, now, "survey", "folder")
 
     def part(self, tile: int) -> bytes | None:
-        """Return the part of a tile (by row); None if there is no valid one."""
+        """Return the part of a tile (by row), or None if there is no valid part."""
         name = part_name(tile)
         if name not in self._known:
             return None

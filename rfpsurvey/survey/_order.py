@@ -26,7 +26,10 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
 
 
 def _by_color(index, reach_rad, passes):
-    """Return the round of each tile: pass after pass, and color after color; tiles of a color do not overlap."""
+    """Return the round of each tile.
+
+    There is a round for each color of each pass; tiles of the same color do not overlap.
+    """
     color = _number(index, reach_rad, passes, smallest=True)
     return np.unique(np.column_stack([passes, color]), axis=0, return_inverse=True)[1].reshape(-1)
 
@@ -37,7 +40,10 @@ def _as_given(index, reach_rad, passes):
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Functions that return rounds, from the index of tiles, the largest distance of overlapping tiles, and passes."""
+"""Functions that return the round of each tile.
+
+Their arguments are the index of tiles, the largest distance of overlapping tiles, and the pass of each tile.
+"""
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:

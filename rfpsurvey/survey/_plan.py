@@ -64,7 +64,7 @@ def plan_survey(
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
-        The targets. Those of the kinds ``standard`` and ``sky`` are used only for requirements, and any number of
+        The targets. Targets of the kinds ``standard`` and ``sky`` are used only for requirements, and any number of
         times.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
@@ -84,9 +84,9 @@ def plan_survey(
     lost_in_collision : bool, optional
         Whether targets whose arms collide count as not observed, so that they are observed again.
     order : {"color", "given"}, optional
-        ``color``: pass after pass. In each pass, tiles are colored such that those of a color do not overlap, and the
-        colors are planned in turn. ``given``: if two tiles overlap, the one that is earlier in the list is planned
-        first, independent of the passes.
+        ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
+        and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
+        is planned first, independent of the passes.
     folder : str or path-like, optional
         Folder to which each tile is written as FITS, which allows only ASCII text. Without a folder, all visits are
         kept in memory.

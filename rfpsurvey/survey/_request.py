@@ -72,7 +72,7 @@ class Request:
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the work on a tile (by row), with the remaining visits of the targets."""
-        # blank sky avoids all targets, also those without remaining visits
+        # blank sky must be away from all targets, including targets without remaining visits
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
         if self.is_required is not None:

@@ -114,7 +114,7 @@ def _told(job):
 
 
 def _read(folder, tile, job) -> Done | None:
-    """Return the result in the part of a tile; None if the tile must be planned again."""
+    """Return the result that the file of a tile contains, or None if the tile must be planned again."""
     part = folder.part(tile)
     if part is None:
         return None

@@ -1,4 +1,4 @@
-"""The targets of a survey, in memory or in partitions; the state of a target is addressed by its *slot*."""
+"""The targets of a survey, in memory or in partitions. The *slot* of a target is its index in arrays of the state."""
 
 import hashlib
 from collections import OrderedDict
@@ -32,7 +32,7 @@ class InMemory:
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
         self._index = SkyIndex(catalog.arrays.vectors)
-        catalog.arrays.__dict__.pop("vectors", None)  # the index contains these values, so that there are no two copies
+        catalog.arrays.__dict__.pop("vectors", None)  # keep only the copy in the index
         self.meta = catalog.meta
 
     def __len__(self):
@@ -41,7 +41,10 @@ class InMemory:
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
     ) -> Field:
-        """Return the targets in a circle with visits ``left`` (by slot or row); with ``rest``, also complete ones."""
+        """Return the targets in a circle that have remaining visits (``left``, by slot or row).
+
+        With ``rest``, complete targets are also returned.
+        """
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
         if rest:
@@ -145,7 +148,10 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets in a circle with visits ``left`` (by slot); with ``rest``, also complete targets."""
+        """Return the targets in a circle that have remaining visits (``left``, by slot).
+
+        With ``rest``, complete targets are also returned.
+        """
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
@@ -183,7 +189,7 @@ class Partitioned:
     by_row = to_slots
 
     has_twins = False
-    """Not determined, because this would require all identifiers in memory."""
+    """Assumed to be False, since a test would require all identifiers in memory."""
 
     @property
     def has_text_ids(self) -> bool:

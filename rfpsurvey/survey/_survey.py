@@ -36,17 +36,18 @@ class Survey:
     tiles : QTable
         Table with a row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``,
         ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets that still require visits),
-        ``n_reachable`` (those in reach), ``n_assigned`` (positioners with a target), ``n_science``, ``n_standard``,
-        ``n_sky`` (those with each kind of target), ``n_colliding``, ``n_counted`` (positioners with a target, or parked
-        as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet`` (requirements that are not met; all
-        required targets of a tile count as one requirement), ``n_observed`` (visits that count), ``collision_rate``,
-        ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this field, divided by the requested
-        visits; NaN without targets). Its ``meta`` contains ``summary`` and ``provenance``.
+        ``n_reachable`` (such targets in reach), ``n_assigned`` (positioners with a target), ``n_science``,
+        ``n_standard``, ``n_sky`` (positioners with a target of this kind), ``n_colliding``, ``n_counted`` (positioners
+        with a target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet``
+        (requirements that are not met; all required targets of a tile count as one requirement), ``n_observed`` (visits
+        that count), ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this
+        field, divided by the requested visits; NaN without targets). Its ``meta`` contains ``summary`` and
+        ``provenance``.
     completeness : QTable
-        Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if
-        there are several, ``category`` (``all`` stands for all of them), ``n_targets``, ``n_wanted`` and
+        Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if there
+        are several, ``category`` (``all`` stands for all values of a column), ``n_targets``, ``n_wanted`` and
         ``n_observed`` (requested visits, and visits made), ``n_complete`` (targets with all requested visits),
-        ``completeness`` (of visits).
+        ``completeness`` (``n_observed`` divided by ``n_wanted``).
     outcomes : QTable
         Table with a row for each target: ``target_id``, ``wanted`` and ``observed`` (numbers of requested visits, and
         of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).

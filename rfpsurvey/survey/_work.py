@@ -114,9 +114,9 @@ class Done(NamedTuple):
     """The result of the work on a tile."""
 
     part: bytes | None
-    """The visits as a FITS file, if requested."""
+    """The visits as a FITS file, if a file is requested."""
     visits: np.ndarray | None
-    """The visits as an array, otherwise."""
+    """The visits as an array, if no file is requested."""
     target: np.ndarray
     """For each visit, the index of its target among those of the field; -1 for blank sky."""
     observed: np.ndarray
@@ -141,7 +141,7 @@ def work(job: Job) -> Done:
         "in_collision": colliding,
         "observed": ~colliding if model.lost_in_collision else np.ones(len(colliding), dtype=bool),
     }
-    if model.blank is not None:  # so that the type is the same in every tile
+    if model.blank is not None:  # use the same type in every tile
         columns["target_id"] = plan.id.astype(model.blank.dtype)
     if instrument.focal_plane.fiber_types != ("",):
         columns["fiber_type"] = plan.allocation.fiber_type[plan.positioner]

@@ -47,7 +47,7 @@ def build_tile(
     plane = instrument.focal_plane
     n = len(plane)
     has_target = posed.assigned
-    if len(ids) == 0:  # a plan without targets
+    if len(ids) == 0:  # there are no targets
         ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
     row = np.where(has_target, target_of, 0)
     status = np.full(n, "idle", dtype="U12")

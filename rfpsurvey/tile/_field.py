@@ -17,12 +17,15 @@ FIELD = {
     "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
     "position angle": ("position_angle", "field_pa", "pa", "posang"),
 }
-# the same for tiles of this package
+# the names of these entries in tiles of this package
 OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
 def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
-    """Return a field center in the frame of the equinox, which defines north; unchanged without an equinox."""
+    """Return a field center in the frame of the equinox, which defines north.
+
+    Without an equinox, return it unchanged.
+    """
     return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox")))
 
 

@@ -62,8 +62,8 @@ def plan_tile(
     """Assign the targets of a field to fibers, and find the arms that collide.
 
     Without requirements, only targets of the kind ``science`` and required targets are assigned; other sky positions
-    and standard stars are only counted. If each fiber type has its own radial map, targets without a fiber type use
-    that of the first type.
+    and standard stars are only counted. If each fiber type has its own radial map, targets without a fiber type use the
+    map of the first type.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
-    """Return a remedy if right ascensions seem to be in hours: all are below 24, and targets would be in the field."""
+    """Return a remedy if right ascensions may be in hours: all are below 24, and targets would then be in the field."""
     if coord.ra.deg.max() >= 24:
         return ""
     n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)

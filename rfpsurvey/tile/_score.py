@@ -215,7 +215,7 @@ def _positioners(find: Finder, plane):
 
 
 def _is_ours(table) -> bool:
-    """Return whether a table is that of a tile of this package."""
+    """Return whether a table is that of a tile made by this package."""
     return {"in_collision", "status"} <= set(table.colnames)
 
 
@@ -229,7 +229,7 @@ def _assigned(table) -> np.ndarray:
 
 
 def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
-    """Return the identifiers of the targets, from another column than that of the positioners."""
+    """Return the identifiers of the targets; the column of the positioners is not used for them."""
     names = [c for c in find.table.colnames if c != positioner_column]
     ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
     return np.arange(len(find.table)) if ids is None else ids

@@ -145,7 +145,7 @@ class Tile:
     def completeness(self) -> QTable | None:
         """Table of the completeness of the targets of the field by kind, category, and priority of science targets.
 
-        Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all of them), ``n_in_field``,
+        Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all values of a column), ``n_in_field``,
         ``n_reachable`` (0 for targets that are not requested), ``n_assigned``, ``n_observed`` (assigned, and not in
         collision) and ``completeness``, which is ``n_observed`` divided by ``n_in_field``. It is None without
         `outcomes`.

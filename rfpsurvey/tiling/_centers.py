@@ -33,8 +33,8 @@ class Centers:
         Lowest and highest declination of a center. For a site at the latitude b and a maximum zenith distance z on
         the meridian, these are b - z and b + z.
     position_angle : Quantity, optional
-        Position angle of +y of all tiles, from north toward east. By default it is 0, or for ``given`` that of the
-        list.
+        Position angle of +y of all tiles, from north toward east. The default is 0 or, for ``given``, the position
+        angle in the list.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class Centers:
 
     @property
     def angle_deg(self) -> float:
-        """Position angle of tiles without their own, in degrees."""
+        """Position angle, in degrees, of tiles for which no position angle is listed."""
         return 0.0 if self.position_angle is None else float(self.position_angle.to_value(u.deg))
 
     @property
@@ -142,7 +142,10 @@ class Declinations:
         return np.where(out[..., None], inside, vectors)
 
     def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:
-        """Return the directions inside, and those less than a radius outside, moved inside; others are dropped."""
+        """Return the directions that are inside the limits or less than a radius outside.
+
+        Directions outside are moved onto the limits.
+        """
         return vectors if self.anywhere else self.move_inside(vectors[self.distance(vectors) < radius])
 
 

@@ -110,7 +110,7 @@ def _conservative(region, exclude, reach, radius):
 
 
 def _all_inside(regions, samples, margin):
-    """Mark samples that lie inside together with eight points at the distance ``margin`` around them."""
+    """Mark samples that are inside the regions, together with eight points at the distance ``margin`` around them."""
     helper = np.eye(3)[np.argmin(np.abs(samples), axis=1)]
     x = np.cross(helper, samples)
     x /= np.linalg.norm(x, axis=1)[:, None]

@@ -11,9 +11,9 @@ from rfpsurvey.errors import InputError
 __all__ = ["basis_of", "dither", "hexagonal", "lattice", "spiral", "widest_gap"]
 
 GOLDEN = np.pi * (3 - np.sqrt(5))
-# Area of the hexagon in a circle of radius 1: no covering by equal circles has a larger area per circle.
+# Area of a regular hexagon in a circle of radius 1. No covering by equal circles has a larger area per circle.
 HEXAGON = 1.5 * np.sqrt(3)
-# The sequence of the plastic number: shifts of passes that are as different as possible (Roberts 2018).
+# The plastic number. Its inverse powers define shifts of passes that are as different as possible (Roberts 2018).
 PLASTIC = 1.32471795724474602596
 MOST = 500_000
 # Centers extend by this number of radii beyond the circle, so that its border is covered like its inside.
@@ -28,7 +28,7 @@ def basis_of(center: np.ndarray) -> np.ndarray:
 
 
 def dither(number: int) -> np.ndarray:
-    """Return the shift of a pass (0 is the first, without a shift) as fractions of the unit cell of the lattice."""
+    """Return the shift of a pass as fractions of the unit cell of the lattice; the first pass, 0, has no shift."""
     return (number * np.array([1 / PLASTIC, 1 / PLASTIC**2])) % 1.0
 
 

@@ -60,7 +60,7 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
         center = problem.limits.move_inside(move(state, seed))
         if allowed is not None:
             return allowed.about(center)
-        # a maximum of the density may lie between targets that are all out of its reach
+        # a tile at a maximum of the density between targets may contain no target
         return center if len(problem.index.near(center, problem.radius, state.weight)) else seed
 
     return _run(state, seeds if allowed is None else (seeds, allowed), seek)
@@ -74,7 +74,7 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
         if center is None:
             break
         tries = [center]
-        if state.problem.allowed is None:  # a target that no positioner reaches may be within reach for a shifted tile
+        if state.problem.allowed is None:  # a shift can bring targets within reach
             beside = np.vstack([ring(center, step * state.problem.radius) for step in BESIDE])
             tries += list(state.problem.limits.move_inside(beside))
         if not any(len(state.observe(one)) for one in tries):

@@ -1,4 +1,4 @@
-"""Tiles by network flow (Blanton et al. 2003, AJ 125, 2276, Section 4).
+"""Place tiles by network flow (Blanton et al. 2003, AJ 125, 2276, Section 4).
 
 Targets in small cells are assigned to tiles by a flow of least cost. For a cell outside a tile, the cost increases
 with its distance from the edge. Each tile then moves to the center that minimizes the cost of its cells.
@@ -18,7 +18,8 @@ __all__ = ["sdss"]
 # As fractions of the radius: the largest distance of a target outside a tile, and the size of the cells.
 OUTSIDE = 0.2
 CELL = 0.15
-# Costs of a visit: almost 0 inside the field, and from 1 to 3 beyond its edge; then the cost if it is not made.
+# The cost of a visit is almost 0 inside the field, and increases from 1 to 3 beyond its edge. The last value is the
+# cost of a requested visit that is not made.
 INSIDE_COST, EDGE_COST, STEEP, UNASSIGNED = 0.01, 1.0, 2.0, 10.0
 MOST_ROUNDS = 20
 GAIN = 2e-3
@@ -52,7 +53,7 @@ def _fewest(problem: TilingProblem) -> TilingState:
         else:
             foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))
             low, n = n, min(max(int(1.25 * n), n + 1, foreseen), most)
-    # a run may end before all of its tiles are used
+    # an attempt may observe all targets before all of its tiles are used
     high = len(found.rows)
     while high - low > max(1, high // 100):
         middle = (low + high) // 2
@@ -108,7 +109,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
     count = problem.index.sum_near(enough, problem.radius, problem.wanted.astype(np.float64))
     keep = np.sort(np.argsort(-count, kind="stable")[:n])
     enough = enough[keep]
-    # with too few centers with targets, repeat the best ones
+    # if there are fewer than n centers with targets, the best centers occur several times
     return enough[np.arange(n) % len(enough)]
 
 
@@ -157,7 +158,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
             own = order[bounds[k] : bounds[k + 1]]
             if len(own):
                 centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
-            elif left.max() > 0.5:  # a tile without targets moves to the largest number of unassigned targets
+            elif left.max() > 0.5:  # move a tile without targets to unassigned targets
                 gain = cells.index.sum_near(cells.vectors, radius, left[cells.index.order])
                 centers[k] = cells.vectors[np.argmax(gain)]
                 left[cells.index.order[cells.index.near(centers[k], radius)]] = 0.0
@@ -178,7 +179,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
     cost = _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), problem.radius)
     if len(cell) == 0:
         return cell, tile, np.empty(0), UNASSIGNED * cells.supply.sum()
-    # unassigned targets cost the same everywhere: minimize relative to that cost
+    # the cost of unassigned targets is a constant, relative to which the cost is minimized
     ones, n = np.ones(len(cell)), np.arange(len(cell))
     limits = csr_array(
         (np.concatenate([ones, ones]), (np.concatenate([cell, len(cells.supply) + tile]), np.concatenate([n, n]))),

@@ -78,9 +78,9 @@ def place_tiles(
         repeatedly to the mean of its targets. ``sdss``: a number of tiles are placed by network flow; by default it
         is the number of a hexagonal lattice. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
-        Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left.
-        With ``completeness`` or ``n_tiles``, passes are added until these are reached, without tiles that serve no
-        target.
+        Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left. With
+        ``completeness`` or ``n_tiles``, passes are added until this goal is reached, and tiles that serve no target are
+        omitted.
     n_tiles : int, optional
         Largest number of tiles; for ``sdss`` without ``completeness``, the number of tiles.
     completeness : float, optional
@@ -115,7 +115,7 @@ def place_tiles(
         The tiles. For targets, they are in the order in which they were placed, with the columns ``n_targets`` (number
         of targets in the field that still require a visit), ``n_new`` (number of targets served) and ``completeness``
         (after the tile). A survey with the same allocator reaches this completeness if it plans the tiles in this order
-        (``order="given"``), and nearly the same one in another order.
+        (``order="given"``), and nearly the same completeness in another order.
 
     Raises
     ------

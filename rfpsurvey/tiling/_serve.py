@@ -84,7 +84,7 @@ class FreeFibers:
         self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
-        """Return the positions that are served, from those in the field that still require a visit."""
+        """Return the positions of the served targets, out of ``near``, the targets that still require a visit."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
@@ -164,7 +164,7 @@ class FocalPlaneFibers:
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
-        """Return the positions that are served, from those in the field that still require a visit."""
+        """Return the positions of the served targets, out of ``near``, the targets that still require a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
         plane = self.instrument.field_projection(

@@ -1,4 +1,4 @@
-"""Tables of targets that are given in place of tiles."""
+"""A warning for tables of targets that are given instead of tables of tiles."""
 
 import re
 
@@ -17,7 +17,7 @@ MANY = 1000
 
 
 def warn_of_targets(table, n_targets: int) -> None:
-    """Warn if a table that is given as tiles looks like one of targets; the survey has ``n_targets`` targets.
+    """Warn if a table of tiles seems to be a table of targets; ``n_targets`` is the number of targets of the survey.
 
     There is no warning if the table has a column that occurs only in lists of tiles. Otherwise there is a warning if it
     has a column of targets, such as a magnitude, or if it has more than ``MANY`` rows and more rows than the survey has

@@ -157,7 +157,7 @@ class Tiling:
         n, found = len(table), {}
         for role in ("ra", "dec", "position_angle"):
             if role in names:
-                # the finder has the roles of a catalog, of which any role of an angle can be used here
+                # the finder knows only the roles of a catalog; the role "ra" is used for every angle
                 as_angle = {"ra": names[role]}
                 unit = {"ra": units[role]} if role in units else {}
                 found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")
@@ -283,7 +283,7 @@ def _find(table, columns):
     for role, name in columns.items():
         check_choice(role, COLUMNS, "column role of a tiling")
         if name not in table.colnames:
-            raise InputError(f"there is no column {name!r} (wanted as {role}); {Finder(table).listing()}")
+            raise InputError(f"there is no column {name!r} for {role}; {Finder(table).listing()}")
     lower = {c.lower(): c for c in reversed(table.colnames)}
     usual = {role: next((lower[n] for n in words.split() if n in lower), None) for role, words in NAMES.items()}
     return {role: name for role, name in {**usual, **columns}.items() if name is not None}

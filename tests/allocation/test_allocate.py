@@ -20,7 +20,7 @@ PLANES = {
     "equal": rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM), rings=1, pitch=25.6 * MM),
     "unequal": rs.FocalPlane.hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2 * MM), rings=1, pitch=22.4 * MM),
 }
-# a lattice of targets that has many ties in distance, and random ones
+# a lattice of targets, which has many ties in distance, or random targets
 TARGETS = st.integers(1, 25).flatmap(
     lambda n: st.one_of(
         arrays(float, (n, 2), elements=st.integers(-7, 7).map(lambda k: 6.4 * k)),
@@ -68,7 +68,7 @@ def test_one_target_a_positioner_and_one_positioner_a_target(method, name, xy):
     assert all(can[i, t] for i, t in enumerate(target_of) if t >= 0)
     np.testing.assert_array_equal(np.isnan(allocation.tips[:, 0].value), target_of < 0)
     assert allocation.n_reachable == can.any(axis=0).sum()
-    # a free positioner that reaches an unassigned target would be a waste
+    # no free positioner reaches an unassigned target
     if method == "lamost":
         free = np.flatnonzero(target_of < 0)
         assert not can[np.ix_(free, np.flatnonzero(positioner_of < 0))].any()
@@ -76,12 +76,12 @@ def test_one_target_a_positioner_and_one_positioner_a_target(method, name, xy):
 
 def test_balanced_draws_uniformly_from_each_queue():
     plane = PLANES["equal"]
-    xy = [[1, 0], [2, 0], [3, 0], [4, 0]] * MM  # all in the central queue
+    xy = [[1, 0], [2, 0], [3, 0], [4, 0]] * MM  # all targets are in the queue of the central positioner
     draws = Counter(
         int(rs.allocate(plane, xy, rng=np.random.default_rng(k)).target_of_positioner[3]) for k in range(4000)
     )
     assert set(draws) == {0, 1, 2, 3}
-    # chi-squared with 3 degrees of freedom: 21.1 is exceeded once in 10^4
+    # with 3 degrees of freedom, chi-squared exceeds 21.1 once in 10^4 cases
     assert sum((n - 1000) ** 2 / 1000 for n in draws.values()) < 21.1
 
 
@@ -140,13 +140,16 @@ def test_nothing_in_reach_is_not_an_error():
     ],
 )
 def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch, multiplicity, per_cell, empty, rng):
-    """Over an infinite lattice m = 4 pi l1 l2 / cell, and with t Poisson targets a cell exp(-t m) see none."""
+    """On an infinite lattice, m = 4 pi l1 l2 / cell.
+
+    With t Poisson targets per cell, exp(-t m) of the positioners reach none.
+    """
     unit = presets[name].focal_plane.positioner
     cell = np.sqrt(3) / 2 * pitch**2
     assert 4 * np.pi * l1 * l2 / cell == pytest.approx(multiplicity, abs=7e-5)
     area = np.pi * (unit.outer_radius.value**2 - unit.inner_radius.value**2)
     assert area / cell == pytest.approx(multiplicity, abs=7e-5)
-    # a torus of targets: every positioner of a wide lattice is an interior one
+    # the targets are periodic, so that every positioner of a wide lattice is an interior one
     plane = rs.FocalPlane.hexagonal(unit, rings=40, pitch=pitch * MM)
     half = np.abs(plane.arrays.xy).max() + unit.outer_radius.value
     alone, seen, total = 0, 0, 0
@@ -155,7 +158,7 @@ def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch,
         counts = np.diff(plane.reachable(rng.uniform(-half, half, (n, 2)) * MM).indptr)
         alone, seen, total = alone + (counts == 0).sum(), seen + counts.sum(), total + len(counts)
     assert np.exp(-per_cell * multiplicity) == pytest.approx(empty, rel=3e-3)
-    # neighbors share targets, so that 5 binomial errors are about 4 true ones
+    # neighbors share targets, so that 5 binomial errors are about 4 true errors
     assert alone / total == pytest.approx(empty, abs=5 * np.sqrt(empty / total))
     assert seen / total == pytest.approx(per_cell * multiplicity, rel=0.01)
 

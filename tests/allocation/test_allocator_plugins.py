@@ -1,4 +1,4 @@
-"""Allocators that are not ours: what they are given, and what they may return."""
+"""Allocators of other packages: their input, and their valid results."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def test_an_allocator_is_told_everything():
     (problem,) = seen
     assert problem.focal_plane is plane
     np.testing.assert_array_equal(problem.xy, xy.value)
-    # 1 needs A, 3 needs B, the pair (1, 2) is forbidden
+    # target 1 requires fiber type A, target 3 requires B, and the pair (1, 2) is forbidden
     assert problem.reachable.toarray().tolist() == [[1, 1, 0, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 1, 0]]
     assert problem.rank.tolist() == [0, 1, 2, 0, 2]
     np.testing.assert_array_equal(problem.priority, [5, 1, np.nan, 5, np.nan])
@@ -83,7 +83,7 @@ def test_the_plan_to_begin_with(small, hers, rng):
 
 
 def test_a_plan_of_others_can_be_repaired(hers):
-    """Both arms stretch toward the same side, the tips are 2 mm apart."""
+    """Both arms point in the same direction, and the distance of their tips is 2 mm."""
     xy = [[99, 99], [13, 0], [15, 0]] * u.mm
     assert len(rs.find_collisions(PAIR, rs.allocate(PAIR, xy, allocator="swapped")).pairs) == 1
     repaired = rs.allocate(PAIR, xy, allocator=rs.AllocationOptions("repair", start="swapped"))
@@ -96,14 +96,14 @@ def test_stuck_fibers_look_at_sky_without_being_asked():
     plane = replace(PAIR, stuck=stuck)
     options = {"requirements": "sky=1", "sky_separation": 1 * u.mm}
     usual = flat.allocate(plane, FOUR, allocator="lamost", **options)
-    assert usual.target_of_positioner[1] == usual.n_given  # that of the stuck one
+    assert usual.target_of_positioner[1] == usual.n_given  # the target of the stuck positioner
     for method in (always([0, -1]), lambda problem: problem.start()):
         mine = flat.allocate(plane, FOUR, allocator=method, **options)
         assert mine.target_of_positioner[1] == usual.target_of_positioner[1]
         assert not mine.unmet
 
 
-# what it may come back with
+# valid and invalid results
 
 
 def test_elbows_are_those_that_were_asked_for():
@@ -111,7 +111,8 @@ def test_elbows_are_those_that_were_asked_for():
     mine = rs.allocate(plane, FOUR, allocator=always(([0, 2], np.array(["left", "right"]))))
     assert mine.handedness.tolist() == ["left", "right"]
     (x, y), (tip_x, tip_y) = ((part - plane.xy.value).T for part in (mine.place_arms(plane).elbow, mine.tips.value))
-    assert np.sign(tip_x * y - tip_y * x).tolist() == [1, -1]  # on the left of the way from center to tip, and right
+    # the left elbow is to the left of the line from the center to the tip
+    assert np.sign(tip_x * y - tip_y * x).tolist() == [1, -1]
     assert rs.allocate(PAIR, FOUR, allocator=always(([0, -1], ["right", ""]))).n_assigned == 1
 
 
@@ -171,7 +172,7 @@ def test_errors_say_whose_they_are(hers):
     assert isinstance(caught.value.__cause__, FloatingPointError)
 
 
-# by name
+# allocators given by name
 
 
 def test_a_tile_says_where_its_allocator_comes_from(small, hers):

@@ -1,4 +1,4 @@
-"""The rules that draw up plans against the same rules written down literally, and against matchings by SciPy."""
+"""Rules that make allocations, compared with literal implementations of the same rules and with SciPy's matchings."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ KINDS = ("science", "standard", "sky")
 
 @st.composite
 def scenes(draw, kinds=KINDS):
-    """Targets on a lattice, with many ties in distance, or anywhere, with classes and kinds."""
+    """Targets with classes and kinds, at random positions or on a lattice, which has many ties in distance."""
     n = draw(st.integers(1, 24))
     lattice = arrays(float, (n, 2), elements=st.integers(-7, 7).map(lambda k: 6.4 * k))
     anywhere = arrays(float, (n, 2), elements=st.floats(-45, 45, allow_subnormal=False))
@@ -61,7 +61,8 @@ def test_nearest_is_the_closest_pair_first_in_a_crowd(rng):
 
 
 def lamost_with_requirements(xy, plane, can, priority, kind, category, requirements, column):
-    """Nominations of science; then each requirement, in each spectrograph, from idle positioners upward.
+    """Assign science targets by nominations. Then meet each requirement in each spectrograph, first with idle
+    positioners.
 
     ``column(i, t)`` is the spectrograph in which positioner i observes target t.
     """
@@ -76,7 +77,7 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
             counts = [i for i, t in enumerate(target_of) if t >= 0 and wanted[t] and place in (None, column(i, t))]
             locked.update(counts)
             lacking = one.minimum - len(counts)
-            # the idle first, then those whose target is the least important
+            # idle positioners first, then positioners with the least important targets
             importance = [(t >= 0, priority[t] if t >= 0 else 0, i) for i, t in enumerate(target_of)]
             for _, _, i in sorted(importance):
                 free = [
@@ -125,7 +126,9 @@ def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requiremen
 
 @pytest.mark.parametrize("seed", range(3))
 def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
-    """A spectrograph for each fiber type, some units unable, and more wanted than there is."""
+    """There is one spectrograph per fiber type, some positioners are unusable, and requirements exceed the number of
+    targets.
+    """
     rng = np.random.default_rng(seed)
     plane = replace(two_fibers(), spectrograph=rng.integers(0, 3, (37, 2)), disabled=rng.random(37) < 0.1)
     n = 200
@@ -153,7 +156,9 @@ def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
 
 
 def test_the_least_important_targets_give_way_first_and_are_free_again():
-    """One positioner is idle, three have priorities 3, 1, 2; a target that one of them releases serves another."""
+    """One positioner is idle, and three observe targets of priorities 3, 1 and 2. One of them releases a target, which
+    another positioner then observes.
+    """
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [40, 0], [80, 0], [120, 0]] * MM, unit)
     xy = [[1, 0], [41, 0], [81, 0], [0, 9], [40, 9], [80, 9], [120, 9]] * MM
@@ -176,7 +181,7 @@ def test_the_least_important_targets_give_way_first_and_are_free_again():
 @pytest.mark.parametrize("method", ["balanced", "nearest", "lamost"])
 @given(st.sampled_from(sorted(PLANES)), scenes())
 def test_rules_take_nothing_but_science(method, name, scene):
-    """They do as if nothing else were there."""
+    """The result is the same as without standards and sky positions."""
     plane, (xy, priority, kind) = PLANES[name], scene
     science = np.flatnonzero(np.array(kind) == "science")
     priority = None if method == "balanced" else np.array(priority)
@@ -199,7 +204,7 @@ def test_what_is_not_science_fills_idle_positioners_only(method):
 
 
 def crowd(name, n, seed):
-    """A plane with many targets, some of them far away from any positioner."""
+    """Return a focal plane and many targets, some of which are far from all positioners."""
     rng = np.random.default_rng(seed)
     plane = {"lamost": lambda: lamost_like(rings=12), "sdss": lambda: sdss_like(rings=11)}[name]()
     half = np.abs(plane.arrays.xy).max() * 1.1
@@ -207,7 +212,7 @@ def crowd(name, n, seed):
 
 
 def matched(can):
-    """The number of pairs of a maximum matching, by SciPy."""
+    """Return the number of pairs in a maximum matching, computed by SciPy."""
     return int((maximum_bipartite_matching(can.tocsr(), perm_type="column") >= 0).sum())
 
 
@@ -224,7 +229,7 @@ def test_sdss_assigns_a_maximum_matching(name, n):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["lamost", "sdss"])
 def test_sdss_has_as_many_of_each_class_as_matchings_allow(name, seed):
-    """The classes up to k fill the rank of their own matching; each adds the difference to the one before."""
+    """The first k classes together have as many assigned targets as a matching of these classes alone."""
     plane, xy, rng = crowd(name, 700, seed)
     priority = rng.choice([2.5, -1, 7, 0], 700)
     kind = np.where(rng.random(700) < 0.2, "sky", "science")

@@ -1,4 +1,4 @@
-"""Proven plans against every plan there is."""
+"""Proven plans, compared with all possible plans."""
 
 import astropy.units as u
 import numpy as np
@@ -47,7 +47,7 @@ def random_case(seed, *, quotas):
 
 
 def judge(plane, xy, options):
-    """Return the function that says what a plan is worth, as a tuple; None if it exceeds a maximum."""
+    """Return a function that computes the value of a plan as a tuple, or None if the plan exceeds a maximum."""
     m = len(xy)
     priority = options["priority"]
     kind = options.get("kind", np.full(m, "science"))

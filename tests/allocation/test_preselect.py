@@ -1,4 +1,4 @@
-"""Candidates that are left out in crowded fields: nothing is lost, or a bound says how much at most."""
+"""Candidates that are omitted in crowded fields: the plan loses nothing, or its bound limits the loss."""
 
 import astropy.units as u
 import numpy as np
@@ -16,13 +16,13 @@ EXHAUSTIVE = pytest.mark.exhaustive
 
 
 def crowded_case(seed):
-    """A few positioners of any kind with some dozens of targets in reach of each, with or without requirements."""
+    """Return a few positioners with dozens of targets in reach of each, with or without requirements."""
     rng = np.random.default_rng([seed, 14])
     plane = random_plane(rng)
     m = int(rng.integers(20, 60))
     xy = plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
     options = {"parked_obstacles": bool(rng.random() < 0.5)}
-    # few targets of the first classes, and many of the last
+    # the first classes have few targets, and the last class has many
     options["priority"] = -np.floor(rng.random(m) ** 0.3 * rng.integers(1, 5))
     if plane.fiber_types != ("",):
         options["fiber_type"] = rng.choice(["", *plane.fiber_types], m)
@@ -41,7 +41,7 @@ def crowded_case(seed):
 
 
 def both_ways(monkeypatch, case, method, kept=(1, 1)):
-    """Return the plan of a few candidates, and the plan of all."""
+    """Return the plan with few candidates, and the plan with all candidates."""
     plane, xy, options = case
     found = []
     for n_best, n_spread in (kept, (10**6, 10**6)):
@@ -60,13 +60,13 @@ def test_optimum_of_few_candidates_is_that_of_all_or_its_bound_says_so(monkeypat
         n_left_out += few.meta.get("n_left_out", 0)
         for a, b in zip(few.levels, every.levels, strict=True):
             assert a.value <= b.value <= a.bound, (seed, a, b)
-            if a.value < b.value:  # later levels may be anything
+            if a.value < b.value:  # the values of later levels are not comparable
                 n_lost += 1
                 break
         if few.gap == 0:
             assert few.levels == every.levels, seed
-    assert n_left_out > 300  # the scenes are crowded enough
-    assert n_lost < 40  # most plans lose nothing even so
+    assert n_left_out > 300  # many candidates were omitted, because the scenes are crowded
+    assert n_lost < 40  # most plans are optimal in spite of the omissions
 
 
 @pytest.mark.parametrize("chunk", range(2))
@@ -97,11 +97,11 @@ def test_repair_of_few_candidates_keeps_its_bound_and_leaves_no_collision(monkey
 
 @pytest.mark.parametrize("seed", range(20))
 def test_rules_in_a_crowd_are_the_rules_as_written(seed):
-    """Each positioner keeps as many candidates as it has rivals, and one more: more than enough of them are given."""
+    """Each positioner keeps more candidates than it has rivals, so that no target of the rule is omitted."""
     rng = np.random.default_rng(seed)
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=1, pitch=20 * MM)
-    # many at the same distances
+    # many targets at equal distances
     xy = np.concatenate([rng.uniform(-36, 36, (150, 2)), 4.0 * rng.integers(-9, 9, (60, 2))])
     priority = rng.integers(0, 3, len(xy)).tolist()
     can = plane.reachable(xy * MM).toarray()
@@ -113,7 +113,7 @@ def test_rules_in_a_crowd_are_the_rules_as_written(seed):
 
 
 def test_two_hundred_thousand_targets_in_a_field_of_unequal_arms_are_planned_with_a_proof():
-    """All conflicts of all candidates were listed: some gigabytes here, and no memory was enough for more."""
+    """Regression: all conflicts of all candidates were listed, which required gigabytes of memory."""
     model = rs.Instrument.preset("sdss_apo")
     rng = np.random.default_rng(0)
     n = 200_000

@@ -1,4 +1,4 @@
-"""What a plan must hold: what counts, what is lacking, and the limits that nobody exceeds."""
+"""Requirements and limits: which targets they count, which fibers are missing, and maxima that no plan exceeds."""
 
 import astropy.units as u
 import numpy as np
@@ -12,7 +12,7 @@ from scenes import two_fibers
 MM = u.mm
 UNIT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
 ROW = rs.FocalPlane([[0, 0], [40, 0], [80, 0]] * MM, UNIT, spectrograph=[7, 7, 9])
-# one science target for each of three positioners that share nothing, and three sky positions for the first
+# each of three separate positioners reaches one science target, and the first also reaches three sky positions
 XY = np.array([[5, 0], [45, 0], [85, 0], [0, 5], [0, 7], [0, -9.0]])
 KIND = ["science"] * 3 + ["sky"] * 3
 FILLING = ["lamost", "sdss", "optimal", "repair"]
@@ -133,7 +133,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
 def test_of_two_requirements_that_contradict_each_other_the_maximum_holds(method):
     found = allocate(method, ["science=3", "science=-1"])
     assert sentences(found.unmet) == ["science targets: 1 of 3, 2 missing"]
-    # the first positioner is asked for by both; one of them has to lack a target
+    # both requirements need the first positioner, so that one requirement lacks a target
     found = allocate(method, ["sky=1", "near=1"], category=["near", "", "", "", "", ""])
     assert [(s.wanted, s.found, s.possible) for s in found.unmet] in ([(1, 0, 1)], [(1, 0, 3)])
     assert found.n_assigned == 3
@@ -222,7 +222,8 @@ def test_each_fiber_type_can_have_a_spectrograph_of_its_own(method):
         fiber_type=fiber,
         forbidden=[(0, 4)],
     )
-    # B of the second positioner serves 1; A of the first, or the third without a choice, serve 2; nobody serves 9
+    # type B of the second positioner is in spectrograph 1; type A of the first or the third positioner is in
+    # spectrograph 2; no positioner is in spectrograph 9
     assert found.target_of_positioner[1] == 6
     assert found.target_of_positioner[0] == 3 or found.target_of_positioner[2] == 5
     assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]
@@ -253,7 +254,9 @@ def test_repair_of_a_plan_that_exceeds_a_maximum_keeps_it():
 
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_required_targets_come_before_everything_else(method):
-    """The one of least priority, standards, and sky that no requirement wants, against requirements and science."""
+    """Required targets of low priority, and required standards and sky positions, precede requirements and science
+    targets.
+    """
     xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
     kind = ["science", "sky", "science", "standard", "sky", "science"]
     found = rs.allocate(
@@ -271,7 +274,7 @@ def test_required_targets_come_before_everything_else(method):
 
 @pytest.mark.parametrize("method", ["nearest", "lamost"])
 def test_rules_by_class_take_required_targets_as_a_class_before_all(method):
-    """Of whatever kind; and requirements release none of them."""
+    """Required targets of any kind are the first class, and requirements do not release them."""
     xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
     kind = ["science", "sky", "science", "standard", "sky", "science"]
     more = {"kind": kind, "priority": [9, 0, 9, 0, 0, 1]}
@@ -326,3 +329,20 @@ def test_an_unknown_fiber_type_is_named():
         said("lamost", ["sky@BOSS=2"])
     with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
         rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))
+
+
+def test_a_type_of_fiber_with_its_own_spectrograph_is_not_omitted():
+    """Among many better targets, the only one for the second spectrograph is kept, if any requirement counts it."""
+    robot = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, robot, fiber_type=["A+B"] * 2, spectrograph=[[0, 1]] * 2)
+    xy = np.random.default_rng(0).uniform(-8, 8, (1001, 2)) + np.where(np.arange(1001) < 501, 0, 100)[:, None] * [1, 0]
+    types = np.where(np.arange(1001) == 0, "B", "A")
+    plan = rs.allocate(
+        plane,
+        xy * MM,
+        fiber_type=types,
+        priority=np.where(types == "B", 1, 5),
+        allocator=rs.AllocationOptions("optimal", requirements=["science=0-90", "science=1/spectrograph"]),
+    )
+    assert plan.unmet == ()
+    assert plan.fiber_type.tolist() == ["B", "A"]

@@ -1,4 +1,4 @@
-"""Requirements, limits, required targets and forbidden pairs of random scenes, against counts by hand."""
+"""Requirements, limits, required targets and forbidden pairs of random scenes, compared with direct counts."""
 
 import astropy.units as u
 import numpy as np
@@ -13,7 +13,7 @@ FILLING = ["lamost", "sdss", "optimal", "repair"]
 
 
 def held(one, plane, pairs, kind, category, fiber, place=None):
-    """Count what a requirement means, literally, by way of the fiber in use."""
+    """Count the pairs that a requirement counts, by the fiber that observes each target."""
     n = 0
     for i, t in pairs:
         group = category if one.what in set(category) else kind
@@ -26,7 +26,7 @@ def held(one, plane, pairs, kind, category, fiber, place=None):
 
 
 def random_case(seed):
-    """A plane of two fiber types whose targets crowd, with standards and sky, and limits of all sorts."""
+    """Return a plane of two fiber types with crowded targets, standards and sky positions, and limits of all kinds."""
     rng = np.random.default_rng(seed)
     plane = two_fibers()
     spectrograph = rng.integers(0, 3, (37, 2) if seed % 2 else 37)
@@ -51,7 +51,7 @@ def random_case(seed):
 
 
 def counts_of(plane, found, options):
-    """Requirement, place and count for all of them."""
+    """Return each requirement, the spectrograph to which it applies, and its count."""
     pairs = [(i, t) for i, t in enumerate(found.target_of_positioner) if t >= 0]
     columns = options["kind"], options["category"], options["fiber_type"]
     for one in options["requirements"]:
@@ -86,7 +86,7 @@ def test_unmet_is_what_a_count_by_hand_finds(method, seed):
 
 
 def exceeds(plane, xy, options, **more):
-    """Return whether a plan exceeds a maximum, and how many maxima it reaches."""
+    """Return whether a plan exceeds a maximum, and the number of maxima that it reaches."""
     found = flat.allocate(plane, xy * MM, **options, **more)
     over = [n - one.maximum for one, _, n in counts_of(plane, found, options) if one.maximum is not None]
     return max(over) > 0, over.count(0)

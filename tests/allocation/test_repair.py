@@ -1,4 +1,4 @@
-"""Local moves end the collisions of any plan, and cost no more than they say."""
+"""Local moves remove the collisions of any plan, and lose at most the stated number of targets."""
 
 from itertools import product
 
@@ -13,11 +13,11 @@ from scenes import SCENES, lamost_like, sdss_like
 
 MM = u.mm
 STARTS = sorted(set(ALLOCATORS) - {"repair"})
-NAMES = sorted(set(SCENES) - {"left"})  # the elbow of a whole plan is no option of allocations
+NAMES = sorted(set(SCENES) - {"left"})  # the handedness of a whole plan is not an option of allocations
 
 
 def scene(name, n=110, seed=3):
-    """A plane of the scenes, a crowd of targets in two classes, and the options that go with them."""
+    """Return a plane of the scenes, crowded targets in two classes, and options."""
     rng = np.random.default_rng(seed)
     plane, given = SCENES[name]
     options = {"priority": rng.integers(0, 2, n), "parked_obstacles": given.get("parked_obstacles", True)}
@@ -27,14 +27,14 @@ def scene(name, n=110, seed=3):
 
 
 def at_fault(plane, found):
-    """Pairs and obstacles of arms that look at a target; two idle arms are nobody's fault."""
+    """Return the colliding pairs in which at least one arm has a target, and collisions of such arms with obstacles."""
     report = rs.find_collisions(plane, found)
     busy = found.target_of_positioner >= 0
     return [tuple(p) for p in report.pairs if busy[p].any()] + [tuple(p) for p in report.obstacle_pairs if busy[p[0]]]
 
 
 def ladder(found, priority):
-    """Targets of the most important class, of the two most important ones, and so on."""
+    """Return the numbers of targets in the first class, in the first two classes, and so on."""
     used = found.target_of_positioner[found.target_of_positioner >= 0]
     return [int((priority[used] >= p).sum()) for p in sorted(set(priority.tolist()), reverse=True)]
 
@@ -83,7 +83,7 @@ def test_there_is_something_to_repair(make, n, seed):
 
 @pytest.mark.parametrize("parked", [True, False])
 def test_parked_arms_are_in_the_way_if_they_count(parked):
-    """An idle arm along +x, where its neighbor wants to put its tip: only without parked arms can it."""
+    """An idle arm along +x covers the target of its neighbor, which can be observed only without parked arms."""
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit)
     alone = rs.allocate(
@@ -108,7 +108,7 @@ def test_a_plan_without_collisions_is_not_made_worse(name):
 
 @pytest.mark.parametrize("method", ["repair", "optimal"])
 def test_the_other_elbow_saves_both_targets(method):
-    """Of four pairs of elbows one lets both arms stand."""
+    """Only one of the four combinations of elbows has no collision."""
     unit = {"central_arm": 8 * MM, "eccentric_arm": 8 * MM, "clearance": 2.25 * MM}
     centers, xy, apart = [[0, 0], [18, 0]] * MM, [[10, 6], [7, -3]] * MM, [[0, 1], [1, 0]]
     plane = rs.FocalPlane(centers, rs.Positioner(**unit, handedness="both"))

@@ -1,4 +1,4 @@
-"""Requirements as text and as fields, and the sentences on what is lacking."""
+"""Requirements given as text and as fields, and the sentences on missing fibers."""
 
 import astropy.units as u
 import pytest

@@ -1,4 +1,4 @@
-"""What once went wrong in the search for the best plan, and plans that run out of time."""
+"""Regression tests of the search for the best plan, and plans whose search reaches the time limit."""
 
 from collections import Counter
 from itertools import combinations, product
@@ -32,7 +32,7 @@ def sparse_targets(plane, seed):
 @pytest.mark.parametrize("seed", [324, 5, 11])
 @pytest.mark.parametrize("milliseconds", [1e-6, 1, 5, 50])
 def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
-    """The bounds of parts that had no time were left out, and what was found counted as proven."""
+    """Regression: bounds of parts without remaining time were omitted, and the plan was reported as proven."""
     plane = dense_plane()
     xy, rng = sparse_targets(plane, seed)
     options = {"method": "optimal", "priority": rng.integers(0, rng.integers(1, 3), len(xy))}
@@ -79,7 +79,7 @@ def test_unproven_plans_are_honest(n_classes, objective, seed):
 
 
 def edges_alone(plane, xy, parked):
-    """Number of targets in the best plan, by an integer program with a row for each conflict."""
+    """Return the number of targets in the best plan, from an integer program with one row for each conflict."""
     choices = options_of(plane, xy, None, both=False)
     pairs, barred = conflicts_of(plane, bodies_of(plane, xy, choices, None, parked))
     column = {(i, k): n for n, (i, k) in enumerate((i, k) for i, mine in enumerate(choices) for k in range(len(mine)))}
@@ -105,7 +105,9 @@ def edges_alone(plane, xy, parked):
 @pytest.mark.parametrize("parked", [True, False])
 @pytest.mark.parametrize("seed", range(12))
 def test_larger_fields_against_a_plain_integer_program(seed, parked):
-    """Reduced candidates need not contain the idle arm, and a plan with a target twice was taken for proven."""
+    """Regression: if the reduced candidates did not contain the idle arm, a plan with a repeated target was reported as
+    proven.
+    """
     plane = dense_plane(rings=3)
     xy, _ = sparse_targets(plane, seed)
     found = rs.allocate(plane, xy * MM, allocator=rs.AllocationOptions("optimal", parked_obstacles=parked))
@@ -117,7 +119,7 @@ def test_larger_fields_against_a_plain_integer_program(seed, parked):
 
 
 def test_a_stuck_fiber_of_another_type_is_somewhere_else():
-    """The arm of a stuck unit was turned to the second fiber, and then collided."""
+    """Regression: the arm of a stuck positioner was rotated to its second fiber, and then collided."""
     unit = rs.Positioner(
         7.4 * MM,
         15 * MM,
@@ -155,7 +157,7 @@ def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_o
 @pytest.mark.parametrize("steep", [1.0, 8.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, largest):
-    """Aims with too little weight in an objective lose something, which must be noticed."""
+    """If an objective has too little weight in a sum of objectives, the search detects it."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5391 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=22.4 * MM)
     rng = np.random.default_rng(seed)
@@ -174,7 +176,7 @@ def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, lar
 
 
 def random_conflicts(rng):
-    """Candidates of a few positioners that exclude each other at random, as no arms could."""
+    """Return candidates of a few positioners that exclude each other at random, which real arms cannot do."""
     n = int(rng.integers(2, 6))
     own, target, pairs = [], [], []
     for i in range(n):
@@ -211,7 +213,7 @@ def random_conflicts(rng):
 
 
 def plans(options, pairs, alive):
-    """All plans of some candidates, with what they are worth: classes, keys, and cost."""
+    """Yield all plans of some candidates with their values: classes, keys and cost."""
     mine = [[c for c in range(*options.start[i : i + 2]) if alive[c]] for i in range(len(options.start) - 1)]
     bad = {tuple(p) for p in pairs.T.tolist()}
     for plan in product(*mine):
@@ -231,7 +233,7 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
     for seed in seeds:
         rng = np.random.default_rng(seed)
         options, pairs = random_conflicts(rng)
-        # without requirements: all keys are as good as each other
+        # without requirements, all keys are equivalent
         free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
         for case, with_keys in ((free, False), (options, True)):
             everything, alive = np.ones(len(options.own), bool), np.ones(len(options.own), bool)
@@ -241,7 +243,7 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
             reduce_candidates(case, alive)
             after = list(plans(case, pairs, alive))
             weigh = [lambda p: (p[1], p[3])]
-            if with_keys:  # whatever a requirement on one key asks for
+            if with_keys:  # for any requirement on one key
                 weigh = [lambda p, k=k, s=s: (s * p[2][k], p[1]) for k in (0, 1) for s in (1,) if case.as_good[k, 2]]
             for worth in weigh:
                 assert max(map(worth, after)) == max(map(worth, before)), seed
@@ -255,7 +257,7 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
 
 
 def test_classes_after_required_targets_may_be_larger_than_in_a_matching():
-    """A matching has the best classes only if it keeps as many required targets; 23 passed for the most that can be."""
+    """Regression: a matching without required targets gave a wrong upper limit of 23 for a class."""
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 3 * MM), rings=7, pitch=18 * MM)
     n, rng = len(plane), np.random.default_rng(2)
     xy = plane.arrays.xy[rng.integers(n, size=2 * n)] + rng.uniform(-12, 12, (2 * n, 2))
@@ -280,7 +282,7 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
 @pytest.mark.parametrize("method", ["optimal", "repair"])
 @pytest.mark.parametrize(("gap", "n"), [(4.5, 2), (np.nextafter(4.5, 0), 1), (np.nextafter(4.5, 5), 2)])
 def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
-    """Stretched arms beside each other: no collision at the minimum separation, one a rounding nearer."""
+    """Parallel stretched arms at the minimum separation do not collide. One rounding error nearer, they collide."""
     plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, rs.Positioner(4 * MM, 4 * MM, 2.25 * MM))
     found = rs.allocate(plane, [[8, 0], [8, gap]] * MM, allocator=rs.AllocationOptions(method, parked_obstacles=False))
     assert found.n_assigned == n
@@ -289,12 +291,12 @@ def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
 @pytest.mark.parametrize("n_required", [0, 12])
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_required):
-    """Whether the solver ends in time is not in the hands of a test: here it says that it did not."""
+    """The test replaces the solver by one that reports a timeout, since real times depend on the machine."""
     plane, n = dense_plane(rings=2), 120
     rng = np.random.default_rng(0)
     priority, kind = rng.integers(0, 2, n), rng.choice(["science", "sky"], n, p=[0.8, 0.2])
     xy = rng.uniform(-50, 50, (n, 2)) * MM
-    xy[0], priority[0], kind[0] = 3 * MM, 1, "science"  # the first of all counts, too
+    xy[0], priority[0], kind[0] = 3 * MM, 1, "science"  # also if the first program has no time
     options = {"method": method, "priority": priority, "kind": kind, "requirements": "sky=4"}
     if n_required:
         options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
@@ -312,7 +314,7 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
 
 @pytest.mark.parametrize(("pitch", "expected"), [(25.6, True), (5.0, False)])
 def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypatch, pitch, expected):
-    """Presolve alone took up to 400 s where 5 s were allowed: arms of 16.5 mm at a pitch of 5 mm."""
+    """Regression: the presolve step took up to 400 s with a limit of 5 s, for arms of 16.5 mm at a pitch of 5 mm."""
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=pitch * MM)
     rng = np.random.default_rng(5)
@@ -324,7 +326,7 @@ def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypa
         return OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
 
     monkeypatch.setattr("scipy.optimize.milp", answer)
-    # so thick that something is left to the solver
+    # the scene is dense enough to leave work to the solver
     plane = rs.FocalPlane(plane.xy, rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM)) if expected else plane
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
     rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=5 * u.s))

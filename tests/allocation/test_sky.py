@@ -1,4 +1,4 @@
-"""Blank sky in gaps between the targets: where it is, and who looks at it."""
+"""Blank sky in gaps between the targets: its positions, and the positioners that observe it."""
 
 from dataclasses import replace
 
@@ -35,13 +35,13 @@ def targets(rng, n, half=85):
 
 
 def blank_of(found):
-    """Positioners that look at found sky, and their rows among the targets."""
+    """Return the positioners that observe blank sky, and the rows of these positions among the targets."""
     own = np.flatnonzero(found.target_of_positioner >= found.n_given)
     return own, found.target_of_positioner[own]
 
 
 def check_columns(found, xy):
-    """The found rows come after the given ones, each in use exactly once."""
+    """Check that the rows of blank sky follow the given rows, and that each of them is assigned once."""
     own, rows = blank_of(found)
     n = len(xy)
     assert found.n_given == n
@@ -114,7 +114,7 @@ def test_whatever_the_separation_it_is_kept(seed, n, separation, name):
 
 @pytest.mark.parametrize("separation", [2.0, 6.0, 11.0])
 def test_gaps_are_found_where_there_are_any(separation, rng):
-    """A dense sample of a patrol area says whether it has a gap worth the name."""
+    """A dense sample of a patrol area shows whether it contains a sufficiently wide gap."""
     plane, xy = lamost_like(), rng.uniform(-85, 85, (180, 2))
     found = rs.allocate(
         plane, xy * MM, allocator=rs.AllocationOptions("lamost", requirements="sky=37", sky_separation=separation * MM)
@@ -228,13 +228,13 @@ def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     for (name, place), n in counts.items():
         most = {"A": 2, "B": 3}[name]
         assert n == lacking[name, place] if (name, place) in lacking else n >= most
-    # B goes to spectrographs 0 and 1 only
+    # fiber type B belongs only to spectrographs 0 and 1
     assert set(lacking) == {("B", 2)}
     assert lacking["B", 2] == 0
 
 
 def one_stuck(theta=30, phi=100):
-    """Two positioners, the first of which cannot move, and where it looks."""
+    """Return two positioners, the first of which is stuck, and the position of its fiber."""
     theta, phi = np.deg2rad([theta, phi])
     tip = 8.25 * np.array([np.cos(theta) + np.cos(theta + phi), np.sin(theta) + np.sin(theta + phi)])
     stuck = [[np.rad2deg(theta), np.rad2deg(phi)], [np.nan, np.nan]] * u.deg

@@ -54,7 +54,7 @@ def test_errors_are_those_that_each_method_must_have(table):
 
 
 def test_the_truth_comes_from_rational_arithmetic(monkeypatch):
-    """A broken kernel shows as errors of its own method, not as errors of the others."""
+    """A broken kernel changes the errors of its own method, and not the errors of other methods."""
     monkeypatch.setitem(benchmark.COMPARED, "exact", lambda scene: benchmark.Found(*np.empty((2, 0), int), np.empty(0)))
     table = rs.benchmark.benchmark_collisions(sdss_like(3), methods=["exact", "scipy"], repeats=1)
     assert rows(table, "exact")["misclassified"] == [1]
@@ -153,7 +153,7 @@ def test_probabilities_are_compared_within_one_question():
     assert abs(truth["independent"][0] - truth["allocated"][0]) > 0.02
     assert (table["error"][1:] < 4 * np.hypot(table["standard_error"][1:], 1e-3)).all()
     assert np.isnan(table["standard_error"][0])
-    assert table["error"][0] > 0.2  # the formula
+    assert table["error"][0] > 0.2  # the method is a formula, which has a large error
     assert table["time"].unit == u.ms
 
 
@@ -161,7 +161,7 @@ def test_densities_that_stand_in_for_queues():
     table = rs.benchmark.benchmark_densities(sdss_like(2), precision=3e-3, n_allocations=3)
     assert table["bias"][0] == 0
     np.testing.assert_allclose(table["bias"], table["value"] - table["value"][0])
-    assert table["value"][3] < table["value"][1]  # own cells keep arms apart
+    assert table["value"][3] < table["value"][1]  # arms that stay in their own cells collide less
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
-"""Figures that the page on collisions quotes and no table prints: ``python tests/benchmarks/accuracy_figures.py``.
+"""Numbers on the page on collisions that no command prints: ``python tests/benchmarks/accuracy_figures.py``.
 
-Random targets, uniform in the patrol areas; SDSS-V is the geometry of Chen et al. (36 rings, D = 5.0782 mm).
+Random targets are uniform in the patrol areas. SDSS-V is the geometry of Chen et al. (36 rings, D = 5.0782 mm).
 """
 
 import astropy.units as u
@@ -20,7 +20,9 @@ def make_plane(l1, l2, clearance, step, pitch):
 
 
 def kept(plane, rng):
-    """Parts of the neighbors that the middles let through, the axes let through, and that collide."""
+    """Return the fractions of the pairs of neighbors that pass the test of midpoints, that pass the test of axes, and
+    that collide.
+    """
     tips = random_tips(plane, rng) * u.mm
     segments = place_arms(plane, tips).segments.T.copy()
     halves, columns, n = np.empty_like(segments), plane.arrays, len(plane.arrays.neighbors)
@@ -32,7 +34,9 @@ def kept(plane, rng):
 
 
 def naive_crossings(rng, n):
-    """Part of the segments behind each other on one line that cross by the signs of four turns, as computed."""
+    """Return the fraction of collinear, separate segments that cross according to the computed signs of four
+    orientations.
+    """
     angle, along = rng.uniform(0, 2 * np.pi, n), np.cumsum(rng.uniform(1, 10, (4, n)), axis=0)
     x, y = rng.uniform(-1, 1, (2, 1, n)) + along * np.array([np.cos(angle), np.sin(angle)])[:, None]
 
@@ -43,7 +47,7 @@ def naive_crossings(rng, n):
 
 
 def moved_by_single_precision(plane, rng):
-    """Largest shift of a tip at full stretch, and of its elbow, in mm."""
+    """Return the largest shift (mm) of a fully stretched tip, and of its elbow, in single precision."""
     alpha = rng.uniform(0, 2 * np.pi, len(plane))
     tips = plane.arrays.xy + plane.arrays.outer_radius[:, None] * (1 - 1e-13) * np.column_stack(
         [np.cos(alpha), np.sin(alpha)]

@@ -1,6 +1,7 @@
-"""Figures of the page on benchmarks: what allocation costs, and what collisions cost.
+"""Numbers on the page on benchmarks: the time of allocations, and the targets lost to collisions.
 
-``python tests/benchmarks/allocation_figures.py``; a few minutes on one core. Real fields need RFPSURVEY_TEST_DATA.
+Run ``python tests/benchmarks/allocation_figures.py``, which takes a few minutes on one core. Real fields require
+RFPSURVEY_TEST_DATA.
 """
 
 import os
@@ -32,14 +33,14 @@ SKY = ["sky=20/spectrograph", "standard=5/spectrograph"]
 
 
 def disc(radius, n, seed):
-    """Points uniform in a disc, mm."""
+    """Return points (mm) that are uniform in a disc."""
     rng = np.random.default_rng(seed)
     r, angle = radius * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
     return np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
 
 
 def median(call, *arguments, repeats=REPEATS, **options):
-    """Median time of a call once compiled, and its result."""
+    """Return the median time of calls after compilation, and the result."""
     result, times = call(*arguments, **options), []
     for _ in range(repeats):
         start = perf_counter()
@@ -72,7 +73,9 @@ def hexagons():
 
 
 def floor(plane, xy):
-    """Print what nobody gets around: who reaches what, and the pairs of candidates of neighbors."""
+    """Print the time of work that every method must do: finding the reach, and listing the pairs of candidates of
+    neighbors.
+    """
     seconds, reach = median(plane.reachable, xy)
     size = np.diff(reach.indptr).astype(int)
     pairs = plane.neighbor_pairs()

@@ -1,6 +1,6 @@
-"""Seconds of a fresh process: importing the package, and the embedded default with and without a cache of kernels.
+"""Measure the times of new processes: the import of the package, and a small plan with and without cached kernels.
 
-Run it as ``python tests/benchmarks/cold_start.py``; medians of five, the cold run once.
+Run ``python tests/benchmarks/cold_start.py``. It prints medians of five runs; the run without a cache is done once.
 """
 
 import os
@@ -15,20 +15,20 @@ PLAN = [sys.executable, "-m", "rfpsurvey", "plan"]
 
 
 def processor_time():
-    """Processor time of the children so far."""
+    """Return the processor time of all child processes so far."""
     times = os.times()
     return times.children_user + times.children_system
 
 
 def seconds(command, clock=time.perf_counter, **environment):
-    """Time of one process, on the wall or by another clock."""
+    """Return the wall time of a process, or its time on another clock."""
     start = clock()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, **environment})
     return clock() - start
 
 
 def plan_seconds(folder, repeats, clock=time.perf_counter, options=()):
-    """Times of the embedded default: the first without a cache, the others with it."""
+    """Return the times of a small plan: the first is without a cache, and all others are with a cache."""
     settings = {"NUMBA_CACHE_DIR": folder, "NUMBA_BOUNDSCHECK": "0", "RFPSURVEY_CACHE": "1"}
     return [seconds([*PLAN, *options], clock, **settings) for _ in range(repeats + 1)]
 

@@ -1,6 +1,6 @@
-"""How long a comparison of all presets takes, and how often its intervals hold the truth.
+"""Measure the time of a comparison of all presets, and how often its intervals contain the true value.
 
-Run with ``python tests/benchmarks/comparison_figures.py``.
+Run ``python tests/benchmarks/comparison_figures.py``.
 """
 
 from time import perf_counter
@@ -13,8 +13,8 @@ ONE = {"n_realizations": 1, "allocators": "lamost"}
 
 
 def main():
-    """Print both."""
-    rs.compare_instruments()  # compiles
+    """Print both results."""
+    rs.compare_instruments()  # compile the kernels
     begin = perf_counter()
     rs.compare_instruments()
     print(f"all presets, four skies, lamost and optimal: {perf_counter() - begin:.1f} s")

@@ -13,7 +13,7 @@ def lamost():
 
 @pytest.fixture(scope="session")
 def stars(lamost):
-    """100,000 targets in the field of LAMOST, their unit vectors made."""
+    """Return 100,000 targets in the field of LAMOST, with computed unit vectors."""
     catalog = rs.synthetic_catalog("uniform", CENTER, lamost.field_radius, n_targets=100_000, rng=1)
     catalog.arrays.vectors  # noqa: B018
     return catalog
@@ -26,7 +26,7 @@ def xy(lamost, stars):
 
 @pytest.fixture(scope="session")
 def tile_table(lamost, stars):
-    """One whole tile, which also compiles every kernel."""
+    """Plan a complete tile, which compiles all kernels."""
     return rs.plan_tile(stars, lamost, CENTER, epoch=None).table
 
 

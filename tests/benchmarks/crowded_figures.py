@@ -1,6 +1,7 @@
-"""Figures of the page on benchmarks: fields with millions of targets, dense arms, many tiles, digests of partitions.
+"""Numbers on the page on benchmarks: millions of targets, dense arms, many tiles, digests of partitions.
 
-``python tests/benchmarks/crowded_figures.py``; some minutes on one core, and 5 GB. ``--only NAME`` runs one part.
+Run ``python tests/benchmarks/crowded_figures.py``, which takes some minutes on one core and 5 GB of memory. ``--only
+NAME`` runs one part.
 """
 
 import argparse
@@ -38,7 +39,7 @@ def peak_gb():
 
 
 def field(name, method, n):
-    """A whole tile, from the catalog in memory to its table."""
+    """Measure the planning of a tile, from the catalog in memory to the table."""
     model = rs.Instrument.preset(name)
     rs.plan_tile(
         rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=4000, rng=1),
@@ -58,7 +59,7 @@ def field(name, method, n):
 
 
 def dense():
-    """Arms of 16.5 mm at a pitch of 5 mm, for which the solver's presolve takes minutes; 5 s are allowed."""
+    """Measure arms of 16.5 mm at a pitch of 5 mm with a limit of 5 s; the solver's presolve step would take minutes."""
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     for rings, each in ((5, 1), (5, 4), (6, 1), (6, 2), (7, 1), (7, 2)):
         plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=5 * u.mm)
@@ -74,7 +75,7 @@ def dense():
 
 
 def tiles():
-    """Rounds of tiles with DESI's field, over the whole sky and in a cap."""
+    """Measure the rounds of tiles with the field of DESI, over the whole sky and in a circle."""
     for n, cap in ((10_000, 180), (100_000, 180), (100_000, 30), (10_000, 3)):
         rng = np.random.default_rng(0)
         z = 1 - rng.random(n) * (1 - np.cos(np.deg2rad(cap)))
@@ -90,7 +91,7 @@ def tiles():
 
 
 def digest(n=5_000_000):
-    """What it costs to tell a partitioned catalog from another."""
+    """Measure the time of the digest that identifies a partitioned catalog."""
     rng = np.random.default_rng(0)
     coord = SkyCoord(rng.uniform(0, 90, n) * u.deg, np.rad2deg(np.arcsin(rng.uniform(0, 0.7, n))) * u.deg)
     catalog = rs.Catalog(coord, priority=rng.integers(0, 5, n), visits=rng.integers(1, 4, n))
@@ -116,7 +117,8 @@ if __name__ == "__main__":
     if given.field:
         field(given.field[0], given.field[1], int(float(given.field[2])))
         sys.exit()
-    for one in FIELDS if given.only in (None, "fields") else ():  # each in a process of its own, for its memory
+    # run each part in a separate process, to measure its memory
+    for one in FIELDS if given.only in (None, "fields") else ():
         subprocess.run([sys.executable, __file__, "--field", *map(str, one)], check=True)
     for name, part in PARTS.items():
         if given.only in (None, name):

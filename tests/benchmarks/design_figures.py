@@ -1,6 +1,7 @@
-"""Figures of the page on designs: what a scan of thousands costs by each method, and how good the cheap ones are.
+"""Numbers on the page on designs: the time of large scans by each method, and the errors of the fast methods.
 
-``python tests/benchmarks/design_figures.py``; half an hour on two cores. ``--designs 400`` takes a tenth.
+Run ``python tests/benchmarks/design_figures.py``, which takes half an hour on two cores. ``--designs 400`` takes a
+tenth of this time.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from rfpsurvey.probability._surrogate import AXES, interior_probability
 
 MM = u.mm
 BOX = {"central_arm": [7.25, 14.5] * MM, "ratio": [1, 2], "pitch": [24.6, 35] * MM, "clearance": 2.25 * MM}
-"""The paper's designs."""
+"""The ranges of the designs of the paper."""
 SCANS = (
     ("auto", 4.0, 1),
     ("quadrature", 4.0, 1),
@@ -30,7 +31,7 @@ SCANS = (
     ("optimal", 4.0, 10),
     ("optimal", 1.0, 20),
 )
-"""Method, targets a positioner, and of how many designs one is enough."""
+"""Method, targets per positioner, and the factor by which fewer designs are computed."""
 NAMED = {
     "LAMOST": (8.25, 8.25, 25.6, 2.25),
     "SDSS-V": (7.4, 15.0, 22.4, 2.5391),
@@ -41,17 +42,17 @@ NAMED = {
 
 
 def scan(n, executor, **options):
-    """Return a scan of the paper's box and its seconds."""
+    """Return a scan of the paper's range of designs, and its time in seconds."""
     start = perf_counter()
     table = flat.explore_designs(**BOX, n_designs=n, executor=executor, **options)
     return table, perf_counter() - start
 
 
 def timings(n, executor, workers):
-    """Print what a scan costs."""
+    """Print the time of scans."""
     for method, each, part in SCANS:
         options = {"method": method, "targets_per_positioner": each}
-        scan(16, executor, **options)  # compiles
+        scan(16, executor, **options)  # compile the kernels
         some = max(n // part, 16)
         table, seconds = scan(some, executor, **options)
         used = {str(name): int((table["method"] == name).sum()) for name in np.unique(table["method"])}
@@ -64,7 +65,7 @@ def timings(n, executor, workers):
 
 
 def surrogate_errors(n):
-    """Print the error of the surrogate in its whole box, where it finds at least 0.01 and less."""
+    """Print the errors of the surrogate in its whole range, for values of at least 0.01 and for smaller values."""
     rng = np.random.default_rng(11)
     low, high = ([nodes[k] for nodes in AXES.values()] for k in (0, -1))
     shapes = rng.uniform(low, high, (n, 3))
@@ -78,7 +79,7 @@ def surrogate_errors(n):
 
 
 def coverage_errors():
-    """Print the largest error of coverages with the usual number of lines."""
+    """Print the largest error of coverages that are computed with the default number of lines."""
     rng = np.random.default_rng(3)
     away = []
     for central_arm, ratio, pitch in rng.uniform((5, 0.7, 22), (15, 3, 36), (300, 3)):
@@ -89,7 +90,7 @@ def coverage_errors():
 
 
 def losses():
-    """Print the losses of arms that are there, by each question."""
+    """Print the losses of existing arms, for each definition of the loss."""
     for name, (central_arm, eccentric_arm, pitch, clearance) in NAMED.items():
         design = {
             "central_arm": central_arm * MM,
@@ -110,7 +111,7 @@ def losses():
 
 
 def edges():
-    """Print losses in the middle of patches of two sizes: neighbors of the edge have an influence on who is idle."""
+    """Print losses in the center of patches of two sizes. The edge of a patch influences which positioners are idle."""
     design = {
         "central_arm": 8.25 * MM,
         "ratio": 1.5,

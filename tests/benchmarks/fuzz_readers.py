@@ -1,9 +1,9 @@
-"""Damage files of every format, and say what comes of reading them::
+"""Damage files of every format, and print the outcome of reading them:
 
     python tests/benchmarks/fuzz_readers.py --number 2000
 
-Each damaged file is read in a process of its own, within limits of time and memory. What is not read correctly and not
-refused in a sentence is listed, and the exit code is then 1. The files of such cases are kept with ``--keep FOLDER``.
+Each damaged file is read in a separate process, with limits of time and memory. Files that are neither read correctly
+nor refused with a sentence are listed, and the exit code is then 1. ``--keep FOLDER`` keeps these files.
 """
 
 import argparse

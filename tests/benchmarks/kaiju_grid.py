@@ -1,6 +1,6 @@
-"""The grid of SDSS-V's own planner, kaiju, on our geometry; for comparison only, where it is importable.
+"""The grid of kaiju, the planner of SDSS-V, with the geometry of this package; only for comparisons.
 
-Built with https://github.com/sdss/kaiju 1.4.1 (its BSD license; nothing of it is copied here).
+The module requires https://github.com/sdss/kaiju 1.4.1 (BSD license), of which it contains no code.
 """
 
 import numpy as np
@@ -9,14 +9,14 @@ __all__ = ["make_grid", "set_poses"]
 
 
 def make_grid(plane):
-    """Return a robot grid whose arms collide as those of ``plane``: a segment to the fiber, the same separation."""
+    """Return a grid whose arms collide like those of ``plane`` (a segment to the fiber, with the same separation)."""
     from kaiju.cKaiju import RobotGrid
 
     unit = plane.positioner
     l1, l2 = unit.central_arm.to_value("mm"), unit.eccentric_arm.to_value("mm")
     grid = RobotGrid(unit.step.to_value("deg"))
     for i, (x, y) in enumerate(plane.xy.to_value("mm")):
-        # flat wok: no offsets, no tilt, unit scale
+        # flat focal plane: no offsets, no tilt, unit scale
         grid.addRobot(
             i,
             str(i),
@@ -43,7 +43,7 @@ def make_grid(plane):
 
 
 def set_poses(grid, theta, phi):
-    """Turn the joints, in radians."""
+    """Set the angles of the joints, in radians."""
     robots = grid.robotDict
     for i, (a, b) in enumerate(zip(np.rad2deg(theta) % 360, np.rad2deg(phi), strict=True)):
         robots[i].setAlphaBeta(a, b)

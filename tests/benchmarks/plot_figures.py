@@ -1,6 +1,6 @@
-"""Seconds to draw 5000 positioners, once the data are there: the picture, and its PNG at 100 dots per inch.
+"""Measure the time to plot 5000 positioners from existing data, and to write a PNG with 100 dots per inch.
 
-Run it as ``python tests/benchmarks/plot_figures.py``; the least of three.
+Run ``python tests/benchmarks/plot_figures.py``, which prints the smallest of three times.
 """
 
 import io
@@ -16,7 +16,7 @@ CENTER = SkyCoord("10h00m00s +02d12m00s")
 
 
 def seconds(draw):
-    """Least time of three to draw and to write a picture."""
+    """Return the smallest of three times to draw and to write a plot."""
     times = []
     for _ in range(3):
         start = time.perf_counter()

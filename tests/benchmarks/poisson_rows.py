@@ -1,7 +1,8 @@
-"""Rows of the page on the paper's claims: Poisson point process and Poisson-distributed coordinates, without disc sets.
+"""Compute rows of the page on the claims of the paper: the Poisson point process and Poisson-distributed coordinates.
 
-A standard error of 2e-4 for every design in place of 1e-4. ``python tests/benchmarks/poisson_rows.py``; 14 minutes on
-one core. With the path of a table ``poisson.ecsv`` of ``rfpsurvey reproduce poisson`` it prints the rows of that table.
+The standard error of every design is 2e-4 instead of 1e-4. ``python tests/benchmarks/poisson_rows.py`` takes 14 minutes
+on one core. With the path of a table ``poisson.ecsv`` of ``rfpsurvey reproduce poisson``, it prints the rows of that
+table.
 """
 
 import sys

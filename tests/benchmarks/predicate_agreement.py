@@ -1,7 +1,7 @@
-"""The pair test against exact rational arithmetic, in numbers that would take the tests too long.
+"""Compare the test of pairs with exact rational arithmetic, for more pairs than in the tests.
 
-Run it as ``python tests/benchmarks/predicate_agreement.py [random pairs] [adversarial pairs]``; by default
-1,000,000 and 100,000. Exit code 1 if any answer outside the borderline band is wrong.
+Run ``python tests/benchmarks/predicate_agreement.py [random pairs] [adversarial pairs]``; the defaults are 1,000,000
+and 100,000. The exit code is 1 if a decision is wrong for a pair that the test did not mark as borderline.
 """
 
 import sys
@@ -20,7 +20,7 @@ TASK = 5000
 
 
 def compare(name, seed, n):
-    """Collisions, borderline pairs and wrong answers among n pairs of a family."""
+    """Return the numbers of collisions, borderline pairs and wrong decisions among n pairs of a family."""
     rng = np.random.default_rng([seed, 11])
     pairs = random_pairs(rng, n) if name == "random" else (ADVERSARIAL[name](rng) for _ in range(n))
     counts = np.zeros(3, dtype=int)

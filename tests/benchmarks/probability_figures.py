@@ -1,6 +1,6 @@
-"""Figures of the page on benchmarks: what a precision costs, by which method.
+"""Numbers on the page on benchmarks: the time that each method takes to reach a precision.
 
-``python tests/benchmarks/probability_figures.py``; a few minutes on one core.
+``python tests/benchmarks/probability_figures.py`` takes a few minutes on one core.
 """
 
 from time import perf_counter
@@ -26,7 +26,9 @@ def timed(call):
 
 
 def medians(*calls):
-    """Median time (s) of calls that take turns with random numbers of their own, and their results."""
+    """Return the median times (s) of functions that are called alternately with different random numbers, and their
+    results.
+    """
     for call in calls:
         call(0)
     runs = [[timed(lambda call=call, k=k: call(k)) for call in calls] for k in range(1, REPEATS + 1)]
@@ -34,7 +36,7 @@ def medians(*calls):
 
 
 def compare(plane):
-    """Print what plain and conditional simulation cost, and quadrature."""
+    """Print the times of plain simulation, conditional simulation and quadrature."""
 
     targets = RandomTargets(number=N_TARGETS)
 

@@ -1,6 +1,6 @@
-"""How often the interval holds the truth where collisions are rare, as the page on probability says.
+"""Measure how often the interval contains the true value if collisions are rare, for the page on probability.
 
-``python tests/benchmarks/rare_collisions.py``; a minute on one core.
+``python tests/benchmarks/rare_collisions.py`` takes a minute on one core.
 """
 
 import astropy.units as u

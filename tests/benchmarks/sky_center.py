@@ -1,4 +1,4 @@
-"""The field that all benchmarks look at."""
+"""The field center of all benchmarks."""
 
 from astropy.coordinates import SkyCoord
 

@@ -1,7 +1,7 @@
-"""How far the mean of estimates is from the truth where collisions are rare, as the page on probability says.
+"""Measure the bias of the mean of many estimates if collisions are rare, for the page on probability.
 
-Seven positioners, two Poisson targets, precision 0.01. ``python tests/benchmarks/stopping_bias.py``; three minutes on
-one core.
+The scene is seven positioners with two Poisson targets and a precision of 0.01. ``python
+tests/benchmarks/stopping_bias.py`` takes three minutes on one core.
 """
 
 import astropy.units as u

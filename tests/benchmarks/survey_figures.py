@@ -1,10 +1,10 @@
-"""A whole survey: the tiles of DESI's main survey, and synthetic targets.
+"""Measure a complete survey with the tiles of DESI's main survey and synthetic targets.
 
-    RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py [--targets 20e6] [--tiles 21615] [--workers 2]
-    RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py --scaling
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py [--targets 20e6] [--tiles 21615] [--workers 2]
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/survey_figures.py --scaling
 
-The first prints seconds, seconds per tile and the peak of the memory; catalogs are made before the clock starts. The
-second lets the number of tiles grow, and then that of targets.
+The first command prints the time, the time per tile and the maximum memory; the time does not include making the
+catalog. The second command increases the number of tiles, and then the number of targets.
 """
 
 import argparse
@@ -31,13 +31,15 @@ POLE = SkyCoord(0 * u.deg, 90 * u.deg)
 
 
 def desi_tiles(most=None):
-    """Real tiles, all or the first of each pass."""
+    """Return all real tiles, or the first tiles of each pass."""
     tiling = rs.Tiling.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "desi_tiles_main.ecsv.gz")
     return tiling if most is None else rs.Tiling(tiling.table[: int(most)])
 
 
 def make_targets(tiling, n_targets, rng=1):
-    """Targets in the footprint, half of them Poisson, half clustered, wanted one to four times."""
+    """Return targets in the footprint that require one to four visits; half of them are Poisson distributed, half are
+    clustered.
+    """
     rng = np.random.default_rng(rng)
     index = SkyIndex(tiling.vectors)
     radius = FOOTPRINT.to_value(u.rad)
@@ -57,12 +59,12 @@ def make_targets(tiling, n_targets, rng=1):
 
 
 def peak_gb():
-    """Largest memory of this process so far."""
+    """Return the maximum memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def plan(targets, tiling, options, folder, *, progress=True):
-    """Plan and write a survey; returns it, and the seconds."""
+    """Plan and write a survey; return the survey and the time in seconds."""
     pool = ProcessPoolExecutor if options.processes else ThreadPoolExecutor
     begin = perf_counter()
     with pool(options.workers) as executor:
@@ -73,16 +75,16 @@ def plan(targets, tiling, options, folder, *, progress=True):
 
 
 def one_tile(allocator):
-    """Milliseconds of the stages of one tile of the same density, without a survey around them."""
+    """Return the times (ms) of the stages of one tile with the same density of targets, without a survey."""
     sky = rs.synthetic_catalog("poisson", POLE, 1.7 * u.deg, density=1028 / u.deg**2, rng=1)
-    desi = rs.Instrument.preset("desi")  # once: it keeps its neighbors and its grid
+    desi = rs.Instrument.preset("desi")  # make the instrument once, because it stores its neighbors and its grid
     runs = [rs.plan_tile(sky, desi, POLE, allocator=allocator).summary["seconds"] for _ in range(21)]
     names = ("projection", "reach", "allocation", "arms", "collisions")
     return {name: round(1e3 * float(np.median([run[name] for run in runs])), 2) for name in names}
 
 
 def field_ms(targets, tiling):
-    """Milliseconds to find the targets of a field among all."""
+    """Return the time (ms) that finding the targets of a field takes."""
     index, radius = SkyIndex(targets.arrays.vectors), FOOTPRINT.to_value(u.rad)
     times = []
     for center in tiling.vectors[:1000]:
@@ -93,7 +95,7 @@ def field_ms(targets, tiling):
 
 
 def scale(options):
-    """Seconds against the number of tiles, and of targets."""
+    """Print the time against the number of tiles and against the number of targets."""
     tiling = desi_tiles()
     shuffled = rs.Tiling(tiling.table[np.random.default_rng(1).permutation(len(tiling))])
     cases = [(shuffled.table[: len(tiling) // k], 5e6) for k in (8, 4, 2, 1)]
@@ -127,7 +129,7 @@ def main():
     options = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
     few = rs.synthetic_catalog("uniform", POLE, 2 * u.deg, n_targets=1000, rng=1)
-    rs.plan_survey(few, "desi", POLE.reshape(1), allocator=options.allocator)  # compiles
+    rs.plan_survey(few, "desi", POLE.reshape(1), allocator=options.allocator)  # compile the kernels
     if options.scaling:
         return scale(options)
     print(f"stages of a tile with all its targets, ms: {one_tile(options.allocator)}")

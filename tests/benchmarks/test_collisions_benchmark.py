@@ -1,11 +1,12 @@
-"""Collision kernels on ready arms: 3997 positioners, targets uniform in the patrol areas.
+"""Measure the collision kernels for given arms: 3997 positioners with targets that are uniform in the patrol areas.
 
-Calls take turns on 50 configurations: a processor learns the branches of a single one by heart, which makes it up to
-twice as fast and says nothing about a survey.
+Calls alternate between 50 configurations. With a single configuration, the branch prediction of the processor adapts to
+it, and times are up to two times shorter than in a survey.
 
-Floor: a tile reads 128 kB of segments and writes as much of middles and halves (copied here by numpy), and tests every
-pair of neighbors with 5 flops: 59,000 in LAMOST's geometry, 174,000 in that of SDSS-V. What the broad phase lets
-through (6 and 12 per cent) costs about 40 flops more, what is left (2 and 4 per cent) about 120.
+Lower limit: a tile reads 128 kB of segments, writes the same amount of midpoints and half vectors (copied here by
+numpy), and tests every pair of neighbors with 5 floating-point operations. There are 59,000 pairs in the geometry of
+LAMOST and 174,000 in that of SDSS-V. Pairs that pass the broad phase (6 and 12 percent) require about 40 further
+operations, and the remaining pairs (2 and 4 percent) about 120.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +26,7 @@ GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 0.0, 25.6), "sdss": (7.4, 15.0, 2.5, 
 
 
 class Tile:
-    """A focal plane, arms that stand, and room for results."""
+    """A focal plane, the poses of its arms, and arrays for results."""
 
     def __init__(self, name):
         l1, l2, clearance, step, pitch = GEOMETRIES[name]
@@ -71,7 +72,7 @@ def test_1_kernel(benchmark, tile):
 
 
 def test_1_kernel_with_unsorted_neighbors(benchmark, tile):
-    """Every pair a run of its own, in random order: what the neighbor list gains."""
+    """Every pair is listed separately, in random order. This measures the benefit of sorted neighbors."""
     pairs = np.random.default_rng(2).permutation(tile.plane.arrays.neighbors)
     benchmark(kernel, tile, np.column_stack([pairs, np.ones(len(pairs), np.int64)]))
 
@@ -89,7 +90,7 @@ def test_4_sampled_65(benchmark, tile):
 
 
 def test_4_sampled_65_all_pairs(benchmark, tile):
-    """As the paper counts: all pairs of neighbors, all pairs of points."""
+    """The method of the paper: all pairs of neighbors, and all pairs of points."""
     arguments = tile.segments[0], tile.first, tile.second, 65, tile.squared[:-1]
     benchmark.pedantic(reference.sampled, arguments, rounds=5, warmup_rounds=1)
 
@@ -107,7 +108,7 @@ def test_6_scipy(benchmark, tile):
 
 
 def test_7_kaiju(benchmark, tile):
-    """Each robot asks for its neighbors in collision; the same pairs must come out."""
+    """Each robot lists the neighbors with which it collides; the pairs must be those of this package."""
     pytest.importorskip("kaiju")
     grid = make_grid(tile.plane)
     set_poses(grid, tile.arms[0].theta, tile.arms[0].phi)

@@ -1,4 +1,4 @@
-"""The stages of one LAMOST tile of 4000 positioners and 100,000 targets, JIT warmed."""
+"""Measure the stages of a LAMOST tile with 4000 positioners and 100,000 targets, after compilation."""
 
 import astropy.units as u
 import pytest

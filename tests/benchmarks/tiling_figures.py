@@ -1,6 +1,6 @@
-"""Figures of the page on tiling: promises and surveys, how many tiles each method needs, and Blanton's setting.
+"""Numbers on the page on tiling: predicted and actual completeness, number of tiles by method, and Blanton's case.
 
-``python tests/benchmarks/tiling_figures.py``; about five minutes on one core.
+``python tests/benchmarks/tiling_figures.py`` takes about five minutes on one core.
 """
 
 import warnings
@@ -22,20 +22,20 @@ RADIUS, SEPARATION = 1.49 * u.deg, 55 * u.arcsec
 
 
 def place(*arguments, **options):
-    """Place tiles, and return them and the seconds that it took."""
+    """Place tiles, and return them and the time in seconds."""
     begin = perf_counter()
     tiling = rs.place_tiles(*arguments, **options)
     return tiling, perf_counter() - begin
 
 
 def promises(name):
-    """Print what tilings say that their tiles observe, and what surveys of them deliver, in either order."""
+    """Print the completeness that tilings predict, and that of surveys of the same tiles in both orders."""
     instrument = as_instrument(name)
     radius, n = instrument.field_radius, len(instrument.focal_plane)
     options = {"cluster_size": n // 10, "cluster_scale": 0.2 * radius, "rng": 3}
     density = n / (np.pi * radius**2)
     catalog = rs.synthetic_catalog("clustered", SkyCoord("8h +30d"), 3.5 * radius, density=density, **options)
-    rs.place_tiles(catalog, instrument, n_tiles=1)  # compile
+    rs.place_tiles(catalog, instrument, n_tiles=1)  # compile the kernels
     for method in ("hexagonal", "max_density", "sdss"):
         for goal in ({"n_tiles": 20}, {"completeness": 0.9}):
             for fibers in (n, None):
@@ -48,7 +48,7 @@ def promises(name):
 
 
 def numbers_of_tiles(title, catalog, fibers):
-    """Print the tiles that each method needs for a completeness."""
+    """Print the number of tiles that each method requires for a completeness."""
     print(f"{title}: {len(catalog)} targets, LAMOST, {fibers} fibers a tile; tiles (seconds)")
     print(f"  {'method':<18}" + "".join(f"{100 * goal:>16g} %" for goal in GOALS))
     for method in SEARCHES:
@@ -60,7 +60,7 @@ def numbers_of_tiles(title, catalog, fibers):
 
 
 def one_pass(title, catalog, fibers):
-    """Print what as many tiles as one pass of the hexagonal lattice has reach by each method."""
+    """Print the completeness that each method reaches with the number of tiles of one pass of the hexagonal lattice."""
     options = {"fibers": fibers, "n_tiles": len(rs.place_tiles(catalog, "lamost", fibers=fibers))}
     print(f"{title}: completeness of {options['n_tiles']} tiles")
     for method in SEARCHES:
@@ -69,7 +69,7 @@ def one_pass(title, catalog, fibers):
 
 
 def blanton(density, fibers):
-    """Print, for clustered targets and SDSS's plates, what is observed by a number of tiles."""
+    """Print the completeness for clustered targets and SDSS plates as a function of the number of tiles."""
     center = SkyCoord(180 * u.deg, 30 * u.deg)
     catalog = rs.synthetic_catalog(
         "clustered", center, 10 * u.deg, density=density / u.deg**2, cluster_size=6, cluster_scale=0.15 * u.deg, rng=1
@@ -85,7 +85,9 @@ def blanton(density, fibers):
 
 
 def numbers(n_targets, fibers):
-    """Numbers of tiles whose fibers would be used to 100, 95, 90, 85 and 80 %, if 95 % of the targets were observed."""
+    """Return the numbers of tiles whose fibers are used to 100, 95, 90, 85 and 80 % if 95 % of the targets are
+    observed.
+    """
     return [round(0.95 * n_targets / (fibers * use)) for use in (1.0, 0.95, 0.9, 0.85, 0.8)]
 
 
@@ -100,7 +102,7 @@ if __name__ == "__main__":
         with warnings.catch_warnings(action="ignore"):
             promises(name)
     anticenter = rs.Catalog.read(DATA / "tycho2_anticenter_r8.ecsv.gz")
-    for method in SEARCHES:  # compile
+    for method in SEARCHES:  # compile the kernels
         rs.place_tiles(anticenter[::50], "lamost", method=method, n_tiles=2)
     numbers_of_tiles("Tycho-2 anticenter, 8 deg", anticenter, 1000)
     one_pass("Tycho-2 anticenter, 8 deg", anticenter, 1000)

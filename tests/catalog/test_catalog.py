@@ -180,17 +180,18 @@ def test_at_epoch_agrees_with_astropy(rng):
     moved = rs.Catalog(coord, epoch=start).at_epoch(2046.5)
     assert moved.coord.separation(expected).to_value(u.mas).max() < 1e-3
     assert moved.epoch.jyear == pytest.approx(2046.5)
-    # 3 arcsec a year for 30 years is not nothing
+    # a motion of 3 arcsec per year for 30 years changes the result
     assert moved.coord.separation(coord).to_value(u.arcsec).max() > 50
     assert moved.at_epoch(start).coord.separation(coord).to_value(u.mas).max() < 100
 
 
 @pytest.mark.parametrize("pole", [90, -90])
 def test_fast_stars_next_to_a_pole_move(rng, pole):
-    """They stayed where they were, and their motion became 0."""
-    n, years = 40, np.where(np.arange(40) % 2, 30.0, 0.004)  # past the pole, and a little of the way there
+    """Regression: the stars did not move, and their proper motions became 0."""
+    # two stars move past the pole, and one moves a part of the way
+    n, years = 40, np.where(np.arange(40) % 2, 30.0, 0.004)
     sign, gap, angle = np.sign(pole), 0.05, rng.uniform(0, 2 * np.pi, n)
-    dec = pole - sign * gap * np.where(np.arange(n) % 5, 1, 0) / 3600  # every fifth at the pole
+    dec = pole - sign * gap * np.where(np.arange(n) % 5, 1, 0) / 3600  # every fifth star is at the pole
     east, north = 10 * np.cos(angle), 10 * np.sin(angle)  # arcsec / yr
     ra = rng.uniform(0, 360, n)
     coord = SkyCoord(ra * DEG, dec * DEG, pm_ra_cosdec=east * 1000 * PM, pm_dec=north * 1000 * PM)
@@ -198,7 +199,9 @@ def test_fast_stars_next_to_a_pole_move(rng, pole):
     moved = catalog.at_epoch(Time(2000 + years, format="jyear", scale="tdb"))
 
     def plane(ra_deg, dec_deg):
-        """Place in the plane that touches the sphere at the pole, arcsec: it is flat enough for 300 arcsec."""
+        """Return positions (arcsec) in the plane that touches the sphere at the pole, which is accurate enough for 300
+        arcsec.
+        """
         distance, angle = (90 - np.abs(dec_deg)) * 3600, np.deg2rad(ra_deg)
         return np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
 
@@ -214,7 +217,7 @@ def test_fast_stars_next_to_a_pole_move(rng, pole):
 
 
 def test_stars_faster_than_any_known_leave_their_partition(tmp_path):
-    """How far targets may have moved was worked out from the fastest star that is known."""
+    """Regression: the limit of the motion of targets was computed from the fastest known star."""
     pytest.importorskip("pyarrow")
     model = rs.Instrument.preset("moons")
     star = SkyCoord([10.0, 50.0] * DEG, [20.0, 20.0] * DEG, pm_ra_cosdec=[0, 0] * PM, pm_dec=[3e5, 0] * PM)
@@ -292,7 +295,7 @@ def test_bad_tables_are_named(content, message):
 
 
 def test_bad_overrides_are_named():
-    with pytest.raises(rs.InputError, match="there is no column 'nope' .wanted as id.; the columns are: ra, dec"):
+    with pytest.raises(rs.InputError, match="there is no column 'nope' for id; the columns are: ra, dec"):
         rs.Catalog.from_table(table(), columns={"id": "nope"})
     with pytest.raises(rs.InputError, match="unknown column role 'identity'"):
         rs.Catalog.from_table(table(), columns={"identity": "ra"})
@@ -346,7 +349,9 @@ def test_columns_stay_beside_their_rows_when_others_are_dropped():
 
 
 def test_small_print_of_columns():
-    """Sexagesimal positions keep their motions; a minus flips; words are read without case; obstime is an epoch."""
+    """Details of columns: motions of sexagesimal positions, a minus sign that reverses an order, upper case, obstime as
+    epoch.
+    """
     t = QTable({"ra": ["06:20:00"], "dec": ["+23:00:00"], "pmra": [5.0] * PM, "pmdec": [6.0] * PM, "kind": ["SKY"]})
     catalog = rs.Catalog.from_table(t)
     assert catalog.coord.pm_ra_cosdec[0] == 5 * PM
@@ -375,3 +380,21 @@ def test_empty_text_ids_are_counted():
 
 def test_one_target_is_no_plural():
     assert repr(rs.Catalog(SkyCoord([1] * u.deg, [2] * u.deg))) == "<Catalog of 1 target>"
+
+
+def test_coordinates_of_other_differentials_keep_their_proper_motions():
+    """An angular velocity in right ascension is multiplied by the cosine of the declination."""
+    motion = {"pm_ra": [4, 4] * PM, "pm_dec": [1, 2] * PM, "differential_type": "spherical"}
+    catalog = rs.Catalog(SkyCoord(ra=[10, 20] * DEG, dec=[60, 0] * DEG, **motion))
+    np.testing.assert_allclose(catalog.coord.pm_ra_cosdec.to_value(PM), [2, 4], rtol=1e-12)
+    np.testing.assert_allclose(catalog.coord.pm_dec.to_value(PM), [1, 2], rtol=1e-12)
+
+
+def test_identifiers_that_are_bytes_in_a_column_of_objects_are_text():
+    ids = np.array([b"a", "b", "Ä".encode()], dtype=object)
+    assert rs.Catalog.from_table(table(id=ids)).id.tolist() == ["a", "b", "Ä"]
+
+
+def test_the_center_of_a_circle_must_be_one_direction():
+    with pytest.raises(rs.InputError, match=r"center must be one direction, got the shape \(2,\)"):
+        rs.Catalog.from_table(table()).within(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG)

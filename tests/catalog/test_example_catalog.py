@@ -1,4 +1,4 @@
-"""Catalogs that come with the package, by name."""
+"""Catalogs that are distributed with the package, and read by name."""
 
 import importlib.util
 from pathlib import Path

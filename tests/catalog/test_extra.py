@@ -1,4 +1,4 @@
-"""Columns that no allocator reads, carried from the catalog to results."""
+"""Columns of the catalog that allocators do not use, and that results contain."""
 
 from dataclasses import replace
 
@@ -40,6 +40,8 @@ def test_columns_of_every_type():
     assert extra["name"].tolist() == ["", "b", "c"]
     assert extra["seen"].tolist() == [True, False, True]
     assert extra["mixed"].tolist() == ["x", "", ""]
+    numbers = QTable({**table()["id", "ra", "dec"], "note": np.array([1, None, 2.5], dtype=object)})
+    np.testing.assert_array_equal(rs.Catalog.from_table(numbers, keep="note").extra["note"], [1, np.nan, 2.5])
 
 
 def test_rows_stay_together():
@@ -63,7 +65,7 @@ def test_written_and_read_back(tmp_path):
 
 
 def test_columns_of_results_are_reserved():
-    """A column of the catalog never replaces one of a result."""
+    """A column of the catalog never replaces a column of a result."""
     assert {*TILE_COLUMNS, *OUTCOMES_COLUMNS, *VISITS, "tile"} <= RESERVED
     catalog = rs.Catalog(COORD[:2], extra={"RA": [1, 2], "g": [3, 4]})
     assert list(catalog.arrays.extra) == ["target_RA", "g"]
@@ -98,7 +100,7 @@ def test_columns_that_results_have_are_not_kept_twice():
     names = ["ra", "dec", "id", "priority", "category", "kind"]
     assert rs.Catalog.from_table(stars, keep=names).extra is None
     assert rs.Catalog.from_table(stars, keep=[*names, "g"]).extra.colnames == ["g"]
-    # what results have by these names is something else
+    # the columns of results with these names have a different meaning
     other = {"category": "name", "priority": "-priority"}
     kept = rs.Catalog.from_table(stars, keep=[*names, "fiber_type"], columns=other)
     assert list(kept.arrays.extra) == ["target_priority", "target_category", "target_fiber_type"]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable, Table
+from astropy.time import Time
 
 import rfpsurvey as rs
 
@@ -48,7 +49,7 @@ def test_all_functions_of_catalogs_take_dataframes(frame, tmp_path):
 
 
 def tables_of(frame):
-    """Return a DataFrame of pandas, one of Polars and a table of Arrow, as far as these packages are installed."""
+    """Return a DataFrame of pandas, a DataFrame of Polars and an Arrow table, if these packages are installed."""
     yield frame
     if importlib.util.find_spec("polars"):
         import polars
@@ -62,7 +63,7 @@ def tables_of(frame):
 
 
 def test_tilings_of_dataframes_are_those_of_their_tables():
-    """The index of a DataFrame that has been filtered is no name of a tile."""
+    """The index of a filtered DataFrame must not be used as the identifier of a tile."""
     frame = pd.DataFrame({"RACEN": [94.0, 95.0, 96.0], "DECCEN": 23.0, "pa": [0.0, 30.0, 0.0], "PASS": [1, 1, 2]})
     expected = rs.Tiling.from_table(QTable.from_pandas(frame), units={"ra": "deg", "dec": "deg"}).table
     for given in tables_of(frame):
@@ -93,7 +94,7 @@ def test_assignments_of_dataframes_are_scored_as_their_tables(frame, positions):
         scored = rs.score_tile(given, "sdss_apo", **where)
         assert scored.table["in_collision"].tolist() == tile.table["in_collision"].tolist()
         assert scored.summary["n_assigned"] == tile.summary["n_assigned"] > 50
-    with pytest.raises(rs.InputError, match="positioner"):  # the index is no positioner
+    with pytest.raises(rs.InputError, match="positioner"):  # the index is not a positioner
         rs.score_tile(found.drop(columns="hole"), "sdss_apo", **where)
 
 
@@ -140,7 +141,7 @@ def test_dataframes_that_are_refused_are_not_pasted(frame):
 
 
 def test_parquet_of_pandas(frame, tmp_path):
-    """The identifiers were lost if they follow each other: pandas writes the first and the last alone."""
+    """Regression: consecutive identifiers were lost, because pandas writes only the first and the last one."""
     pytest.importorskip("pyarrow")
     path = tmp_path / "a.parquet"
     frame.to_parquet(path)
@@ -168,7 +169,7 @@ def test_structured_arrays():
 
 
 def test_sexagesimal_text_may_have_a_unit(tmp_path):
-    """Warnings of the table reader were passed on."""
+    """Regression: the user received warnings of the table reader."""
     from astropy.io import fits
 
     columns = {"RA": ("h:m:s", ["06:20:00", "06:24:00"]), "DEC": ("d:m:s", ["+20:00:00", "-01:00:00"])}
@@ -191,7 +192,7 @@ def test_a_table_without_any_unit_is_read_with_a_warning():
     assert catalog.coord.pm_dec[1].to_value(u.mas / u.yr) == pytest.approx(4)
     units = {"ra": "deg", "dec": "deg", "pmra": "mas/yr", "pmdec": "mas/yr"}
     assert "assumed_units" not in rs.Catalog.from_table(table, units=units).meta
-    table["mag"] = [1.0, 2.0] * u.mag  # it can carry units: that the positions have none is a mistake
+    table["mag"] = [1.0, 2.0] * u.mag  # this table can have units; missing units of positions are therefore an error
     with pytest.raises(rs.InputError, match="column 'ra' has no unit"):
         rs.Catalog.from_table(table)
 
@@ -259,3 +260,24 @@ def test_identifiers_that_are_whole_numbers_may_be_floats():
     ):
         with pytest.raises(rs.InputError, match=message):
             rs.Catalog(coord, id=ids)
+
+
+def test_epochs_of_tables_without_proper_motions():
+    """Targets without proper motions need no epoch, so that a column without years is not an error."""
+    base = {"ra": [1.0, 2.0] * u.deg, "dec": [1.0, 2.0] * u.deg}
+    moving = {**base, "pmra": [1.0, 2.0] * u.mas / u.yr, "pmdec": [1.0, 2.0] * u.mas / u.yr}
+    assert rs.Catalog.from_table(QTable(base, meta={"REF_EPOCH": "sometime"})).epoch is None
+    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["x", "y"]})).epoch is None
+    with pytest.raises(rs.InputError, match=r"column 'ref_epoch' \(epoch\) must hold numbers"):
+        rs.Catalog.from_table(QTable({**moving, "ref_epoch": ["x", "y"]}))
+    times = Time([2015.5, 2016.0], format="jyear")
+    assert rs.Catalog.from_table(QTable({**moving, "ref_epoch": times})).epoch.jyear.tolist() == [2015.5, 2016.0]
+
+
+def test_an_exception_of_another_package_names_the_frame():
+    def to_arrow(self):
+        raise RuntimeError("the connection is closed")
+
+    frame = type("DataFrame", (), {"__module__": "polars.frame", "to_arrow": to_arrow})()
+    with pytest.raises(rs.InputError, match="DataFrame.* cannot be used as a table: the connection is closed"):
+        rs.Catalog.from_table(frame)

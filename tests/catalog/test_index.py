@@ -1,4 +1,4 @@
-"""The index of directions against a look at all of them."""
+"""The index of directions, compared with a search of all directions."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def unit(lon, lat):
 def scattered(rng, n):
     vectors = rng.normal(size=(n, 3))
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    # directions where right ascension wraps or means nothing
+    # directions at which right ascension wraps around or is undefined
     special = unit([0, 360, 1e-13, 360 - 1e-13, 0, 90, 0, 180], [0, 0, 0, 0, 90, 90, -90, 0])
     return np.vstack([vectors, special, special])
 

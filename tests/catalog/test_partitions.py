@@ -1,4 +1,4 @@
-"""Catalogs in many files: read where they are needed, and the same as in one piece."""
+"""Catalogs in many files: files are read only if they are required, and results equal those of a single table."""
 
 import os
 from dataclasses import replace
@@ -98,7 +98,7 @@ def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, mo
     for _ in range(5):
         for tile in TILES:
             source.field(tile.cartesian.xyz.value, np.deg2rad(0.5), left)
-    times = np.bincount(read)[1:].max()  # the first is looked at for its kind of ids, too
+    times = np.bincount(read)[1:].max()  # the first file is also read, to find the type of the identifiers
     assert times <= most
     assert (times > 1) == (kept == 1)
 
@@ -113,7 +113,7 @@ def test_tiles_are_placed_on_all_partitions(folder):
 
 
 def changes(sky):
-    """Catalogs that differ from another in one value of one column."""
+    """Return catalogs that differ from another catalog in one value of one column."""
     n = len(sky)
     moved = sky.coord.dec.copy()
     moved[17] += 1 * u.arcsec
@@ -132,7 +132,7 @@ def changes(sky):
 
 
 def plain_partitions(catalog, folder):
-    """Partitions whose files have sizes that values do not change."""
+    """Return partitions with uncompressed files, whose sizes do not depend on values."""
     with pytest.MonkeyPatch.context() as patch:
         write = pq.write_table
         plain = {"compression": "none", "use_dictionary": False}
@@ -141,7 +141,7 @@ def plain_partitions(catalog, folder):
 
 
 def test_a_survey_is_not_resumed_with_other_contents(sky, small, tmp_path):
-    """Partitions were told apart by the sizes of their files, which a changed value leaves as they are."""
+    """Regression: partitions were identified by the sizes of their files, which a changed value may not change."""
     stopped = tmp_path / "survey"
 
     def stop(done, _):
@@ -154,14 +154,14 @@ def test_a_survey_is_not_resumed_with_other_contents(sky, small, tmp_path):
     for what, catalog in changes(sky).items():
         other = plain_partitions(catalog, tmp_path / what)
         sizes = [[path.stat().st_size for *_, path in parts.parts.files] for parts in (one, other)]
-        assert sizes[0] == sizes[1] or what in ("kind", "id")  # words of other lengths
+        assert sizes[0] == sizes[1] or what in ("kind", "id")  # words of different lengths
         with pytest.raises(rs.InputError, match="holds another survey: catalog"):
             rs.plan_survey(other, small, TILES, folder=stopped, resume=True)
     rs.plan_survey(one, small, TILES, folder=stopped, resume=True)
 
 
 def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
-    """The digest reads as much as a survey does."""
+    """The digest includes only the columns that a survey reads."""
     parts = rs.partition_catalog(sky, tmp_path / "sky", order=3)
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     for *_, path in parts.parts.files:
@@ -186,13 +186,13 @@ def test_resume_and_another_catalog(folder, sky, small, tmp_path):
 
 def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
     parts = rs.partition_catalog(sky, tmp_path / "one", order=0)
-    assert parts.meta["n_partitions"] == 4  # the pole is the corner of four
+    assert parts.meta["n_partitions"] == 4  # four partitions meet at the pole
     same(rs.plan_survey(parts, small, TILES), rs.plan_survey(parts.read(), small, TILES))
 
 
 @pytest.mark.filterwarnings("ignore:no target was observed")
 def test_proper_motions_and_epochs(small, tmp_path):
-    """A star as fast as Barnard's moves into the field, and out of it, and out of its partition."""
+    """A star as fast as Barnard's star moves into the field, out of the field, and out of its partition."""
     moving = SkyCoord(TILES[0].ra, TILES[0].dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=10_300 * u.mas / u.yr)
     catalog = rs.Catalog(moving.reshape(1), epoch=2000.0)
     parts = rs.partition_catalog(catalog, tmp_path / "moving", order=9)
@@ -207,7 +207,7 @@ def test_proper_motions_and_epochs(small, tmp_path):
 
 
 def test_epochs_of_partitions_may_differ(small, tmp_path):
-    """A slow star of this century in the first partition, and a fast one of 1800 in the last."""
+    """The first partition contains a slow star of this century, and the last partition a fast star of 1800."""
     for number, (ra, dec, epoch, speed) in enumerate([(45.0, 2.0, 2016.0, 0.0), (100.0, -60.0, 1800.0, 10_000.0)]):
         name = {0: "Norder=4/Npix=0.parquet", 1: "Norder=4/Npix=2218.parquet"}[number]
         write(
@@ -242,6 +242,8 @@ def test_partitions_that_do_not_fit_together(small, tmp_path):
         rs.PartitionedCatalog(tmp_path / "columns")
     write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
     write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
+    with pytest.raises(rs.InputError, match="columns must have one type in all partitions: id holds numbers and text"):
+        rs.PartitionedCatalog(tmp_path / "ids").read()
     with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):
         rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), small, SkyCoord([0] * u.deg, [0] * u.deg))
     none = pa.array([], type=pa.string())
@@ -263,7 +265,10 @@ def test_bad_options(folder, options):
 
 
 def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
-    """Columns named in the properties, two orders, several files in a pixel, no ids, no Dir level."""
+    """The properties name the columns.
+
+    There are two orders, several files per pixel, no identifiers and no Dir level.
+    """
     root = tmp_path / "foreign"
     for order, pixel, name in ((1, 0, "Npix=0.parquet"), (2, 4, "Npix=4/a.parquet"), (2, 4, "Npix=4/b.parquet")):
         path = root / f"Norder={order}" / name
@@ -272,6 +277,7 @@ def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
     (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
     parts = rs.PartitionedCatalog(root)
     assert parts.read().id.tolist() == list(range(6))
+    assert repr(parts) == "<PartitionedCatalog of 6 targets in 3 partitions>"
     assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]
 
 

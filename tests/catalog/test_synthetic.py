@@ -24,7 +24,9 @@ def sky(kind, center, radius=5, **options):
 @pytest.mark.parametrize("kind", OPTIONS)
 @pytest.mark.parametrize("center", CENTERS)
 def test_points_are_true_to_area(kind, center):
-    """Area within a circle grows as sin^2(r / 2), and azimuths are uniform: Kolmogorov-Smirnov at 1 in 10^4."""
+    """The area within a circle increases as sin^2(r / 2), and azimuths are uniform (Kolmogorov-Smirnov test at 1 in
+    10^4).
+    """
     seeds = range(6) if kind == "clustered" else range(1)
     catalogs = [sky(kind, center, rng=100 + k) for k in seeds]
     middle = SkyCoord(*center, unit="deg")
@@ -32,7 +34,7 @@ def test_points_are_true_to_area(kind, center):
     azimuth = np.concatenate([middle.position_angle(c.coord).rad for c in catalogs])
     assert r.max() <= np.deg2rad(5) * (1 + 1e-12)
     area = np.sin(r / 2) ** 2 / np.sin(np.deg2rad(2.5)) ** 2
-    # members of a cluster are not independent: thin them out
+    # members of a cluster are not independent; use only a few members of each cluster
     step = 10 if kind == "clustered" else 1
     assert stats.kstest(area[::step], "uniform").pvalue > 1e-4
     assert stats.kstest(azimuth[::step] / (2 * np.pi), "uniform").pvalue > 1e-4
@@ -52,7 +54,7 @@ def test_counts():
     assert numbers.mean() == pytest.approx(60 * area, abs=5 * np.sqrt(60 * area / 300))
     assert numbers.var() / numbers.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / 300))
     clustered = np.array([len(sky("clustered", (0, 90), rng=k)) for k in range(200)])
-    # a Thomas process has the variance (1 + cluster size) times the mean
+    # the variance of a Thomas process is (1 + cluster size) times the mean
     assert clustered.mean() == pytest.approx(60 * area, abs=5 * np.sqrt(6 * 60 * area / 200))
     assert clustered.var() / clustered.mean() == pytest.approx(6, rel=0.5)
 
@@ -62,7 +64,7 @@ def test_poisson_disc_keeps_its_distance():
     chord = cKDTree(catalog.arrays.vectors).query(catalog.arrays.vectors, k=2)[0][:, 1]
     assert np.rad2deg(2 * np.arcsin(chord.min() / 2)) >= 0.05
     full = sky("poisson_disc", (0, 0), radius=1, n_targets=None, rng=3)
-    # random sequential addition jams at 0.547 of the area; discs on the rim stick out a little
+    # random sequential addition ends at 0.547 of the area; discs extend slightly beyond the edge
     filled = len(full) * np.pi * 0.025**2 / (np.pi * (1 + 0.025) ** 2)
     assert 0.45 < filled < 0.56
     with pytest.raises(rs.InputError, match="targets at least 0.5 deg apart do not fit"):
@@ -70,7 +72,7 @@ def test_poisson_disc_keeps_its_distance():
 
 
 def test_clusters_have_their_size():
-    """Pairs of a Thomas process: the mean number of excess neighbors within R is size (1 - exp(-R^2 / 4 sigma^2))."""
+    """In a Thomas process, the mean number of additional neighbors within R is size (1 - exp(-R^2 / 4 sigma^2))."""
     excess = []
     for k in range(10):
         catalog = sky("clustered", (40, 20), rng=k, cluster_size=8.0)

@@ -51,7 +51,7 @@ def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
     assert (code, err) == (0, "")
     told = f"{path} will not contain the outcomes of targets; use .fits, which holds two tables, to keep them"
     assert (told in out.splitlines()) == (rs.Tile.read(path).outcomes is None) == (".ecsv" in name)
-    _, again, _ = run("score", path, "--output", tmp_path / "scored.ecsv")  # a scored tile has no outcomes at all
+    _, again, _ = run("score", path, "--output", tmp_path / "scored.ecsv")  # a scored tile has no outcomes
     assert "no outcomes" not in again
 
 
@@ -134,7 +134,7 @@ def test_score(run, tmp_path):
     assert code == 0
     assert rs.Tile.read(tmp_path / "out.ecsv").summary["n_assigned"] == 2
     assert "allocator scored" in out
-    # a tile of ours knows its instrument
+    # a tile of this package contains the name of its instrument
     code, out, _ = run("score", tmp_path / "out.ecsv")
     assert code == 0
     assert out.startswith("lamost")
@@ -159,7 +159,10 @@ def test_errors_name_the_option_that_was_typed(run, arguments, message):
 
 
 def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
-    """Idle arms of unequal length are no obstacles, so that no positioner counts; the focal plane needs no center."""
+    """Idle arms of unequal length are not obstacles, so that no positioner is counted.
+
+    The focal plane requires no center.
+    """
     unit = rs.Instrument.preset("sdss_apo").focal_plane
     x, y = unit.xy[:1].T
     QTable({"positioner": unit.id[:1], "x": x + 500 * u.mm, "y": y, "assigned": [1]}).write(tmp_path / "one.ecsv")
@@ -274,7 +277,7 @@ def test_without_a_center_the_middle_of_the_catalog_is_taken(run, tycho):
 
 
 def test_a_spreadsheets_csv(run, tmp_path):
-    """With the mark at its beginning and a comment."""
+    """The file begins with a byte-order mark and contains a comment."""
     rows = "\n".join(f"s{k},{10 + 0.01 * k},20.0" for k in range(10))
     (tmp_path / "s.csv").write_text("\ufeffid,ra,dec\n# a comment\n" + rows + "\n", encoding="utf-8")
     code, out, _ = run("plan", tmp_path / "s.csv", "--center", "10 20", "--instrument", "lamost")
@@ -371,7 +374,7 @@ def test_benchmark_of_probabilities(run, tmp_path):
 
 
 def test_an_epoch_that_no_column_says(run, tmp_path):
-    """Catalogs of Gaia from other archives name it in their description only."""
+    """Catalogs of Gaia from other archives state the epoch only in the description of a column."""
     rows = ["Source,RA_ICRS,DE_ICRS,pmRA,pmDE"] + [f"{k},{95 + 0.01 * k},23,100,50" for k in range(50)]
     path = tmp_path / "gaia.csv"
     path.write_text("\n".join(rows))
@@ -416,7 +419,7 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
 
     plan = ["plan", tmp_path / "a.csv", "--center", "95 23", "--instrument", "sdss_apo"]
     fits = ["--output", tmp_path / "a.fits"]
-    write(["a", "b", "β Ori"], ["x", "y", "ö"])  # the last is in another field
+    write(["a", "b", "β Ori"], ["x", "y", "ö"])  # the last target is in another field
     assert run(*plan, "--keep", "note", *fits)[0] == 0
     with monkeypatch.context() as patch:
         patch.setattr(rs, "plan_tile", None)

@@ -1,4 +1,4 @@
-"""The line that tells why a first command takes longer."""
+"""The message that explains why the first command takes longer."""
 
 import numba
 import pytest
@@ -11,7 +11,7 @@ register = event.register
 
 @pytest.fixture
 def registered(monkeypatch):
-    """Listeners that the command registers; none stays after the test."""
+    """Return the listeners that the command registers, and check that none remains after the test."""
     found = []
     monkeypatch.setattr(_compiling.event, "register", lambda kind, one: (found.append(one), register(kind, one)))
     yield found
@@ -24,7 +24,7 @@ def test_it_is_printed_once_if_a_person_watches(monkeypatch, capsys, registered,
     monkeypatch.setattr(_compiling.sys.stderr, "isatty", lambda: watched, raising=False)
     _compiling.announce_compilation()
     assert len(registered) == int(watched)
-    monkeypatch.setattr(_compiling.event, "register", register)  # numba registers listeners of its own
+    monkeypatch.setattr(_compiling.event, "register", register)  # numba registers further listeners
     if numba.config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""The command ``design``, and the chart that it draws."""
+"""The command ``design``, and the figure that it draws."""
 
 import re
 
@@ -43,7 +43,7 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
 
 
 def test_rows_of_the_front_are_told_apart(capsys):
-    """The usual digits are kept where they tell numbers apart; numbers that are equal stay equal."""
+    """Numbers are printed with more digits only if they would otherwise look equal; equal numbers look equal."""
     table = QTable({"a": [1.0, 1.0, 2.0], "b": [0.12345678, 0.12345679, 0.5], "c": [0.5, 0.25, np.nan], "n": [1, 2, 3]})
     table["a"].info.format = ".3f"
     for name in "abc":
@@ -154,13 +154,13 @@ def test_every_design_is_drawn_and_the_front_is_joined(table):
 
 
 def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
-    """Few points were almost invisible, and the ratio of the arms was not shown where the pitch had more values."""
+    """Regression: few points were invisible, and the ratio of the arms was not shown if the pitch had more values."""
     ax = rs.plot.plot_designs(table)
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     ratios = np.unique(table["ratio"])
     assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in ratios]
     assert words[-1] == f"front: no other design is better in both ({table['pareto'].sum()} of {len(table)})"
-    ax.figure.draw_without_rendering()  # colors are made of values when a figure is drawn
+    ax.figure.draw_without_rendering()  # matplotlib computes colors from values when it draws a figure
     one, other = ax.collections[0], ax.collections[2]
     assert len(one.get_paths()[0].vertices) != len(other.get_paths()[0].vertices)
     assert to_hex(one.get_facecolor()[0]) != to_hex(other.get_facecolor()[0])

@@ -1,4 +1,4 @@
-"""The command ``survey``, as a user types it."""
+"""The command ``survey``, called with its options."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture
 def call(run):
-    """Return a function from words to what is printed and what is told."""
+    """Return a function that runs a command and returns its standard output and standard error."""
 
     def call(*words, code=0):
         found, out, err = run(*words)
@@ -48,7 +48,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert lines["targets in no field"] == [str(expected["outcomes"]["in no field"])]
     assert f"model: {expected['model']}" in out.splitlines()
     assert "3 of 3 tiles" in err
-    assert "not met" not in out  # nothing was required
+    assert "not met" not in out  # no target was required
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {tmp_path / 'quality.svg'}" in out
     assert "fraction of the visits wanted" in (tmp_path / "quality.svg").read_text()
@@ -112,12 +112,12 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     assert all(f"warning: {sentence}" in err for sentence in expected.summary["unmet"])
     n_observed = expected.summary["n_required_observed"]
     assert f"required targets observed               {n_observed} of 3" in out
-    call(*words, "--folder", tmp_path / "plan", "--resume")  # by the same words
+    call(*words, "--folder", tmp_path / "plan", "--resume")  # the output has the same labels
     assert "holds another survey: --keep-out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
 
 
 def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, tmp_path):
-    """A required target that is assigned, and whose arm collides, is not observed."""
+    """A required target that is assigned to a colliding arm is not observed."""
     folder, sky, _ = files
     tile = rs.plan_tile(sky, "moons", CENTER)
     names = tile.outcomes["target_id"][np.isin(tile.outcomes["outcome"], ["lost to a collision", "out of reach"])]

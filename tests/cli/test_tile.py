@@ -12,7 +12,7 @@ def tile(run):
 
 
 def values_of(out):
-    """Return label to value of what the command prints."""
+    """Return the printed values by label."""
     return {line[:44].strip(): line[44:].strip() for line in out.splitlines()}
 
 
@@ -48,7 +48,7 @@ def test_a_catalog(tile, tycho, tmp_path):
 
 
 def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_path):
-    """It printed the completeness of fibers that reach everything."""
+    """Regression: the command printed the completeness for fibers that reach every target."""
     path = tmp_path / "tiles.ecsv"
     options = ["--instrument", "sdss_apo", "--allocator", "repair"]
     near = ["--region", "cap 95 23 2", "--require", "sky=20", "--sky-separation", 10]

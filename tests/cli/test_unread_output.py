@@ -1,4 +1,4 @@
-"""Commands whose output nobody reads, or that has no room: exit codes as of any shell, and no file is lost."""
+"""Commands whose output is not read or cannot be written: exit codes are standard, and no file is lost."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import pytest
 import rfpsurvey as rs
 from refusals import sentence
 
-# runs commands that are given with whether Python buffers what they print, and with the file that they print to
+# this program runs commands, each given with whether Python buffers the output, and with the file for the output
 FORKED = """
 import io, json, os, runpy, sys
 import rfpsurvey._cli  # once, and not once a command, as the facts
@@ -31,13 +31,13 @@ for k, (command, unbuffered, stdout) in enumerate(json.loads(sys.argv[1])):
 
 TO_NOBODY = [
     *((command, False) for command in ("instruments", "--help", "--version", "plan --help", "plan --instrument moons")),
-    *((command, True) for command in ("instruments", "--help")),  # text of the library, and of its command line
+    *((command, True) for command in ("instruments", "--help")),  # output of the library, and of its command line
 ]
 
 
 @pytest.fixture(scope="module")
 def ends(tmp_path_factory):
-    """Exit codes and errors of commands whose output nobody reads, of one that head reads, and of a full device."""
+    """Return exit codes and errors of commands with output that is not read, goes to ``head``, or to a full disk."""
     folder = tmp_path_factory.mktemp("ends")
     receive, nobody = os.pipe()
     os.close(receive)
@@ -72,7 +72,9 @@ def test_a_closed_pipe_loses_no_file(ends):
 
 @pytest.mark.parametrize("number", range(len(TO_NOBODY)), ids=[" ".join(map(str, one)) for one in TO_NOBODY])
 def test_a_reader_that_has_gone_is_told_as_any_shell_does(ends, number):
-    """With 1, after which a script with pipefail could not tell a broken pipe from bad input."""
+    """Regression: the exit code was 1, so that a script with pipefail could not distinguish a broken pipe from bad
+    input.
+    """
     assert ends[1][number] == (141, "")
 
 

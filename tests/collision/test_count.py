@@ -1,4 +1,4 @@
-"""Many configurations at once, against one at a time."""
+"""Many configurations in one call, compared with single configurations."""
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
@@ -39,7 +39,7 @@ def test_counts_are_those_of_single_configurations(name, rng):
     ids=["equal arms", "capsules", "troubles", "capsules with troubles", "both hands"],
 )
 def test_draws_are_configurations_of_the_queues(plane, rng):
-    """The same uniform numbers, taken through the public path of one configuration at a time."""
+    """The same uniform numbers give the same configurations if they are used in single calls of public functions."""
     edge = np.abs(plane.arrays.xy).max()
     xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
     types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
@@ -111,7 +111,7 @@ def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
 
 
 def test_joint_limits_hold_for_the_elbow_in_use():
-    """A right-handed unit with phi in [0, 180] deg cannot be told to use its left elbow."""
+    """A right-handed positioner with phi in [0, 180] deg cannot use its left elbow."""
     unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, phi_range=[0, 180] * u.deg)
     plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, unit)
     tips = plane.xy + 5 * MM

@@ -1,4 +1,4 @@
-"""The pair test against exact rational arithmetic, random and adversarial pairs."""
+"""The test of pairs, compared with exact rational arithmetic for random and adversarial pairs."""
 
 from fractions import Fraction
 
@@ -21,8 +21,9 @@ def longest_difference(first, second):
 
 
 def assert_within_the_bound(first, second):
-    """The computed distance is within 20 u S of the true one, in rational arithmetic."""
-    ends = np.array([*first, *second], dtype=float)  # whole numbers would have code of their own
+    """Check that the computed distance differs from the true distance (in rational arithmetic) by at most 20 u S."""
+    # convert to float, since numba would compile separate code for integers
+    ends = np.array([*first, *second], dtype=float)
     got = Fraction(float(np.sqrt(collisions.segments_squared(*ends))))
     bound = Fraction(collisions.DISTANCE_ERROR) * Fraction(longest_difference(first, second) * (1 + 1e-15))
     true2 = squared_distance(first, second)
@@ -51,7 +52,7 @@ def test_adversarial_pairs_are_decided_as_by_rationals_or_borderline(name, n):
         n_borderline += got is None
         assert got in (None, expected)
         assert_within_the_bound(first, second)
-    # nasty enough to matter, and not all given up
+    # some pairs are difficult, and the test decides some of them
     assert 0.016 * n < n_borderline < 0.96 * n
 
 
@@ -63,7 +64,7 @@ def test_any_pair_is_decided_as_by_rationals(pair, limit):
 
 
 def test_the_error_bound_is_not_idle():
-    """Errors of pairs that are easy to find are a twentieth of the proven bound or more."""
+    """The largest errors of random pairs are at least a twentieth of the proven bound."""
     rng = np.random.default_rng(3)
     worst = 0.0
     for _ in range(4000):
@@ -77,7 +78,7 @@ def test_the_error_bound_is_not_idle():
 
 
 def test_almost_collinear_segments_do_not_cross():
-    """Behind each other on one line the signs of all turns are rounding: taken at their word, some pairs cross."""
+    """The signs of all orientations of collinear segments are rounding errors, by which some pairs would cross."""
     n = 60_000
     rng = np.random.default_rng(4)
     angle = rng.uniform(0, 2 * np.pi, n)
@@ -98,7 +99,7 @@ def test_almost_collinear_segments_do_not_cross():
 
 
 def test_the_largest_error_that_was_found():
-    """Segments that barely cross: the true distance is 0, and the turn of one end is not certain."""
+    """The segments barely cross. Their true distance is 0, and the orientation of one end is uncertain."""
     ends = (
         0.18889802440087516,
         0.8021520411840636,

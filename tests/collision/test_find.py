@@ -41,25 +41,29 @@ def test_distance_does_not_depend_on_where_the_scene_is(values, angle, shift):
 
 
 def test_crossing_arms_have_distance_zero():
-    """The four endpoint distances of this cross are all 10 mm."""
+    """The four endpoint distances of these crossing arms are 10 mm."""
     cross = np.array([[-10.0, 0, 10, 0], [0, -10, 0, 10]])
     assert collisions.segments_squared(*cross.ravel()) == 0
 
 
 def test_the_limit_is_strict():
-    """Arms at just D do not collide; a hair nearer they do. The centers are well within reach of each other."""
+    """Arms at the distance D do not collide, and arms that are slightly nearer collide.
+
+    The reach of the arms is not a limit.
+    """
     unit = rs.Positioner(4 * MM, 4 * MM, 2.25 * MM)
     for gap, n in ((4.5, 0), (4.5 - 2**-40, 1)):
         plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
         assert len(plane.neighbor_pairs()) == 1
-        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)  # stretched, parallel, the gap apart
+        # stretched, parallel arms at the minimum separation
+        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
         assert len(report.pairs) == n
         obstacle = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[6, gap, 2.25]] * MM)
         assert len(rs.find_collisions(obstacle, [[8, 0]] * MM).obstacle_pairs) == n
 
 
 def test_obstacles_are_measured_along_the_whole_arm(rng):
-    """Against shapely: circles beside the middle of an arm, before and behind it."""
+    """Compare with shapely, for circles beside the midpoint of an arm, before it and behind it."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM)
     circles = np.column_stack([rng.uniform(-25, 25, (60, 2)), rng.uniform(0, 3, 60)])
     plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=circles * MM)
@@ -73,7 +77,7 @@ def test_obstacles_are_measured_along_the_whole_arm(rng):
 
 
 def test_collinear_arms_do_not_cross():
-    """All four turns vanish for two segments on one line, however far apart."""
+    """All four orientations of two collinear segments are 0, at any distance."""
     assert collisions.segments_squared(0.0, 0, 1, 0, 5, 0, 9, 0) == 16
     assert collisions.segments_squared(0.0, 0, 6, 0, 5, 0, 9, 0) == 0
 
@@ -110,7 +114,8 @@ def test_a_larger_clearance_never_removes_a_pair(rng):
 def test_parked_equal_arms_stand_in_the_way():
     plane = lamost_like(rings=0)
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, plane.positioner)
-    tips = [[16, 0], [np.nan, np.nan]] * MM  # reaches the neighbor's home arm, which lies from (25.6, 0) to elbow
+    # the arm reaches the parked arm of the neighbor, which extends from (25.6, 0) to its elbow
+    tips = [[16, 0], [np.nan, np.nan]] * MM
     parked_home = replace(plane, positioner=replace(plane.positioner, home=[180, 180] * u.deg))
     report = rs.find_collisions(parked_home, tips)
     assert report.pairs.tolist() == [[0, 1]]
@@ -119,7 +124,7 @@ def test_parked_equal_arms_stand_in_the_way():
     ignored = rs.find_collisions(parked_home, tips, parked_obstacles=False)
     assert len(ignored.pairs) == 0
     assert ignored.counted.tolist() == [True, False]
-    # from home at theta = 0 the parked arm lies away from the neighbor
+    # the arm parked at theta = 0 points away from the neighbor
     away = rs.find_collisions(plane, tips)
     assert len(away.pairs) == 0
     assert away.counted.tolist() == [True, True]
@@ -140,7 +145,7 @@ def test_idle_unequal_arms_give_way():
 def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():
     base = sdss_like(rings=1)
     stuck = np.full((7, 2), np.nan)
-    stuck[4] = [180, 0]  # stretched toward the central positioner
+    stuck[4] = [180, 0]  # the arm is stretched toward the central positioner
     plane = replace(base, stuck=stuck * u.deg)
     tips = np.full((7, 2), np.nan)
     tips[3] = base.arrays.xy[3] + [20, 0]
@@ -155,7 +160,7 @@ def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():
 
 
 def test_obstacles_count():
-    """An arm collides with a circle if it comes nearer to its edge than the clearance."""
+    """An arm collides with a circle if its distance from the edge of the circle is less than the clearance."""
     unit = rs.Positioner(4 * MM, 4 * MM, 2 * MM)
     for x, n in ((13.0, 0), (12.999, 1)):
         plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[x, 0, 3], [50, 0, 3]] * MM)
@@ -219,7 +224,7 @@ def test_nearest_distance_is_that_of_brute_force(rng):
     [(15.0, 2.5, 0.1, 157.27), (14.2321, 2.5, 0.1, 149.94), (14.7276, 2.0, 0.1, 149.47)],
 )
 def test_folded_arms_never_collide(length, clearance, step, limit, rng):
-    """With phi >= arccos(((pitch - D)^2 / 4 - l1^2 - L^2) / (2 l1 L)) no two arms can touch."""
+    """If phi >= arccos(((pitch - D)^2 / 4 - l1^2 - L^2) / (2 l1 L)), no two arms can touch each other."""
     unit = rs.Positioner(
         7.4 * MM, 15 * MM, clearance * MM, step=step * u.deg, arm_model="capsule", arm_length=length * MM
     )
@@ -235,7 +240,7 @@ def test_folded_arms_never_collide(length, clearance, step, limit, rng):
 
 
 def test_the_fold_bound_is_sharp():
-    """At phi = 149.94 deg the full arm of 15 mm with D = 5.0782 mm can collide: elbow and tip face each other."""
+    """At phi = 149.94 deg, full arms of 15 mm with D = 5.0782 mm can collide if elbow and tip face each other."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, step=0.1 * u.deg)
     plane = rs.FocalPlane([[0, 0], [22.4, 0]] * MM, unit)
     tip, _ = tip_and_elbow((0, 0), 7.4, 15, 0, np.deg2rad(149.94))

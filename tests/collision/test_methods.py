@@ -1,4 +1,6 @@
-"""The slow ways to find collisions: where they agree with the exact one, and where they must fail."""
+"""The slow methods of finding collisions: cases in which they agree with the exact method, and cases in which they must
+fail.
+"""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -16,7 +18,7 @@ from rfpsurvey._kernels import collisions, reference
 from rfpsurvey.collision import METHODS, place_arms
 from scenes import MM, SCENES, lamost_like, random_tips, sdss_like
 
-METHODS_HERE = [m for m in METHODS if m != "cuda"]  # that one has tests of its own
+METHODS_HERE = [m for m in METHODS if m != "cuda"]  # the exact method has separate tests
 
 
 def pairs_of(report):
@@ -29,7 +31,7 @@ def sampled_distance(first, second, n):
 
 @pytest.mark.parametrize("method", METHODS_HERE)
 def test_all_methods_find_a_clear_collision_and_nothing_else(method):
-    """Two stretched arms head on; a third far from both."""
+    """Two stretched arms point toward each other, and a third arm is far from both."""
     plane = sdss_like(rings=1)
     tips = np.full((7, 2), np.nan)
     tips[2], tips[3], tips[4] = plane.arrays.xy[2] - [15, 0], plane.arrays.xy[3] + [10, 0], plane.arrays.xy[4] - [11, 1]
@@ -62,9 +64,12 @@ def test_sampled_arms_are_never_nearer_and_agree_with_many_points(plane, rng):
     ("length", "separation", "n"), [(8.25, 4.5, 3), (15.0, 5.0782, 4), (17.0, 3.2, 5), (15.0, 4.0782, 4)]
 )
 def test_the_crossing_condition_is_sharp(length, separation, n):
-    """n > 1 + l2 / (sqrt(2) D): one point fewer misses a right-angled crossing between the points."""
+    """The condition is n > 1 + l2 / (sqrt(2) D).
+
+    With one point less, a perpendicular crossing between points is missed.
+    """
     assert n == int(np.floor(1 + length / (np.sqrt(2) * separation))) + 1
-    # one of the gaps between points has its middle on the other arm's
+    # the midpoint between two points of one arm is on the midpoint between two points of the other arm
     for points, found in ((n - 1, False), (n, True)):
         at = length / (points - 1) / 2
         cross = (-at, 0.0, length - at, 0.0), (0.0, -at, 0.0, length - at)
@@ -84,7 +89,7 @@ def test_enough_points_never_miss_a_crossing(s, t, angle, arm):
 
 
 def test_the_distance_error_of_sampled_arms_is_sharp():
-    """Parallel arms, shifted by half the spacing of their points."""
+    """The largest error occurs for parallel arms that are shifted by half the distance of their points."""
     for n in (4, 9, 65):
         for delta in (0.01, 1.0, 5.0):
             h = 15 / (n - 1)
@@ -130,7 +135,7 @@ def test_no_method_misses_what_it_must_find(name, rng):
 @pytest.mark.parametrize("method", METHODS_HERE)
 @pytest.mark.parametrize("plane", [lamost_like(), sdss_like()], ids=["equal arms", "unequal arms"])
 def test_the_mirror_image_has_the_same_pairs(plane, method, rng):
-    """Left elbows, y turned over, home too."""
+    """Mirror the elbows, the y coordinates and the parked arms."""
     mirrored = replace(plane, xy=plane.xy * [1, -1])
     for _ in range(3):
         tips = random_tips(plane, rng, 0.9)
@@ -141,7 +146,7 @@ def test_the_mirror_image_has_the_same_pairs(plane, method, rng):
 
 
 def test_a_swept_capsule_keeps_its_angle():
-    """On its way from 90 to 0 deg a capsule bent by 40 deg passes a neighbor that one bent by -40 deg does not."""
+    """Between 90 and 0 deg, a capsule bent by 40 deg passes a neighbor, and a capsule bent by -40 deg does not."""
     for angle, n in ((40, 1), (-40, 0)):
         unit = rs.Positioner(
             4 * MM,
@@ -160,7 +165,7 @@ def test_a_swept_capsule_keeps_its_angle():
 
 
 def test_an_arm_that_does_not_move_does_not_sweep():
-    """A stuck arm points away; on a way from home, which it never went, it would have met its neighbor."""
+    """The stuck arm points away. If it had moved from its parked position, it would have met its neighbor."""
     unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM, home=[180, 0] * u.deg)
     for stuck, n in (([0, 0], 0), ([150, 0], 1)):
         plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, stuck=[[np.nan, np.nan], stuck] * u.deg)
@@ -169,7 +174,7 @@ def test_an_arm_that_does_not_move_does_not_sweep():
 
 
 def test_sweeping_goes_the_short_way_round():
-    """On its way from 100 to -79 deg an arm passes the neighbor at 0 deg; on its way to -81 deg it turns by 180."""
+    """From 100 to -79 deg, the arm passes the neighbor at 0 deg. From 100 to -81 deg, it rotates through 180 deg."""
     unit = rs.Positioner(8 * MM, 8 * MM, 3 * MM, home=[100, 180] * u.deg)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, disabled=[False, True])
     for theta, n in ((-79, 1), (-81, 0)):
@@ -179,7 +184,7 @@ def test_sweeping_goes_the_short_way_round():
 
 
 def test_four_ends_alone_miss_crossings(rng):
-    """Some collisions of the SDSS-V geometry are crossings far from all four ends; the exact method finds them."""
+    """Some collisions of SDSS-V arms are crossings far from all four ends, which the exact method finds."""
     plane = sdss_like(rings=12)
     n_found = n_missed = 0
     for _ in range(20):
@@ -198,7 +203,7 @@ def test_four_ends_alone_miss_crossings(rng):
 
 
 def test_the_same_scene_in_other_units_and_far_away(rng):
-    """Meters and single precision change the numbers in their last digits, offsets of 1e6 mm a little more."""
+    """Meters and single precision change the last digits of the distances; offsets of 1e6 mm change more digits."""
     for plane in (lamost_like(6), sdss_like(6)):
         tips = random_tips(plane, rng)
         report = rs.find_collisions(plane, tips)
@@ -234,14 +239,14 @@ def test_single_precision_moves_arms_by_less_than_a_micrometer_except_at_full_st
 
 @pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (7.4, 15.0), (15.0, 7.4)])
 def test_arms_at_the_limits_of_their_reach(l1, l2):
-    """Stretched, folded, and a hair inside: elbow and tip are where exact geometry has them."""
+    """For (almost) stretched and (almost) folded arms, the elbow and the tip are those of exact geometry."""
     unit = rs.Positioner(l1 * MM, l2 * MM, 1 * MM)
     plane = rs.FocalPlane([[0, 0]] * MM, unit)
     for angle in np.linspace(0, 2 * np.pi, 7):
         ux, uy = np.cos(angle), np.sin(angle)
         for r, along in ((l1 + l2, l1), (abs(l1 - l2), np.copysign(l1, l1 - l2))):
             posed = place_arms(plane, [[r * ux, r * uy]] * MM)
-            # rounding of the radius moves the elbow by its square root
+            # a rounding error of the radius moves the elbow by its square root
             expected = (along * ux, along * uy) if r > 0 else (l1, 0)
             np.testing.assert_allclose(posed.elbow[0], expected, atol=1e-6)
             assert np.hypot(*posed.elbow[0]) == pytest.approx(l1, rel=1e-14)
@@ -249,7 +254,7 @@ def test_arms_at_the_limits_of_their_reach(l1, l2):
 
 
 def test_fiber_tips_alone():
-    """Two targets must only not be closer than D, however the arms lie."""
+    """Two fibers collide only if the distance of their targets is less than D, for all poses of the arms."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 1 * MM, arm_model="fiber_tip")
     plane = rs.FocalPlane([[0, 0], [22.4, 0]] * MM, unit)
     for gap, n in ((1.99, 1), (2.01, 0)):
@@ -260,7 +265,7 @@ def test_fiber_tips_alone():
 
 
 def test_borderline_pairs_are_counted_and_settled():
-    """Parallel arms exactly D apart, and one unit in the last place nearer."""
+    """Parallel arms have the distance D, or a distance that is smaller by one unit in the last place."""
     unit = rs.Positioner(4 * MM, 4 * MM, 2.25 * MM)
     for gap, n in ((4.5, 0), (np.nextafter(4.5, 0), 1), (4.5 - 1e-9, 1), (4.5 + 1e-9, 0)):
         plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
@@ -273,7 +278,7 @@ def test_borderline_pairs_are_counted_and_settled():
 
 @given(st.floats(0.5, 4), st.floats(0, 3), st.integers(-5, 5), st.floats(0, 15))
 def test_obstacles_that_just_touch_are_settled(clearance, radius, ulps, along):
-    """Circles beside, ahead of and behind an arm, a few units in the last place from the clearance."""
+    """Circles beside, before and behind an arm differ from the clearance by a few units in the last place."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, clearance * MM)
     edge = radius + clearance + ulps * np.spacing(radius + clearance)
     circles = [[7.4 + along, edge, radius], [22.4 + edge, 0, radius], [22.4 + 0.6 * edge, 0.8 * edge, radius]]
@@ -295,7 +300,7 @@ def test_random_scenes_have_no_borderline_pairs(rng):
 
 
 def test_arms_that_only_rounding_lets_touch():
-    """Centers apart by twice the reach plus D, in floats: tips of full stretch can be an ulp nearer than D."""
+    """The distance of the centers is twice the reach plus D. Rounding can reduce the distance of stretched tips."""
     unit = rs.Positioner(3.398 * MM, 4.381 * MM, 0.571 * MM)
     reach, separation = 3.398 + 4.381, unit.min_separation.value
     pitch = reach + reach + separation
@@ -310,7 +315,7 @@ def test_arms_that_only_rounding_lets_touch():
 
 
 def test_almost_equal_arms_are_as_long_as_equal_ones():
-    """The elbow of arms that differ by less than 1e-9 mm stands between both lengths."""
+    """If the arm lengths differ by less than 1e-9 mm, the distance of the elbow is between both lengths."""
     unit = rs.Positioner(8.0000000009 * MM, 8.0 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [12.0000000005, 0]] * MM, unit)
     segments = place_arms(plane, plane.xy).segments
@@ -319,7 +324,7 @@ def test_almost_equal_arms_are_as_long_as_equal_ones():
 
 
 def test_sweeping_misses_nothing_at_the_limit(rng):
-    """Parallel arms D apart but for a few units in the last place."""
+    """The distance of parallel arms differs from D by a few units in the last place."""
     unit = rs.Positioner(8 * MM, 8 * MM, 1.2345 * MM)
     n_found = 0
     for angle in rng.uniform(0, 2 * np.pi, 400):
@@ -334,7 +339,7 @@ def test_sweeping_misses_nothing_at_the_limit(rng):
 
 
 def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
-    """Type 1: no pair is looked at, no pose is made, whatever the method; bad tips are still named."""
+    """For collision type 1, no pairs are tested and no poses are computed, but invalid tips are reported."""
     unit = rs.Positioner(8 * MM, 8 * MM, 1 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=40 * MM)
     assert plane.collision_type == 1

@@ -64,7 +64,7 @@ def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
     assert row["targets"] == np.mean([s["n_reachable"] for s in summaries])
     assert row["assigned"] == np.mean([s["n_assigned"] for s in summaries])
     assert row["usable"] == np.mean(usable)
-    # arms differ in length, so that those without a target do not count
+    # the arms have different lengths, so that positioners without a target are not counted
     assert row["probability"] == pytest.approx(
         sum(s["n_colliding"] for s in summaries) / sum(s["n_assigned"] for s in summaries)
     )
@@ -113,7 +113,7 @@ def test_what_instruments_are(name, kind):
     assert found["positioners"] == len(plane)
     assert found["type"] == kind
     arms = plane.positioner.central_arm.value * plane.positioner.eccentric_arm.value
-    # the footprint ends at the outermost centers, and some cells are vacant
+    # the footprint ends at the outermost centers, and some cells have no positioner
     assert found["multiplicity"] == pytest.approx(4 * np.pi * arms / cell, rel=0.06)
     assert found["footprint"].value == pytest.approx(len(plane) * cell, rel=0.1)
     assert sum(found[f"reach_{k}"] for k in range(4)) == pytest.approx(1)
@@ -172,7 +172,7 @@ def test_the_footprint_holds_as_many_targets_as_asked_though_optics_distort(name
 
 
 class Copies(Executor):
-    """Hands on copies, as processes do."""
+    """An executor that copies the work and the tasks, as processes do."""
 
     def map(self, work, *tasks):
         return [
@@ -181,7 +181,7 @@ class Copies(Executor):
 
 
 class Picky:
-    """An allocator that knows one focal plane only, and is another one when it has been copied."""
+    """An allocator that accepts only one focal plane, and is not equal to its copies."""
 
     __hash__ = None
 
@@ -224,7 +224,7 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
     ],
 )
 def test_an_option_without_an_effect_is_warned_of_once(compare):
-    """Each field and each allocator repeated the sentence."""
+    """Regression: the warning was repeated for each field and each allocator."""
     options = rs.AllocationOptions(sky_separation=10 * u.arcsec)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -239,7 +239,7 @@ def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independe
     hits = (np.arange(400) % 10 == 0).astype(float)
     value, low, high = rate_interval(plane, [hits, hits], 0.95)
     assert value == 0.1
-    # the unbiased variance is p (1 - p) / 399 for each field, with as many degrees of freedom
+    # the unbiased variance of each field is p (1 - p) / 399, with 399 degrees of freedom
     np.testing.assert_allclose([low, high], wilson(0.1, 798, quantile(0.95, 798)), rtol=1e-9)
     np.testing.assert_allclose([low, high], binom_conf_interval(80, 800, 0.95, "wilson"), rtol=1e-3)
 
@@ -251,7 +251,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
     hits = np.tile(np.arange(200) % 10 == 0, 2).astype(float)
     _, low, high = rate_interval(plane, [hits], 0.9)
     np.testing.assert_allclose([low, high], wilson(0.1, 199, quantile(0.9, 199)), rtol=1e-9)
-    away = np.where(np.arange(400) < 100, np.nan, hits)  # positioners that do not count
+    away = np.where(np.arange(400) < 100, np.nan, hits)  # positioners that are not counted
     value, low, high = rate_interval(plane, [away], 0.9)
     assert value == pytest.approx(np.nanmean(away))
     assert low < value < high

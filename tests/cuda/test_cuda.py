@@ -1,6 +1,6 @@
-"""The GPU's code in numba's simulator, on scenes of at most 50 positioners: ``tox -e cuda``.
+"""Test the GPU code in numba's simulator, with scenes of at most 50 positioners: ``tox -e cuda``.
 
-The simulator has to be switched on before numba is imported. On a machine with a GPU, run the same tests without it.
+The simulator must be enabled before numba is imported. On a machine with a GPU, the same tests run without it.
 """
 
 import importlib
@@ -23,7 +23,7 @@ if not numba_cuda.is_available():
 
 @pytest.fixture(autouse=True)
 def _several_blocks(monkeypatch):
-    """Blocks smaller than a scene, and chunks smaller than a batch."""
+    """Use blocks that are smaller than a scene, and chunks that are smaller than a batch."""
     gpu = importlib.import_module("rfpsurvey._kernels.gpu")
     monkeypatch.setattr(gpu, "THREADS", 16)
     monkeypatch.setitem(count.SCORERS, "cuda", (2, count.SCORERS["cuda"][1]))
@@ -34,7 +34,7 @@ def test_a_gpu_counts_as_the_processor(name, rng):
     plane, options = SCENES[name]
     assert len(plane) <= 50
     tips = many_tips(plane, rng, 9 if name == "both hands" else 3)
-    tips[0, 3, 1] = np.nan * MM  # half a tip is none
+    tips[0, 3, 1] = np.nan * MM  # a tip with one missing coordinate is not a target
     here, there = (rs.count_collisions(plane, tips, method=m, **options) for m in ("exact", "cuda"))
     for field in here.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
@@ -89,7 +89,7 @@ for name, types_of in SIGNATURES.items():
 
 
 def test_the_kernels_compile_for_a_device():
-    """Without a GPU, but with NVIDIA's compiler: the simulator accepts types that a device does not."""
+    """Compile without a GPU, but with NVIDIA's compiler. The simulator accepts types that a device does not support."""
     pytest.importorskip("numba_cuda")
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_ENABLE_CUDASIM"}
     done = subprocess.run([sys.executable, "-c", COMPILE], capture_output=True, text=True, env=environment)

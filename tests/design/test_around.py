@@ -1,4 +1,4 @@
-"""Scans around an instrument: the design of the instrument, the scan, and the distance from the best designs."""
+"""Scans around an instrument: the design of the instrument, the scan, and the comparison with the best designs."""
 
 import astropy.units as u
 import numpy as np

@@ -1,4 +1,6 @@
-"""Design studies: geometry against shapely, losses against the probability and brute force, the front, the books."""
+"""Scans of designs: geometry compared with shapely, losses compared with probabilities and brute force, front,
+checkpoints.
+"""
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -45,7 +47,9 @@ def test_coverage_is_that_of_an_exact_overlay_of_a_cell(central_arm, eccentric_a
 
 
 def test_multiplicity_and_empty_patrol_areas_are_those_of_the_literature():
-    """m = 4 pi central_arm eccentric_arm / cell, and exp(-t m) of the positioners have nothing in reach."""
+    """The multiplicity is m = 4 pi central_arm eccentric_arm / cell, and exp(-t m) of the positioners have no target in
+    reach.
+    """
     table = explore(central_arm=[8.25, 8] * MM, targets_per_positioner=4)
     assert table["multiplicity"][0] == pytest.approx(1.5070, abs=1e-4)
     assert table["empty"][0] == pytest.approx(0.00241, abs=1e-5)
@@ -80,7 +84,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
 
 @pytest.mark.parametrize("each", [pytest.param(0.5, marks=pytest.mark.exhaustive), 4])
 def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
-    """One configuration of each sky; parked arms stand in the way, but lose no target."""
+    """Compare with one configuration for each sky. Parked arms are obstacles, but lose no target."""
     row = explore(central_arm=11 * MM, estimand="allocated", n_skies=200, targets_per_positioner=each)[0]
     unit = rs.Positioner(11 * MM, 11 * MM, 2.25 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=9, pitch=25.6 * MM)
@@ -101,11 +105,13 @@ def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, 
 
 
 def test_collision_free_losses_are_counted_in_two_plans():
-    """The best plan that avoids collisions, the best one that does not: for a design in which nobody can touch both are
-    the same; repair loses at least as much as the optimum."""
+    """Compare the best plans with and without collisions.
+
+    If no arms can touch, they are equal, and repair loses at least as many targets as the optimum.
+    """
     far = explore(pitch=38 * MM, estimand="collision_free", targets_per_positioner=1)[0]
     assert (far["collision_type"], far["loss"], far["loss_error"]) == (1, 0, 0)
-    # without competition, who has a target is who has one in reach
+    # without competition, every positioner with a target in reach has a target
     alone = explore(central_arm=4 * MM, estimand="collision_free", n_skies=40, targets_per_positioner=1)[0]
     assert alone["multiplicity"] < 1
     assert alone["assigned"] == pytest.approx(1 - alone["empty"], abs=0.03)
@@ -157,7 +163,7 @@ def test_a_grid_has_all_combinations_and_sobol_points_fill_the_box():
     for name, (low, high) in {"central_arm": (7.25, 9), "ratio": (1, 1.8), "pitch": (25.6, 31)}.items():
         values = np.asarray(getattr(more[name], "value", more[name]))
         halves = np.bincount(((values - low) / (high - low) * 64).astype(int), minlength=64)
-        assert halves.tolist() == [1] * 64  # one in each of 64 slices: a net
+        assert halves.tolist() == [1] * 64  # each of the 64 slices contains one design, as for a digital net
     assert (more["clearance"] == 2.25 * MM).all()
 
 
@@ -191,7 +197,7 @@ def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front(
 
 
 def test_each_design_has_random_numbers_of_its_own():
-    """Of its number in the scan, not of what else is done in the same task."""
+    """The random numbers depend on the number of the design in the scan, and not on other designs of the same task."""
     task = Task("allocated", "conditional", 0.0, 2.0, False, 2, 1.0, 5)
     same = np.tile([8.25, 1.0, 25.6, 2.25], (4, 1))
     rows = task(0, same)
@@ -209,7 +215,7 @@ def test_nothing_depends_on_the_executor():
 
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
 def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch, ending):
-    """What was done so far is in the file all the time, and is not done again."""
+    """The file always contains the finished designs, and a resumed scan does not repeat them."""
     options = {**GRID, "n_designs": 30, "rng": 5}
     whole, path = tmp_path / f"whole.{ending}", tmp_path / f"stopped.{ending}"
     expected = flat.explore_designs(path=whole, **options)
@@ -218,7 +224,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     def stop(*arguments):
         calls.append(1)
         if len(calls) == 20:
-            assert len(QTable.read(path)) > 0  # a kill would lose no more than the last task
+            assert len(QTable.read(path)) > 0  # an interruption loses at most the last task
             raise KeyboardInterrupt
         return method(*arguments)
 
@@ -304,14 +310,14 @@ def test_bad_input_is_a_sentence(change, words):
 
 
 def scan(figure, **axes):
-    """A table as of a scan, with a figure of one's own."""
+    """Return a table like that of a scan, with an additional column."""
     names = ("central_arm", "ratio", "pitch", "clearance")
     grid = np.stack(np.meshgrid(*(axes.get(name, [1.0]) for name in names), indexing="ij"), axis=-1).reshape(-1, 4)
     return QTable({**dict(zip(names, grid.T, strict=True)), "loss": figure(*grid.T)})
 
 
 def test_shares_of_a_grid_are_those_of_the_analysis_of_variance(rng):
-    """Variances of marginal means, for a figure of random numbers on a grid."""
+    """The shares are the variances of marginal means, for a column of random numbers on a grid."""
     table = scan(
         lambda *a: rng.random(a[0].size), central_arm=[7, 8, 10.0], ratio=[1, 1.1, 1.5, 2.0], pitch=[20.0, 30.0]
     )
@@ -324,7 +330,7 @@ def test_shares_of_a_grid_are_those_of_the_analysis_of_variance(rng):
 def test_shares_and_slopes_of_known_functions():
     axes = {"central_arm": np.linspace(7, 9, 9), "pitch": np.linspace(20, 30, 9)}
     sum_of_two = rs.design.design_sensitivities(scan(lambda a, b, c, d: 3 * a + 0.5 * c, **axes), figures=["loss"])
-    # variances 9 and 0.25 times those of the axes; slopes by hand at (8, 25)
+    # variances are 9 and 0.25 times those of the axes; slopes are computed by hand at (8, 25)
     want = np.array([9 * axes["central_arm"].var(), 0.25 * axes["pitch"].var()])
     np.testing.assert_allclose(sum_of_two["share"], [*want / want.sum(), 0], atol=1e-12)
     np.testing.assert_allclose(sum_of_two["slope"][:2], [24 / 36.5, 12.5 / 36.5])
@@ -350,7 +356,7 @@ def test_sensitivities_that_make_no_sense_are_refused(table, words):
 
 
 def test_few_fibers_without_a_loss_are_no_proof_of_none():
-    """A dozen fibers that did not collide once were said to lose 0, with an error of 0, and led the front."""
+    """Regression: a dozen fibers without a collision had a loss and an error of 0, and were on the front."""
     scan = {"central_arm": np.linspace(8, 10, 8) * u.mm, "ratio": 2.0, "pitch": 25 * u.mm, "clearance": 0.5 * u.mm}
     found = flat.explore_designs(**scan, targets_per_positioner=0.1, estimand="allocated")
     assert (found["loss"] == 0).any()
@@ -364,7 +370,7 @@ def test_a_sky_that_nobody_reaches_is_a_sky_like_others():
 
 
 def test_rivals_of_neighbors_compete_too():
-    """With neighbors at the edge of the patch, who had no rivals, losses were too small by 1.4 percent."""
+    """Regression: neighbors at the edge of the patch had no competitors, and losses were too small by 1.4 percent."""
     scan = {"central_arm": 7.4 * u.mm, "ratio": 2.0, "pitch": 22.4 * u.mm, "clearance": 1.5 * u.mm}
     (row,) = flat.explore_designs(**scan, estimand="allocated", n_skies=100, rng=2)
     robot = rs.Positioner(7.4 * u.mm, 14.8 * u.mm, 1.5 * u.mm)

@@ -1,7 +1,8 @@
-"""Pictures, compared with those in ``baseline`` under the pinned matplotlib of ``tox -e figures``.
+"""Compare figures with those in ``baseline``, made by the fixed version of matplotlib in ``tox -e figures``.
 
-After a wanted change, look at the new pictures and keep them:
-``tox -e figures -- --mpl-generate-path=tests/figures/baseline``.
+After an intended change, inspect the new figures, and keep them by
+
+    tox -e figures -- --mpl-generate-path=tests/figures/baseline
 """
 
 from dataclasses import replace
@@ -21,7 +22,7 @@ kept = pytest.mark.mpl_image_compare(deterministic=True, savefig_kwargs={"dpi": 
 
 
 def axes(width=7, height=7, projection=None):
-    """Axes without a layout engine: that of a default figure moves them a little each time it is drawn."""
+    """Return axes without a layout engine, which would move the axes slightly whenever the figure is drawn."""
     return Figure(figsize=(width, height)).add_axes((0.16, 0.25, 0.68, 0.68), projection=projection)
 
 
@@ -32,7 +33,7 @@ def tile(instrument, **options):
 
 @pytest.fixture(scope="module")
 def worn():
-    """An instrument with some units that are disabled or stuck."""
+    """Return an instrument with some disabled and stuck positioners."""
     apo = rs.Instrument.preset("sdss_apo")
     rng = np.random.default_rng(2)
     stuck = np.full((500, 2), np.nan)
@@ -75,7 +76,7 @@ def test_part_of_a_worn_focal_plane(worn):
 
 @pytest.fixture(scope="module")
 def classes():
-    """A tile with sky, standard stars, categories and priorities."""
+    """Return a tile with sky fibers, standard stars, categories and priorities."""
     rng, n = np.random.default_rng(4), 900
     coord = rs.synthetic_catalog("uniform", CENTER, 1.5 * u.deg, n_targets=n, rng=1).coord
     kind = rng.choice(["science", "standard", "sky"], n, p=[0.8, 0.1, 0.1])

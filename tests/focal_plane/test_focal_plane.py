@@ -51,7 +51,7 @@ def test_radius_inner_radius_and_vacant_cells():
     r = np.hypot(*plane.xy.value.T)
     assert r.min() >= 20
     assert r.max() <= 60
-    assert len(plane) == 19 - 1 - 2  # two rings within 60 mm, less the center and the vacant cells
+    assert len(plane) == 19 - 1 - 2  # two rings within 60 mm, without the center and the vacant cells
     with pytest.raises(rs.InputError, match="vacant cell .9, 9. is not on the lattice"):
         rs.FocalPlane.hexagonal(robot(), rings=2, pitch=25.6 * MM, vacant=[(9, 9)])
 
@@ -73,7 +73,7 @@ def test_size_must_be_said_once(size):
 
 @pytest.mark.parametrize(("pitch", "kind"), [(40, 1), (37.5, 1), (37.4, 2), (25.6, 2), (20, 3)])
 def test_collision_type(pitch, kind):
-    """2 (l1 + l2) + D = 37.5 mm: strictly nearer centers can collide."""
+    """Only positioners with centers nearer than 2 (l1 + l2) + D = 37.5 mm can collide."""
     assert rs.FocalPlane.hexagonal(robot(), rings=4, pitch=pitch * MM).collision_type == kind
 
 
@@ -95,7 +95,7 @@ def test_neighbor_pairs_are_those_of_brute_force(rng):
     lengths,
 )
 def test_reach_is_exact(centers, xy, l1, l2):
-    """Against exact rationals, with targets that often lie just on the edges."""
+    """Compare with exact rational numbers, for targets that are often exactly on the edges."""
     if len(np.unique(centers, axis=0)) < 7:
         return
     plane = rs.FocalPlane(centers * MM, robot(l1, l2))
@@ -172,6 +172,23 @@ def test_table_round_trip(tmp_path):
     for name in ("xy", "id", "spectrograph", "central_arm", "eccentric_arm", "disabled", "stuck", "obstacles"):
         np.testing.assert_array_equal(getattr(back, name), getattr(plane, name))
     assert back.positioner.min_separation == plane.positioner.min_separation
+    plane = rs.FocalPlane(
+        [[0, 0], [25.6, 0]] * MM,
+        robot(),
+        fiber_type=["A", "B"],
+        fiber_xy={"A": [[8.25, 0], [8.2, 0.1]] * MM, "B": [[8.0, -0.2], [8.1, 0.3]] * MM},
+        zero_points=[[0, 1], [2, 3]] * u.deg,
+        theta_range=[[0, 350], [5, 360]] * u.deg,
+        phi_range=[[0, 180], [10, 170]] * u.deg,
+        obstacles=[[50, 50, 3]] * MM,
+    )
+    plane.to_table().write(path, overwrite=True)
+    back = rs.FocalPlane.from_table(QTable.read(path))
+    assert set(back.fiber_xy) == {"A", "B"}
+    for name, places in plane.fiber_xy.items():
+        np.testing.assert_array_equal(back.fiber_xy[name], places)
+    for name in ("zero_points", "theta_range", "phi_range"):
+        np.testing.assert_allclose(getattr(back, name), getattr(plane, name), rtol=0, atol=1e-12 * u.deg)
     assert rs.FocalPlane.from_table(Table({"x": [0, 1] * u.cm, "y": [0, 0] * u.cm}), robot()).xy[1, 0] == 10 * MM
 
 
@@ -198,6 +215,8 @@ def test_bad_tables_are_named(table, message):
         ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
         ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
         ({"id": [1]}, "id must have one value per positioner"),
+        ({"id": ["a b", "c"]}, "id must be text without blanks, by which tables list several, got 'a b'"),
+        ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
         ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
         ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
         ({"obstacles": [[1, 2]] * MM}, "obstacles must be finite rows"),
@@ -211,7 +230,7 @@ def test_bad_input_is_named(arguments, message):
 
 
 def test_fiber_types_are_names_between_plus_signs():
-    """Doubled names set the bit of another type, and blanks made types of their own."""
+    """Regression: repeated names set the bit of another fiber type, and blank names defined new types."""
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), fiber_type=["A + A", "B"])
     assert plane.fiber_types == ("A", "B")
     got = plane.reachable([[10, 0], [10, 0]] * MM, ["A", "B"]).toarray()
@@ -223,7 +242,7 @@ def test_fiber_types_are_names_between_plus_signs():
 
 
 def test_nearest_cells_with_equal_radius_are_taken_by_angle():
-    """The first ring has six cells at one radius: the ones next to +x, counter-clockwise, come first."""
+    """The first ring has six cells at equal radius. Cells next to +x are first, and the order is counter-clockwise."""
     plane = rs.FocalPlane.hexagonal(robot(), count=4, pitch=10 * MM)
     angle = np.sort(np.rad2deg(np.arctan2(*plane.xy.value[np.hypot(*plane.xy.value.T) > 1].T[::-1])))
     np.testing.assert_allclose(angle, [0, 60, 120])

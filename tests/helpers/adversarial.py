@@ -1,4 +1,4 @@
-"""Pairs of segments with a limit, from easy to as nasty as they get: (name, generator of (first, second, limit))."""
+"""Pairs of segments with a limit of their distance, easy and difficult (name, generator of (first, second, limit))."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ __all__ = ["ADVERSARIAL", "random_pairs"]
 
 
 def random_pairs(rng, n):
-    """Return arms and limits as they occur."""
+    """Return the arms and limits of typical instruments."""
     for _ in range(n):
         a, b = rng.uniform(-20, 20, (2, 2))
         u, v = (rng.uniform(1, 18) * unit(rng.uniform(0, 2 * np.pi)) for _ in range(2))
@@ -18,7 +18,7 @@ def unit(angle):
 
 
 def nudged(rng, value):
-    """Move a number by a few units in the last place, by a little more, or not at all."""
+    """Change a number by a few units in the last place, change it by slightly more, or do not change it."""
     return float(value + rng.integers(-4, 5) * np.spacing(value) * rng.choice([1, 1e2, 1e3, 1e5]))
 
 
@@ -27,7 +27,7 @@ def tiny(rng):
 
 
 def turned(rng, *points):
-    """Turn and shift points that were made in a handy frame; most of them no longer lie where they should."""
+    """Rotate and shift points; rounding then moves most of them from their exact positions."""
     angle = float(rng.choice([0.0, np.pi / 2, rng.uniform(0, 2 * np.pi)]))
     shift = rng.choice([0.0, 1.0, 300.0]) * rng.uniform(-1, 1, 2)
     c, s = np.cos(angle), np.sin(angle)
@@ -40,28 +40,28 @@ def pair(rng, *points, limit):
 
 
 def parallel(rng):
-    """Side by side, almost parallel, almost D apart."""
+    """Return segments beside each other that are almost parallel, at a distance of almost D."""
     d, length = rng.uniform(1, 8), rng.uniform(5, 18)
     gap, x = nudged(rng, d), rng.uniform(-4, 4)
     return pair(rng, (0, 0), (length, 0), (x, gap), (x + length, gap + tiny(rng)), limit=d)
 
 
 def collinear(rng):
-    """One behind the other with a gap of almost D, or overlapping."""
+    """Return collinear segments that overlap or are separated by almost D."""
     d, length = rng.uniform(1, 8), rng.uniform(5, 18)
     gap = nudged(rng, d) if rng.random() < 0.7 else -rng.uniform(0, length)
     return pair(rng, (0, 0), (length, tiny(rng)), (length + gap, tiny(rng)), (2 * length + gap, 0), limit=d)
 
 
 def tee(rng):
-    """An end almost D from the inside of the other."""
+    """Return a segment whose end has a distance of almost D from the interior of the other segment."""
     d, length = rng.uniform(1, 8), rng.uniform(5, 18)
     x, gap = rng.uniform(0, length), nudged(rng, d)
     return pair(rng, (0, 0), (length, 0), (x, gap), (x + rng.uniform(-5, 5), gap + rng.uniform(1, 15)), limit=d)
 
 
 def corner(rng):
-    """Ends almost D apart, the rest turned away."""
+    """Return segments whose ends have a distance of almost D, and which otherwise point away from each other."""
     d, angle = rng.uniform(1, 8), rng.uniform(-1.4, 1.4)
     gap = nudged(rng, d)
     ends = gap * np.cos(angle), gap * np.sin(angle)
@@ -69,7 +69,9 @@ def corner(rng):
 
 
 def barely_crossing(rng):
-    """An end on the other segment, short of it, or just beyond, with limits down to rounding."""
+    """Return a segment that ends on the other segment, before it or just behind it, with limits down to rounding
+    errors.
+    """
     length, angle = rng.uniform(5, 18), rng.choice([np.pi / 2, 1.0, 1e-3, 1e-8])
     x, beyond = rng.uniform(0, length), tiny(rng)
     foot = np.array([x, 0.0]) - beyond * unit(angle)
@@ -84,7 +86,7 @@ def barely_crossing(rng):
 
 
 def points(rng):
-    """Segments without a length, or almost without."""
+    """Return segments with a length of zero or almost zero."""
     d, e = rng.uniform(1, 8), abs(tiny(rng))
     if rng.random() < 0.5:
         return pair(rng, (0, 0), (e, 0), (nudged(rng, d), 0), (nudged(rng, d), e), limit=d)
@@ -93,13 +95,13 @@ def points(rng):
 
 
 def grid(rng):
-    """Everything on a coarse grid, where distances are exactly the limit, or 0."""
+    """Return segments on a coarse grid, where many distances are exactly the limit, or 0."""
     values = (1.25 * rng.integers(-4, 5, 8)).tolist()
     return tuple(values[:4]), tuple(values[4:]), float(rng.choice([1.25, 2.5, 3.75, 5.0, 6.25]))
 
 
 def far_away(rng):
-    """The same troubles, a million millimeters from the origin."""
+    """Return a pair of another kind at a distance of a million millimeters from the origin."""
     first, second, limit = ADVERSARIAL[rng.choice(["parallel", "collinear", "tee", "barely_crossing"])](rng)
     shift = rng.choice([-1e6, 1e6, 1e6 / 3, 0.0], 2).tolist() * 2
     moved = [tuple(v + s for v, s in zip(row, shift, strict=True)) for row in (first, second)]

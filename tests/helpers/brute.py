@@ -1,4 +1,4 @@
-"""Every plan of a few positioners, one after the other."""
+"""All plans of a few positioners, computed one after the other."""
 
 from itertools import combinations, product
 
@@ -12,7 +12,7 @@ MM = u.mm
 
 
 def options_of(plane, xy, fiber_type, both, forbidden=()):
-    """For each positioner: None, and what it can look at, as (target, elbow)."""
+    """Return the options of each positioner: None, and all targets that it can observe, as (target, elbow)."""
     elbows = ("right", "left") if both else (plane.positioner.handedness,)
     can = plane.reachable(xy * MM, fiber_type).toarray()
     found = []
@@ -30,7 +30,7 @@ def options_of(plane, xy, fiber_type, both, forbidden=()):
 
 
 def bodies_of(plane, xy, options, fiber_type, parked):
-    """For each option the segment that can collide (None: the arm is not there)."""
+    """Return, for each option, the segment that can collide (None if there is no arm)."""
     n = len(plane)
     bodies = [[None] * len(mine) for mine in options]
     for k in range(max(map(len, options))):
@@ -47,9 +47,9 @@ def bodies_of(plane, xy, options, fiber_type, parked):
 
 
 def conflicts_of(plane, bodies):
-    """Pairs ((i, k), (j, m)) of options that collide, and options (i, k) that touch an obstacle.
+    """Return pairs ((i, k), (j, m)) of options that collide, and options (i, k) that touch an obstacle.
 
-    Two idle arms, and an idle arm at an obstacle, are nobody's fault.
+    Collisions between two idle arms, and between idle arms and obstacles, are not counted.
     """
     separation, clearance = plane.positioner.numbers.separation, plane.positioner.numbers.clearance
     pairs, barred = set(), set()
@@ -66,7 +66,7 @@ def conflicts_of(plane, bodies):
 
 
 def best_plan(options, pairs, barred, value, cost):
-    """Return the best (value, -cost) of all plans; ``value`` gives None for a plan that must not be."""
+    """Return the best (value, -cost) of all plans; ``value`` returns None for a plan that is not allowed."""
     best, n = None, len(options)
     partners = {}
     for a, b in pairs:

@@ -1,7 +1,7 @@
-"""Damaged files: ways to damage valid ones, and what must come of reading them.
+"""Ways to damage valid files, and checks of the outcome of reading them.
 
-Whatever is done to a file, a reader must return all of its rows, or raise an InputError. It must not raise anything
-else, leak a warning of another package, or return fewer rows without a warning.
+For any damage, a reader must return all rows or raise an InputError. It must not raise other errors, issue warnings of
+other packages, or return fewer rows without a warning.
 """
 
 import bz2
@@ -116,7 +116,7 @@ def change_number(rng, b):
 
 
 def change_card(rng, b):
-    """Change a card of a FITS header, or a number elsewhere."""
+    """Change a card of a FITS header; change a number in other files."""
     cards = [k for k in range(0, min(len(b), 40_000), 80) if b[k + 8 : k + 10] == b"= "]
     if not cards:
         return change_number(rng, b)
@@ -171,7 +171,7 @@ MUTATORS = (
 
 
 def damage(rng: np.random.Generator, sample: Sample, folder: Path) -> tuple[Path, str]:
-    """Write a damaged copy into a folder; return its path, and what was done to it."""
+    """Write a damaged copy into a folder, and return its path and a description of the damage."""
     path = folder / sample.path.name
     if sample.pieces:
         shutil.copytree(sample.path, path)
@@ -194,7 +194,7 @@ def damage(rng: np.random.Generator, sample: Sample, folder: Path) -> tuple[Path
 
 
 def outcome(sample: Sample, path: Path) -> tuple[str, str]:
-    """Read a damaged file; return what came of it in a word, and more about it."""
+    """Read a damaged file, and return the outcome as a word and a detail."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -219,7 +219,7 @@ def outcome(sample: Sample, path: Path) -> tuple[str, str]:
     except Exception as error:
         return "row loss", f"{n} rows were read, and cannot be counted otherwise: {type(error).__name__}: {error}"
     told = any("rows" in str(w.message) or "tables" in str(w.message) for w in caught)
-    # rows of zeros that a number of rows takes from the padding of FITS are none that were lost
+    # if the stated number of rows includes padding of FITS, the additional rows are zeros, and no rows are lost
     if expected is not None and (n < expected or (n > expected and sample.format != "survey")) and not told:
         return "row loss", f"{n} rows of {expected}"
     return "read", ""

@@ -11,7 +11,7 @@ CENTER = SkyCoord(0.1 * u.deg, 60 * u.deg)
 
 
 def grid(step, n=3):
-    """Tiles about the center, in two passes, the second shifted."""
+    """Return tiles around the center in two passes; the second pass is shifted."""
     offsets = [(i * step, j * step) for i in range(-n // 2 + 1, n // 2 + 1) for j in range(-n // 2 + 1, n // 2 + 1)]
     centers = [CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in offsets]
     centers += [CENTER.spherical_offsets_by((x + step / 2) * u.deg, y * u.deg) for x, y in offsets]
@@ -21,7 +21,7 @@ def grid(step, n=3):
 
 
 def clustered_sky():
-    """Targets with priorities and numbers of visits."""
+    """Return targets with priorities and numbers of visits."""
     catalog = rs.synthetic_catalog(
         "clustered", CENTER, 2 * u.deg, density=400 / u.deg**2, cluster_size=5, cluster_scale=0.05 * u.deg, rng=3
     )

@@ -1,4 +1,4 @@
-"""Functions that take options as plain keywords, for tests that vary them."""
+"""Functions that take options as separate keywords, for tests that vary them."""
 
 from dataclasses import fields
 
@@ -11,14 +11,15 @@ NAMES = {field.name for field in fields(rs.AllocationOptions)} - {"allocator"}
 
 
 def split(allocator, options, names=NAMES):
-    """Return the options of an allocation, and the other ones."""
+    """Return the options of an allocation, and all other options."""
     allocator = options.pop("method", allocator)
     own = {name: options.pop(name) for name in list(options) if name in names}
     return rs.AllocationOptions(allocator, **own), options
 
 
 def allocate(plane, xy, allocator="balanced", **options):
-    allocator, others = split(allocator, options, NAMES - {"required", "keep_out"})  # rows of targets, no ids
+    # these options contain row numbers of targets, not identifiers
+    allocator, others = split(allocator, options, NAMES - {"required", "keep_out"})
     return rs.allocate(plane, xy, allocator=allocator, **others)
 
 
@@ -38,7 +39,7 @@ def explore_designs(**options):
 
 
 def collision_probability(focal_plane, *, allocator="balanced", precision=None, targets="uniform", **options):
-    """Estimate with the options of random targets, of the precision and of an allocation as keywords."""
+    """Estimate a probability; options of targets, of the precision and of allocation are keywords."""
     if "parked_obstacles" in options:
         allocator = rs.AllocationOptions(allocator, parked_obstacles=options.pop("parked_obstacles"))
     own = {name: options.pop(name) for name in list(options) if name in PRECISION}

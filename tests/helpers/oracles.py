@@ -1,4 +1,4 @@
-"""Slow and simple answers to compare with: brute force, exact rationals, other packages."""
+"""Slow and simple reference results: brute force, exact rational numbers, other packages."""
 
 import itertools
 from fractions import Fraction
@@ -10,13 +10,15 @@ from shapely.ops import polygonize, unary_union
 
 
 def segment_distances(segments, pairs):
-    """Distances of pairs of segments, by shapely."""
+    """Return the distances of pairs of segments, computed by shapely."""
     first, second = (shapely.linestrings(segments[pairs[:, k]].reshape(-1, 2, 2)) for k in (0, 1))
     return shapely.distance(first, second)
 
 
 def annuli_coverage(plane, corners):
-    """Parts of a convex polygon by the number of patrol areas over them, from shapely's overlay of all circles."""
+    """Return the fractions of a convex polygon that are covered by 0, 1, ... patrol areas, from shapely's overlay of
+    all circles.
+    """
     centers = plane.xy.value
     discs = [shapely.Point(c).buffer(plane.positioner.outer_radius.value, quad_segs=256) for c in centers]
     holes = [shapely.Point(c).buffer(max(plane.positioner.inner_radius.value, 1e-9), quad_segs=256) for c in centers]
@@ -32,12 +34,12 @@ def annuli_coverage(plane, corners):
 
 
 def closer_than(a, b, separation):
-    """Are two segments closer than ``separation``? In exact rational arithmetic on the floats as given."""
+    """Return whether two segments are closer than ``separation``, in exact rational arithmetic."""
     return squared_distance(a, b) < Fraction(float(separation)) ** 2
 
 
 def squared_distance(a, b):
-    """Squared distance of two segments as an exact rational number."""
+    """Return the squared distance of two segments as an exact rational number."""
     a, b = [Fraction(float(v)) for v in a], [Fraction(float(v)) for v in b]
     p, q, r, s = (a[0], a[1]), (a[2], a[3]), (b[0], b[1]), (b[2], b[3])
 
@@ -57,20 +59,22 @@ def _to_segment(p, a, b):
 
 
 def in_annulus(point, center, l1, l2):
-    """Is a point in the closed patrol area? In exact rational arithmetic."""
+    """Return whether a point is in the closed patrol area, in exact rational arithmetic."""
     r2 = sum((Fraction(float(p)) - Fraction(float(c))) ** 2 for p, c in zip(point, center, strict=True))
     inner = 0 if abs(l1 - l2) < 1e-9 else abs(Fraction(l1) - Fraction(l2))
     return inner**2 <= r2 <= (Fraction(l1) + Fraction(l2)) ** 2
 
 
 def tip_and_elbow(center, l1, l2, theta, phi):
-    """Two arms as complex numbers; angles in radians."""
+    """Return the tip and the elbow of two arms as complex numbers; angles are in radians."""
     elbow = complex(*center) + l1 * np.exp(1j * theta)
     return elbow + l2 * np.exp(1j * (theta + phi)), elbow
 
 
 def balanced_owner(xy, centers, reaches):
-    """Owner of each target under the rule `balanced`, literally; ``reaches[i][t]`` says who reaches what."""
+    """Return the owner of each target by a literal implementation of ``balanced``; ``reaches[i][t]`` states whether
+    positioner i reaches target t.
+    """
     count = [0] * len(centers)
     owner = []
     for t in range(len(xy)):
@@ -83,7 +87,7 @@ def balanced_owner(xy, centers, reaches):
 
 
 def lamost_target(xy, centers, reaches, priority):
-    """Target of each positioner under the rule `lamost`, literally."""
+    """Return the target of each positioner by a literal implementation of ``lamost``."""
     n, m = len(centers), len(xy)
     target, taken = [-1] * n, [False] * m
     for value in sorted(set(priority), reverse=True):
@@ -108,12 +112,12 @@ def squared_apart(a, b):
 
 
 def tangent_plane_mm(coord, center, mm_per_deg, position_angle_deg):
-    """Gnomonic projection by astropy's WCS, both axes increasing east and north at position angle 0."""
+    """Return gnomonic positions computed by astropy's WCS; the axes point east and north at position angle 0."""
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = ["RA---TAN", "DEC--TAN"]
     wcs.wcs.crval = [center.ra.deg, center.dec.deg]
     wcs.wcs.crpix = [1, 1]
-    wcs.wcs.lonpole = 180  # the same sense of north on the pole as everywhere else
+    wcs.wcs.lonpole = 180  # north is defined at the pole as at all other positions
     pa = np.deg2rad(position_angle_deg)
     # intermediate world coordinates (east, north) of one mm along +x and +y
     wcs.wcs.cd = np.array([[np.cos(pa), np.sin(pa)], [-np.sin(pa), np.cos(pa)]]) / mm_per_deg
@@ -121,8 +125,11 @@ def tangent_plane_mm(coord, center, mm_per_deg, position_angle_deg):
 
 
 def standing_arms(plane, tips, handedness=None, fiber_type=None, parked_obstacles=True):
-    """Where every arm stands, one positioner at a time, as complex numbers: segment (or None), assigned, counted."""
+    """Return the poses of all arms, computed for one positioner at a time with complex numbers: segment (or None),
+    assigned, counted.
+    """
     unit = plane.positioner
+    nominal = unit.central_arm == unit.eccentric_arm
     arms, assigned, counted = [], [], []
     for i, (x, y) in enumerate(plane.xy.to_value("mm").tolist()):
         center = complex(x, y)
@@ -142,7 +149,7 @@ def standing_arms(plane, tips, handedness=None, fiber_type=None, parked_obstacle
             poses = [_two_arms(tip - center, l1, l2, home[0], -1 if side == "left" else 1) for side in sides]
             allowed = [p for p in poses if _within(p[0], unit.theta_range) and _within(p[1], unit.phi_range)]
             pose = (allowed or poses)[0]
-        elif parked_obstacles and abs(l1 - l2) < 1e-9:
+        elif parked_obstacles and (abs(l1 - l2) < 1e-9 or (nominal and abs(l1 - l2) <= 0.05 * (l1 + l2))):
             pose = home
         assigned.append(takes)
         counted.append(takes or (pose is home and not plane.disabled[i]))
@@ -154,7 +161,7 @@ _HANDS = {"right": ("right",), "left": ("left",), "both": ("right", "left")}
 
 
 def _two_arms(tip, l1, l2, home_theta, side):
-    """Joint angles by the law of cosines."""
+    """Return the joint angles by the law of cosines."""
     r = abs(tip)
     if r == 0:
         return home_theta, side * np.pi
@@ -185,7 +192,7 @@ def _body(plane, i, center, l1, l2, theta, phi, fiber_type):
 
 
 def collisions_of(plane, arms):
-    """Pairs and pairs with obstacles by shapely, every arm with every other."""
+    """Return colliding pairs, and pairs with obstacles, by testing every arm against all other arms with shapely."""
     there = [i for i, arm in enumerate(arms) if arm is not None]
     lines = {i: shapely.linestrings([(z.real, z.imag) for z in arms[i]]) for i in there}
     separation, clearance = plane.positioner.min_separation.to_value("mm"), plane.positioner.clearance.to_value("mm")
@@ -201,9 +208,11 @@ def collisions_of(plane, arms):
 
 
 def expectation(plane, queues, types=None, parked_obstacles=True):
-    """Exact expectations where one entry of each queue is drawn, all alike: every configuration, one at a time.
+    """Return exact expected values over all configurations, if one target of each queue is drawn with equal
+    probabilities.
 
-    Returns value, value of the assigned ones, pairs over those that count, and the part of each positioner.
+    Returns the value, the value of assigned positioners, the number of pairs divided by that of counted positioners,
+    and the value of each positioner.
     """
     n = len(plane)
     rates, assigned_rates, pair_rates, times, counts = [], [], [], np.zeros(n), np.zeros(n)
@@ -225,13 +234,13 @@ def expectation(plane, queues, types=None, parked_obstacles=True):
 
 
 def balanced_queues(xy, centers, reaches):
-    """Queues of targets under the rule `balanced`, one list of points a positioner."""
+    """Return the queues of ``balanced`` as a list of points for each positioner."""
     owner = np.array(balanced_owner(xy, centers, reaches), dtype=int)
     return [[tuple(p) for p in np.asarray(xy)[owner == i]] for i in range(len(centers))]
 
 
 def closest_pairs_first(xy, centers, can, priority):
-    """Take the closest of all pairs that are left, class after class."""
+    """Assign the closest of all remaining pairs, one class after the other."""
     target_of = [-1] * len(centers)
     for value in sorted(set(priority), reverse=True):
         while True:
@@ -249,7 +258,10 @@ def closest_pairs_first(xy, centers, can, priority):
 
 
 def fewest_circles(catalog, radius):
-    """Fewest circles that hold all targets: exhaustive over circles through two targets, and those about one."""
+    """Return the smallest number of circles that contain all targets.
+
+    All circles through two targets, and around one target, are tried.
+    """
     vectors = catalog.arrays.vectors
     centers = [*vectors]
     for a, b in itertools.combinations(vectors, 2):

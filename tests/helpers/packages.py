@@ -1,4 +1,4 @@
-"""Two positioners, four targets, and a package that adds to what is known."""
+"""Two positioners, four targets, and a package with plugins."""
 
 import astropy.units as u
 import numpy as np
@@ -9,7 +9,7 @@ import rfpsurvey as rs
 CENTER = SkyCoord("6h20m +23d")
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 PAIR = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, ROBOT)
-# the first of two positioners reaches targets 0 and 1, the second 1 and 2, nobody 3
+# the first positioner reaches targets 0 and 1, and the second reaches 1 and 2; target 3 is out of reach
 FOUR = [[-10, 0], [13, 0], [30, 0], [99, 0]] * u.mm
 
 HERS = """

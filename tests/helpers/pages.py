@@ -1,4 +1,4 @@
-"""A reader of pages that is as strict as no browser is."""
+"""A strict reader of HTML pages."""
 
 from html.parser import HTMLParser
 
@@ -19,7 +19,7 @@ LOADING = {
 
 
 class Reader(HTMLParser):
-    """What is in a page; a tag that is not closed where it should be is an error."""
+    """Collect the content of a page; a tag that is not closed is an error."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
@@ -67,19 +67,19 @@ class Reader(HTMLParser):
         return [data for tag, data in self.texts if tag in tags]
 
     def table(self, caption):
-        """Heads, and rows of cells, of the only sortable table whose caption begins so."""
+        """Return the column names and rows of the only sortable table whose caption begins with the given text."""
         found = [t for t in self.tables if t["class"].split()[0] == "rows" and t["caption"].startswith(caption)]
         assert len(found) == 1, [t["caption"] for t in self.tables]
         heads, *rows = found[0]["rows"]
         return [cell["text"] for cell in heads], rows
 
     def facts(self):
-        """Labels to texts of all small tables."""
+        """Return the text of all small tables by label."""
         rows = [row for t in self.tables if t["class"] == "facts" for row in t["rows"]]
         return {label["text"]: value["text"] for label, value in rows}
 
 
 def full(cell):
-    """The full value of a cell, NaN where it is missing."""
+    """Return the full value of a cell, or NaN if it is missing."""
     value = cell.get("data-value", cell["text"])
     return float(value) if value else float("nan")

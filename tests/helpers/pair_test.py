@@ -1,4 +1,4 @@
-"""The kernel's answer for one pair of segments."""
+"""The decision of the kernel for a single pair of segments."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ RUN = np.array([[0, 1, 1]])
 
 
 def decide(first, second, limit):
-    """True, False, or None where the pair is in the band."""
+    """Return True, False, or None for a borderline pair."""
     pair = np.array([first, second]).T.copy()
     halves, squared = np.empty((4, 2)), np.empty(2)
     collisions.halve(pair, halves)

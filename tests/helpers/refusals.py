@@ -1,4 +1,4 @@
-"""What is refused, in one sentence: by commands, and by readers of files."""
+"""Errors of commands and of readers, each of which is a single sentence."""
 
 import pytest
 
@@ -6,7 +6,7 @@ import rfpsurvey as rs
 
 
 def sentence(code, err):
-    """Bad input: exit code 2 and one line, no traceback."""
+    """Check that a command refuses bad input with exit code 2 and one line without a traceback."""
     assert code == 2
     lines = [line for line in err.strip().split("\n") if "warning:" not in line]
     assert len(lines) == 1
@@ -15,7 +15,7 @@ def sentence(code, err):
 
 
 def refusal(path, read=rs.Catalog.read):
-    """Return the sentence with which a file is refused, without its name."""
+    """Return the sentence of the error for a file, without the name of the file."""
     with pytest.raises(rs.InputError) as caught:
         read(path)
     text = str(caught.value)

@@ -1,4 +1,4 @@
-"""Focal planes with every trouble that an instrument can have, and the options to score them with."""
+"""Focal planes with all properties that make instruments difficult, and options for scoring them."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def two_fibers():
 
 
 def with_troubles(plane):
-    """Stuck, disabled and individual units, and obstacles."""
+    """Return a focal plane with stuck, disabled and different positioners, and with obstacles."""
     n = len(plane)
     stuck = np.full((n, 2), np.nan)
     stuck[[7, 18]] = [30, 40], [-100, 90]
@@ -66,7 +66,10 @@ SCENES = {
 
 
 def random_tips(plane, rng, part=1.0):
-    """Tips in mm, uniform in each patrol area, within the joint limits; some at the very center; NaN for none."""
+    """Return tips in mm, uniform in each patrol area and within joint limits.
+
+    Some are exactly at the center, and some are NaN.
+    """
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     r = np.maximum(np.sqrt(rng.uniform(inner**2, outer**2)) * (1 - 1e-12), inner)
     r[(inner == 0) & (rng.random(n) < 0.05)] = 0
@@ -84,7 +87,7 @@ def many_tips(plane, rng, m, part=0.8):
 
 
 def random_plane(rng):
-    """Two to seven positioners of all sorts, close together."""
+    """Return two to seven positioners of all kinds that are close to each other."""
     kind = rng.choice(["equal", "unequal", "both", "fibers", "thick"])
     unit = {
         "equal": lambda: rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM),

@@ -1,4 +1,4 @@
-"""Valid files of every format, how they are read, and how many rows they have by other means."""
+"""Valid files of every format, functions that read them, and independent numbers of their rows."""
 
 import bz2
 import gzip
@@ -29,13 +29,13 @@ class Sample:
     format: str
     path: Path
     read: Callable[[Path], int]
-    """Return the number of rows that were read, or dropped with a warning."""
+    """Function that returns the number of rows that were read, or were dropped with a warning."""
     count: Callable[[Path], int | None]
-    """Return the number of rows that are there, by other means; None where it does not apply."""
+    """Function that counts the rows independently; it returns None if this is not possible."""
     pieces: tuple[str, ...] = ()
-    """Files that may be damaged; nothing where it is one file."""
+    """Files that may be damaged; empty for a single file."""
     repair: Callable[[Path], None] = lambda path: None
-    """Makes checksums right after the damage."""
+    """Function that updates checksums after the damage."""
 
 
 def read_catalog(path: Path) -> int:
@@ -133,7 +133,7 @@ def _survey(folder, table) -> Sample:
 
 
 def _results(folder, table) -> list[Sample]:
-    """Return files that this package writes, beside catalogs and surveys."""
+    """Return further files that this package writes, in addition to catalogs and surveys."""
     small = _small()
     tile = rs.plan_tile(rs.Catalog.from_table(table["id", "ra", "dec", "priority"]), small, CENTER)
     tiling = rs.Tiling.from_table(QTable({"ra": table["ra"], "dec": table["dec"]}))
@@ -168,7 +168,7 @@ def _small() -> rs.Instrument:
 
 
 def sign(folder: Path) -> None:
-    """Write the index anew, so that no checksum tells of the damage."""
+    """Write the index again, so that checksums do not reveal the damage."""
     lines = ["file,bytes,sha256"]
     for path in sorted([*folder.rglob("*.fits"), *folder.glob("*.ecsv")]):
         content = path.read_bytes()
@@ -178,12 +178,12 @@ def sign(folder: Path) -> None:
 
 
 def _count_survey(folder: Path, n: int) -> int:
-    """Return the number of rows of all tables, where headers and lengths are what they were."""
+    """Return the number of rows of all tables, if their headers and sizes are unchanged."""
     return n
 
 
 def content(path: Path) -> bytes:
-    """Return what is in a file, decompressed as far as the first bytes ask for it."""
+    """Return the content of a file, decompressed according to its first bytes."""
     found = path.read_bytes()
     for magic, opener in ((b"\x1f\x8b", gzip.decompress), (b"BZh", bz2.decompress), (b"\xfd7zXZ", lzma.decompress)):
         if found.startswith(magic):
@@ -192,13 +192,13 @@ def content(path: Path) -> bytes:
 
 
 def count_lines(path: Path) -> int:
-    """Return the number of lines of a table of text that are no comments, without that of the names."""
+    """Return the number of lines of a text table, without comments and the line of names."""
     lines = [line.strip() for line in re.split(rb"\r\n|\r|\n", content(path).removeprefix(b"\xef\xbb\xbf"))]
     return max(sum(1 for line in lines if line and not line.startswith(b"#")) - 1, 0)
 
 
 def count_fits(path: Path) -> int:
-    """Return the rows of all tables, if they fill their blocks; -1 otherwise."""
+    """Return the number of rows of all tables if they fill their blocks, otherwise -1."""
     found, place, total = content(path), 0, 0
     while (begin := found.find(b"XTENSION= 'BINTABLE'", place)) >= 0:
         header = found[begin : found.find(b"END" + b" " * 77, begin)]
@@ -216,7 +216,9 @@ def count_tr(path: Path) -> int:
 
 
 def count_stream(path: Path) -> int:
-    """Return the rows of a stream: a byte of missing values, seven numbers, and seven characters of two bytes."""
+    """Return the number of rows of a stream: a byte for missing values, seven numbers, and seven characters of two
+    bytes.
+    """
     stream = re.search(rb"<STREAM[^>]*>(.*?)</STREAM>", content(path), re.DOTALL)
     return len(b64decode(stream[1])) // (1 + 7 * 8 + 7 * 2)
 

@@ -1,4 +1,4 @@
-"""Each entry of an instrument's description: its type, range and unit."""
+"""Types, ranges and units of all entries in the description of an instrument."""
 
 import re
 
@@ -106,7 +106,7 @@ def test_the_base_is_good(tmp_path):
     ],
 )
 def test_an_entry_that_is_not_what_it_must_be(tmp_path, entry, text, message):
-    """The sentence was "lacks or misuses 'int' object is not iterable", or the value was taken."""
+    """Regression: the error message did not name the entry, or the invalid value was accepted."""
     section, _, name = entry.rpartition(".")
     assert message in refused(tmp_path, with_entry(section, name, text))
 
@@ -114,10 +114,10 @@ def test_an_entry_that_is_not_what_it_must_be(tmp_path, entry, text, message):
 @pytest.mark.parametrize("name", [*ENTRIES, "observing.boss_sky_per_spectrograph"])
 @pytest.mark.parametrize("value", ["true", "nan", '""', "[]", "{}", "-1e300", "[[true]]", "2026-01-01"])
 def test_no_entry_takes_what_is_of_another_kind(tmp_path, name, value):
-    """Each entry, with values that hardly any of them may have."""
+    """Give each entry values of types that few entries accept."""
     section, _, own = name.rpartition(".")
     if value == "[]" and name.endswith("_cells"):
-        return  # an empty list of cells is one
+        return  # an empty list is a valid list of cells
     unit = getattr(ENTRIES.get(name), "unit", None)
     assert own in refused(tmp_path, with_entry(section, own, figure(value, unit)))
 
@@ -129,7 +129,7 @@ def test_a_section_must_be_a_table(section):
 
 
 def test_the_table_of_entries_is_complete():
-    """Each argument of a positioner can be described."""
+    """The description can contain every argument of a positioner."""
     own = {name.partition(".")[2] for name in ENTRIES if name.startswith("positioner.")}
     assert own == set(Positioner.__dataclass_fields__)
     assert NEED.fullmatch("observing.boss_sky")

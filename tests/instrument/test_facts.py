@@ -1,4 +1,4 @@
-"""Facts of instruments against closed forms, shapely, and random directions on the sky."""
+"""Derived quantities of instruments, compared with formulas, shapely, and random directions on the sky."""
 
 import astropy.units as u
 import numpy as np
@@ -23,7 +23,7 @@ def lattice(rings=4, l1=8.25, l2=8.25, pitch=25.6, scale=200 * u.mm / u.deg, **c
 
 def hull_of(plane):
     centers, radius = shapely.points(plane.arrays.xy), plane.arrays.outer_radius
-    # a disc inside the hull of all centers adds nothing
+    # a patrol area inside the hull of all centers does not change the area
     outer = shapely.distance(centers, shapely.convex_hull(shapely.multipoints(centers)).boundary) <= radius
     discs = shapely.buffer(centers[outer], radius[outer], quad_segs=512)
     return shapely.convex_hull(shapely.multipoints(shapely.get_coordinates(discs)))
@@ -41,10 +41,10 @@ def test_a_hexagonal_grid_has_the_facts_of_the_closed_forms():
     assert facts["field_radius"].to_value(u.rad) == pytest.approx(np.arctan((side + reach) / focal_length), rel=1e-9)
     hexagon = 1.5 * np.sqrt(3) * side**2
     assert facts["footprint"].to_value(MM**2) == pytest.approx(hexagon)
-    # a hexagon with a rim as wide as the reach; on the sky smaller by (1 + t2) ** -1.5, t below 0.0103
+    # a hexagon with a margin as wide as the reach; on the sky it is smaller by (1 + t2) ** -1.5, with t below 0.0103
     area = (hexagon + 6 * side * reach + np.pi * reach**2) / 200**2
     assert area * (1 - 1.5 * 0.0103**2) < facts["field_of_view"].to_value(u.deg**2) < area
-    assert facts["coverage"] == 1  # the reach is larger than the distance of a corner of a cell, pitch / sqrt(3)
+    assert facts["coverage"] == 1  # the reach is larger than the distance to a corner of a cell, pitch / sqrt(3)
     assert facts["plate_scale"].to_value(u.mm / u.deg) == pytest.approx(200)
     assert facts["positioner_density"].to_value(u.deg**-2) == pytest.approx(61 / area, rel=2e-4)
 
@@ -61,9 +61,9 @@ def test_coverage_and_multiplicity_are_those_of_an_exact_overlay(l1, l2):
 
 @pytest.mark.parametrize("name", ["desi", "pfs", "sdss_apo"])
 def test_the_field_of_view_is_that_of_random_directions(presets, name, rng):
-    """Directions around the center, uniform on the sphere, that fall on the hull of the patrol areas."""
+    """Count uniform random directions around the center whose positions are in the hull of the patrol areas."""
     model = presets[name]
-    if isinstance(model.distortion, dict):  # the fiber type that sees farther
+    if isinstance(model.distortion, dict):  # the fiber type with the larger field
         widest = max(model.distortion.values(), key=lambda m: m.to_angle(300 * MM))
         model = rs.Instrument(
             "one",
@@ -83,7 +83,7 @@ def test_the_field_of_view_is_that_of_random_directions(presets, name, rng):
 
 
 def test_published_fields_of_view(presets):
-    """DESI: 8 deg2 within 1.6 deg; PFS: 1.25 deg2; MOONS: 500 arcmin2; LAMOST: 5 deg across."""
+    """The values are DESI: 8 deg2 within 1.6 deg; PFS: 1.25 deg2; MOONS: 500 arcmin2; LAMOST: diameter of 5 deg."""
     for name, area, tolerance in (
         ("desi", 8, 0.07),
         ("pfs", 1.25, 0.03),

@@ -39,7 +39,7 @@ def test_every_figure_has_a_status_and_a_source(presets, name):
         ("sdss_apo", 1.0, 220.519, 1e-3),
         ("sdss_lco", 1.0, 331.490, 1e-3),
         ("pfs", 0.69, 226.600, 1e-3),
-        ("desi", 1.6, 405.892, 5e-3),  # the fit to the Echo22 table is good to 0.0039 mm
+        ("desi", 1.6, 405.892, 5e-3),  # the fit to the Echo22 table has errors of at most 0.0039 mm
         ("lamost", 2.0, 20000 * np.tan(np.deg2rad(2.0)), 1e-9),
     ],
 )
@@ -85,7 +85,7 @@ def test_lamost_lies_within_its_focal_plate(presets):
     groups, counts = np.unique(plane.spectrograph, return_counts=True)
     assert len(groups) == 16
     assert set(counts) == {250}
-    # contiguous: nobody is farther from its group's middle than a block of 250 cells is wide
+    # groups are contiguous: all distances from the mean position are less than the width of a block of 250 cells
     for g in groups:
         block = plane.xy.value[plane.spectrograph == g]
         assert np.hypot(*(block - block.mean(axis=0)).T).max() < 650
@@ -99,7 +99,7 @@ def test_desi_and_pfs_layouts(presets):
     x, y = pfs.xy.value.T
     assert (x.min(), x.max()) == pytest.approx((-193.99, 193.99), abs=0.01)
     assert (y.min(), y.max()) == pytest.approx((-220.0, 224.0))
-    # three fields of 798, by symmetry
+    # three equal groups of 798, which differ by rotations of 120 deg
     turned = np.deg2rad(120)
     again = pfs.xy.value @ [[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]]
     assert len(np.unique(np.round(np.vstack([pfs.xy.value, again]), 6) + 0.0, axis=0)) == 2394
@@ -111,11 +111,11 @@ def test_sdss_layout(presets):
     assert dict(zip(types.tolist(), counts.tolist(), strict=True)) == {"BOSS": 202, "BOSS+APOGEE": 298}
     assert len(plane.obstacles) == 46
     index = {name: k for k, name in enumerate(plane.id)}
-    assert "R0C14" not in index  # the central hole is empty
+    assert "R0C14" not in index  # there is no positioner in the central hole
     np.testing.assert_allclose(plane.xy[index["R0C1"]].value, [-13 * 22.4, 0], atol=1e-9)
     np.testing.assert_allclose(plane.xy[index["R+13C1"]].value, [-6.5 * 22.4, 13 * 22.4 * np.sqrt(3) / 2])
     assert np.hypot(*plane.xy.value.T).max() == pytest.approx(291.2)
-    # no fiducial stands where a robot does
+    # no fiducial is at the position of a robot
     gap = np.hypot(*(plane.xy.value[:, None] - plane.obstacles.value[None, :, :2]).transpose(2, 0, 1))
     assert gap.min() == pytest.approx(22.4)
     for name, radius in (("sdss_apo", 1.414), ("sdss_lco", 0.947)):
@@ -155,7 +155,7 @@ def test_an_instrument_of_ones_own(tmp_path):
 
 
 def test_other_packages_add_instruments(tmp_path, monkeypatch):
-    """An installed distribution with an entry point, as pip leaves it behind."""
+    """The distribution has an entry point, as if pip had installed it."""
     (tmp_path / "mine.toml").write_text(textwrap.dedent(DESCRIPTION))
     (tmp_path / "their_package.py").write_text(
         "from pathlib import Path\nimport rfpsurvey as rs\npath = Path(__file__).with_name('mine.toml')\n"
@@ -253,7 +253,7 @@ def test_descriptions_of_a_later_form_are_refused(tmp_path):
 
 
 def test_copies_for_other_processes_leave_out_what_is_computed():
-    """The plain arrays of 5000 positioners are 3 MB, and went to each process with every model of a survey."""
+    """Regression: plain arrays of 3 MB for 5000 positioners were copied to each process of a survey."""
     center = SkyCoord(95, 23, unit="deg")
     desi = rs.Instrument.preset("desi")
     sky = rs.synthetic_catalog("uniform", center, 1 * u.deg, n_targets=5000, rng=1)

@@ -1,4 +1,4 @@
-"""Tiles with sky fibers that were found in gaps of the catalog."""
+"""Tiles with sky fibers in gaps between the targets of the catalog."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ FILLING = ["lamost", "sdss", "optimal", "repair"]
 
 
 def wide_catalog(instrument, rng, text):
-    """Science and some standards all over the field, without any sky."""
+    """Return science targets and some standards in the whole field, without sky positions."""
     sky = rs.synthetic_catalog("uniform", CENTER, instrument.field_radius, n_targets=9000, rng=2)
     n = len(sky)
     types = instrument.focal_plane.fiber_types

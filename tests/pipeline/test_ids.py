@@ -40,7 +40,7 @@ def test_without_room_for_them_there_is_an_error():
 
 
 def test_a_catalog_is_freed_at_once():
-    """Its arrays do not hold it: large catalogs would otherwise wait for the garbage collector."""
+    """The arrays of a catalog do not refer to it; otherwise, memory would be freed only by the garbage collector."""
     catalog = rs.synthetic_catalog("uniform", SkyCoord("6h 0d"), 1 * u.deg, n_targets=10, rng=1)
     assert len(catalog.arrays.vectors) == 10
     there = weakref.ref(catalog)

@@ -12,7 +12,7 @@ CENTER = SkyCoord(95, 23, unit="deg")
 
 
 def arrows(ax):
-    """Directions of the arrows on the screen, in pixels, by the letter at their end."""
+    """Return the directions of the arrows on the screen, in pixels, by the letters at their ends."""
     ax.figure.draw_without_rendering()
     found = {}
     for patch in ax.findobj(FancyArrowPatch):
@@ -23,7 +23,7 @@ def arrows(ax):
 
 
 def on_screen(ax, tile, instrument, angle):
-    """Direction on the screen from the field center to a place half a degree away at a position angle."""
+    """Return the direction on the screen from the field center to a point half a degree away at a position angle."""
     angle_of_tile = tile.provenance["parameters"]["position_angle_deg"] * u.deg
     plane = instrument.projection(CENTER, angle_of_tile)
     places = plane.to_focal_plane(CENTER.directional_offset_by(angle * u.deg, [0, 0.5] * u.deg)).to_value(u.mm)
@@ -47,7 +47,7 @@ def test_the_compass_points_where_the_projection_puts_north_and_east(presets, sk
         assert set(found) == {"N", "E"}
         np.testing.assert_allclose(found["N"], on_screen(ax, tile, apo, 0), atol=0.01)
         np.testing.assert_allclose(found["E"], on_screen(ax, tile, apo, 90), atol=0.01)
-        # seen on the sky, east is a quarter of a turn counter-clockwise from north
+        # on the sky, east is 90 deg counter-clockwise from north
         quarter = np.array([-found["N"][1], found["N"][0]])
         assert found["E"] @ quarter == pytest.approx(1 if orientation == "sky" else -1, abs=0.01)
         letters = {t.get_text(): t for t in ax.texts}
@@ -77,7 +77,7 @@ def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
 
 @pytest.mark.parametrize("position_angle", [0, 45, 123.456, 315.25])
 def test_the_compass_is_inside_the_axes(presets, sky, position_angle):
-    """The label of an angle with three decimals went over the frame."""
+    """Regression: the label of an angle with three decimals extended beyond the axes."""
     tile = rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=position_angle * u.deg)
     ax = rs.plot.plot_focal_plane(tile)
     ax.figure.draw_without_rendering()
@@ -91,7 +91,7 @@ def test_the_compass_is_inside_the_axes(presets, sky, position_angle):
 
 
 def test_the_compass_hides_as_little_as_it_can(small):
-    """In a corner with a collision it hid the arms."""
+    """Regression: the compass hid arms in a corner with a collision."""
     corners = {(1, 1): [-85, 85], (0, 1): [85, 85], (0, 0): [85, -85], (1, 0): [-85, -85]}
     for free, point in corners.items():
         ax = rs.plot.plot_focal_plane(small, region=[[-100, -100], [100, 100]] * u.mm)

@@ -19,7 +19,7 @@ def tile(presets):
 
 
 def dots(ax):
-    """Points by the color of their dots."""
+    """Return the positions of dots by color."""
     return {to_hex(c.get_facecolor()[0]).lower(): c for c in ax.collections if isinstance(c, PathCollection)}
 
 
@@ -38,11 +38,11 @@ def test_large_planes_have_dots_in_place_of_arms(tile):
     assert set(found) == {color.lower() for color in (ARM, COLLISION, FADED)}
     colliding = np.asarray(t["in_collision"])
     target = np.asarray(t["status"] == "assigned")
-    # fibers are on their targets; positioners without one are at their centers
+    # dots are at targets or, for positioners without a target, at centers
     np.testing.assert_allclose(found[COLLISION.lower()].get_offsets(), places(t, "tip_")[colliding])
     np.testing.assert_allclose(found[ARM.lower()].get_offsets(), places(t, "tip_")[target & ~colliding])
     np.testing.assert_allclose(found[FADED.lower()].get_offsets(), places(t, "")[~target & ~colliding])
-    # idle ones recede; collisions are larger, on top, and of another shape
+    # dots of idle positioners are small; those of collisions are large, on top, and have a different shape
     size, order = (
         [found[c.lower()].__getattribute__(name)() for c in (FADED, ARM, COLLISION)]
         for name in ("get_sizes", "get_zorder")
@@ -89,7 +89,7 @@ def test_targets_are_crosses_where_they_are_projected_to(presets, tile):
 
 
 def test_groups_are_pale_below_dots(tile):
-    """Dots could not be seen on a spectrograph of the same color."""
+    """Regression: dots could not be seen on a spectrograph of the same color."""
     for thing, opacity in ((tile, 0.4), ("pfs", 1.0)):
         ax = rs.plot.plot_focal_plane(thing, color="spectrograph")
         fills = [c for c in ax.collections if isinstance(c, EllipseCollection) and c.get_zorder() == 0.9]

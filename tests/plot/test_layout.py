@@ -1,4 +1,4 @@
-"""Nothing that plots show is cut by the edge of their figure."""
+"""The edges of figures cut off no part of a plot."""
 
 import astropy.units as u
 import numpy as np
@@ -16,7 +16,7 @@ ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 
 @pytest.fixture(scope="module")
 def results(presets, small):
-    """What the functions draw."""
+    """Return the results that the functions plot."""
     sky = rs.synthetic_catalog("poisson", CENTER, 1.2 * u.deg, density=150 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
     many = rs.Catalog(
@@ -161,7 +161,9 @@ VARIANTS = {
     "name", [pytest.param(name, marks=pytest.mark.exhaustive if name in VARIANTS else ()) for name in PLOTS]
 )
 def test_all_that_is_drawn_is_inside_the_figure(results, name):
-    """The label of the comparison's last panel and the right edge of a survey's figure were cut."""
+    """Regression: the label of the last panel of a comparison, and the right edge of a figure of a survey, were cut
+    off.
+    """
     figure = PLOTS[name](results).figure
     figure.draw_without_rendering()
     box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
@@ -175,7 +177,7 @@ def test_every_public_plot_is_tested_here():
 
 
 def test_points_at_zero_are_whole(results):
-    """A collision probability of 0 was half a marker at the edge of its panel."""
+    """Regression: half of the marker of a collision probability of 0 was outside the panel."""
     *_, right = draw_instruments(results["instruments"]).axes
     (points, *_), *_ = (container for container in right.containers)
     right.figure.draw_without_rendering()
@@ -186,7 +188,7 @@ def test_points_at_zero_are_whole(results):
 
 
 def test_colors_of_values_can_be_told_from_a_dark_page(results):
-    """Dark purple designs and the darkest blue of the reach could not be seen on the dark page of a report."""
+    """Regression: dark purple designs and the darkest blue were not visible on the dark page of a report."""
     points = np.vstack([c.get_facecolor() for c in rs.plot.plot_designs(results["designs"]).collections])
     reach = draw_instruments(results["instruments"]).axes[0]
     bars = np.array([patch.get_facecolor() for container in reach.containers[1:] for patch in container])
@@ -195,7 +197,7 @@ def test_colors_of_values_can_be_told_from_a_dark_page(results):
 
 
 def contrast(one, other):
-    """Return the contrast ratio of two colors, 1 to 21, as web pages define it."""
+    """Return the contrast ratio of two colors (1 to 21) according to the definition for web pages."""
     light, dark = sorted((luminance(one), luminance(other)), reverse=True)
     return (light + 0.05) / (dark + 0.05)
 

@@ -77,14 +77,15 @@ def test_estimates_are_disks_colored_by_probability(small):
     np.testing.assert_array_equal(open_ones.get_offsets(), plane.xy.value[:3])
     assert words(ax) == ["not counted"]
     assert ax.child_axes[0].get_ylabel() == "collision probability"
-    # neighbors do not overlap
+    # disks of neighbors do not overlap
     assert filled.get_widths()[0] == pytest.approx(0.96 * 25.6)
 
 
 def test_counts_are_parts_of_the_configurations(small):
     plane = small.focal_plane
     tips = np.full((4, 37, 2), np.nan)
-    tips[:2, :2] = plane.xy.value[:2] + [[[12, 0], [-12, 0]]]  # the first two touch in half of the configurations
+    # the first two arms collide in half of the configurations
+    tips[:2, :2] = plane.xy.value[:2] + [[[12, 0], [-12, 0]]]
     counts = rs.count_collisions(plane, tips * u.mm, parked_obstacles=False)
     ax = rs.plot.plot_collision_map(counts, small)
     assert disks(ax)[0].get_array().tolist() == [0.5, 0.5] + [0] * 35
@@ -138,7 +139,7 @@ def test_one_positioner_is_a_map(small):
 
 
 def test_maps_of_large_instruments_have_contrast(presets):
-    """On a scale from 0, all of DESI had one color, and points that one and two positioners reach hardly differed."""
+    """Regression: with colors that began at 0, all of DESI had one color, and reach 1 and reach 2 looked alike."""
     desi = presets["desi"]
     estimate = flat.collision_probability(desi, method="quadrature", max_iterations=32)
     filled = disks(rs.plot.plot_collision_map(estimate, desi))[0]
@@ -148,7 +149,7 @@ def test_maps_of_large_instruments_have_contrast(presets):
     none, one, two = image.to_rgba(np.arange(3))[:, :3].sum(axis=1)
     assert none - one > 0.7
     assert one - two > 0.7
-    # the overlaps, 1.6 mm wide, are resolved
+    # the overlaps, 1.6 mm wide, are visible
     assert max(image.get_array().shape) * 1.6 / 780 > 2
 
 

@@ -40,12 +40,15 @@ def test_every_arm_is_drawn_once_in_its_color(tile):
         np.testing.assert_allclose(drawn[:, 1, 0], t["tip_x"][rows].value)
         np.testing.assert_allclose(drawn[:, 0, 1], t["elbow_y"][rows].value)
     assert ax.get_aspect() == 1
-    # few artists, however many positioners
+    # the number of artists does not depend on the number of positioners
     assert len(ax.collections) < 20
 
 
 def test_a_part_shows_the_same_as_the_whole_does_there(tile):
-    """What is out of sight is not drawn: pages on results would be large, and legends name what nobody sees."""
+    """Objects outside the axes are not drawn.
+
+    They would make reports large, and legends would contain invisible objects.
+    """
     low, high = np.array([40.0, -130.0]), np.array([140.0, 0.0])
     ax = rs.plot.plot_focal_plane(tile, region=[low, high] * u.mm)
     t, seen = tile.table, {}
@@ -67,7 +70,7 @@ def test_shades_are_half_the_safe_distance_wide(tile):
     for name in ("elbow", "arm"):
         end = [tile.table[f"{name}_{axis}"][row].value for axis in "xy"]
         assert np.linalg.norm(body - end, axis=1).min() == pytest.approx(4.0782 / 2, abs=1e-4)
-    # the capsule of SDSS-V ends 14.7276 mm from the elbow, short of the fiber
+    # the capsule of SDSS-V ends 14.7276 mm from the elbow, before the fiber
     t = tile.table[row]
     assert np.hypot(t["arm_x"] - t["elbow_x"], t["arm_y"] - t["elbow_y"]).value == pytest.approx(14.7276)
 

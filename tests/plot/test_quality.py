@@ -1,4 +1,4 @@
-"""The panels of a tile's quality show what its tables count."""
+"""The panels of the quality of a tile show the numbers in its tables."""
 
 import astropy.units as u
 import numpy as np
@@ -165,7 +165,7 @@ def survey(presets, sky):
 
 
 def test_the_bars_of_a_survey_are_the_visits_of_each_class_and_pass(survey):
-    """Passes in the order of planning; the number beside a bar is the length of its colored part."""
+    """The passes are in the order of planning. The number beside a bar is the length of its colored part."""
     ax, after = rs.plot.plot_quality(survey)[0], survey.completeness
     first, last = after[after["pass"] == 4], after[after["pass"] == 2]
     labels = [text.get_text() for text in ax.get_yticklabels()]

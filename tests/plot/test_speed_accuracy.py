@@ -1,4 +1,4 @@
-"""Charts of speed against accuracy: what is drawn, and that it can be read."""
+"""Plots of speed against accuracy: their content, and the legibility of their labels."""
 
 from itertools import combinations
 
@@ -30,7 +30,7 @@ def collisions():
 
 @pytest.fixture(scope="module")
 def chart():
-    """The axes of a chart of collisions, drawn once."""
+    """Return the axes of a plot of collision methods, drawn once."""
     return rs.plot.plot_speed_accuracy(collisions())
 
 
@@ -54,14 +54,14 @@ def labels_of(ax):
 
 
 def ticks_of(axis):
-    """Labels of ticks within the limits; others are not drawn."""
+    """Return the labels of the ticks within the limits, because only these are drawn."""
     low, high = axis.get_view_interval()
     ticks = [*axis.get_major_ticks(), *axis.get_minor_ticks()]
     return [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_text() and t.label1.get_visible()]
 
 
 def assert_readable(axes):
-    """No label overlaps another one or leaves the figure."""
+    """Check that no label overlaps another label or extends beyond the figure."""
     figure = axes[0].figure
     figure.draw_without_rendering()
     for ax in axes:
@@ -123,7 +123,7 @@ def test_labels_of_probabilities_can_be_read():
 
 
 def test_ticks_of_a_short_axis_do_not_overlap():
-    """Labels such as 2 x 10^0, 3 x 10^0 and 4 x 10^0 ran into each other."""
+    """Regression: labels such as 2 x 10^0, 3 x 10^0 and 4 x 10^0 overlapped."""
     table = QTable(
         {
             "method": ["conditional"] * 4,
@@ -151,7 +151,7 @@ def test_estimands_have_panels_of_their_own():
     np.testing.assert_array_equal(quadrature[0].get_xydata(), [[2, 0.01], [4, 0.005]])
     bars = quadrature[2][0].get_segments()
     np.testing.assert_allclose([bar[:, 1] for bar in bars], [[0.009, 0.011], [0.0044, 0.0056]])
-    assert allocated.containers[0][2][0].get_segments()[0][0, 1] > 0  # bars end above 0
+    assert allocated.containers[0][2][0].get_segments()[0][0, 1] > 0  # error bars end above 0
     assert "30 runs per point" in allocated.figure.get_suptitle()
 
 
@@ -164,14 +164,15 @@ def test_options_reach_the_lines_and_axes_are_those_given():
 
 
 def test_errors_of_repeated_runs_have_errors_of_their_own():
-    """Against many independent benchmarks the stated error of the error is right."""
+    """Compare the stated standard error of the error with the scatter of many independent benchmarks."""
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane.hexagonal(robot, rings=1, pitch=25.6 * u.mm)
     options = {"efforts": {"conditional": [32]}, "repeats": 20, "precision": 1e-3}
     tables = [rs.benchmark.benchmark_probability(plane, rng=k, **options) for k in range(30)]
     errors = np.array([t["error"][0] for t in tables])
     stated = np.mean([t["error_error"][0] for t in tables])
-    # a standard deviation of 30 values is known to 13 %, the mean of the stated ones to 6 %: three times their sum
+    # a standard deviation of 30 values is known to 13 %, and the mean of the stated ones to 6 %; the limit is three
+    # times their sum
     assert stated == pytest.approx(errors.std(ddof=1), rel=0.45)
     bias = np.array([t["bias"][0] for t in tables])
     assert (np.abs(bias) < 4 * np.array([t["bias_error"][0] for t in tables])).all()

@@ -30,7 +30,7 @@ def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
     assert np.ptp(rims[..., 0]) < 10
     radius = survey.provenance["parameters"]["radius_deg"] * u.deg
     for k, center in enumerate(SkyCoord(survey.tiles["ra"], survey.tiles["dec"])):
-        # the outline is that of the field; later passes are filled less far
+        # the outline is that of the field, and the fill is smaller for later passes
         for points, size in ((rims[k], 1), (corners[k], 0.75 if survey.tiles["pass"][k] == 2 else 1)):
             rim = SkyCoord(points[:, 0] * u.deg, points[:, 1] * u.deg)
             assert np.abs(rim.separation(center) - size * radius).max() < 1e-6 * u.deg
@@ -46,7 +46,7 @@ def outlines(ax):
 
 
 def test_wide_tilings_show_the_whole_sky():
-    """Fields in the middle, across the edge of the map, and over a pole: their outlines are where they should be."""
+    """The outlines of fields in the center of the map, across its edge, and over a pole are correct."""
     tiling = rs.Tiling.from_table(QTable({"ra": [180, 0.5, 77, 300] * u.deg, "dec": [0, 30, 89, -30] * u.deg}))
     radius = 3 * u.deg
     ax = rs.plot.plot_tiling(tiling, radius=radius, color="tile")
@@ -58,7 +58,7 @@ def test_wide_tilings_show_the_whole_sky():
         assert len(one) == len(polygon)
         pixels = (ax.transAffine + ax.transAxes).transform(one)
         np.testing.assert_allclose(pixels, ax.transData.transform(polygon), atol=1e-6)
-    assert np.bincount(tile_of.astype(int)).tolist() == [1, 2, 1, 1]  # one is cut by the edge
+    assert np.bincount(tile_of.astype(int)).tolist() == [1, 2, 1, 1]  # one field is cut by the edge
     for polygon, k in zip(polygons, tile_of.astype(int), strict=True):
         x, y = polygon.T
         assert np.abs(x).max() <= np.pi
@@ -66,9 +66,9 @@ def test_wide_tilings_show_the_whole_sky():
         away = rim.separation(tiling.coord[k])
         cut = (np.abs(x) == np.pi) | (np.abs(y) == np.pi / 2)
         assert np.abs(away - radius)[~cut].max() < 1e-6 * u.deg
-        # what is cut off lies within the field
+        # the part that is cut off is within the field
         assert (away[cut] <= radius + 0.2 * u.deg).all()
-    # east is to the left of the middle at 180 deg
+    # east is to the left of the center at 180 deg
     assert polygons[-1][:, 0].mean() < 0
     figure = matplotlib.figure.Figure()
     region = figure.subplots()
@@ -91,7 +91,7 @@ def test_the_scale_fits_the_values(survey):
     tiling = rs.Tiling(survey.tiles["tile", "ra", "dec", "position_angle", "pass"])
     (scale,) = rs.plot.plot_tiling(tiling).child_axes
     assert [t.get_text() for t in scale.get_yticklabels()] == ["1", "2"]
-    assert not rs.plot.plot_tiling(rs.Tiling(tiling.table[:2])).child_axes  # one value needs no scale
+    assert not rs.plot.plot_tiling(rs.Tiling(tiling.table[:2])).child_axes  # a single value requires no color bar
 
 
 def test_a_tiling_is_colored_by_pass_or_any_column(survey):
@@ -150,7 +150,10 @@ def test_twenty_thousand_tiles_are_one_collection():
 
 
 def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey):
-    """With limits of 0 and 1, all tiles of a survey had the same color; translucent ones read as other values."""
+    """Regression: with limits of 0 and 1, all tiles of a survey had the same color.
+
+    Translucent colors looked like other values.
+    """
     fields = rs.plot.plot_tiling(survey).collections[0]
     values = survey.tiles["completeness"]
     assert fields.get_clim() == (values.min(), values.max())
@@ -172,7 +175,7 @@ def test_targets_and_the_border_of_a_region_are_drawn():
     assert (corners[:, 0].min() % 360, corners[:, 0].max() % 360) == pytest.approx((350, 10))
     assert np.ptp(corners[:, 0]) == pytest.approx(20)
     assert (corners[:, 1].min(), corners[:, 1].max()) == pytest.approx((10, 20))
-    # a target far away does not change what is shown
+    # a distant target does not change the limits
     assert np.ptp(ax.get_ylim()) < 40
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["region", "3 targets"]
     with pytest.raises(rs.InputError, match="region must be a Region, got str"):
@@ -207,7 +210,7 @@ def test_borders_divide_inside_from_outside(region, projection):
 
 
 def test_a_wide_region_has_a_low_figure():
-    """A strip of the sky left 40 % of the height of its figure empty."""
+    """Regression: for a narrow strip of the sky, 40 % of the height of the figure was empty."""
     strip = rs.place_tiles(rs.Region.box(ra=[100, 150] * u.deg, dec=[20, 26] * u.deg), "lamost")
     figure = rs.plot.plot_tiling(strip).figure
     figure.draw_without_rendering()
@@ -217,7 +220,7 @@ def test_a_wide_region_has_a_low_figure():
 
 
 def test_fields_of_later_passes_have_a_legend_entry(survey):
-    """Nothing on a saved plot told why fills differ in size."""
+    """Regression: no part of a plot explained why the sizes of fills differ."""
     labels = [text.get_text() for text in rs.plot.plot_tiling(survey).get_legend().get_texts()]
     assert labels == ["field (fill is smaller in later passes)"]
     one = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
@@ -225,6 +228,6 @@ def test_fields_of_later_passes_have_a_legend_entry(survey):
 
 
 def test_few_fields_are_round(survey):
-    """Large circles had visible corners."""
+    """Regression: large circles had visible corners."""
     (edges,) = [c for c in rs.plot.plot_tiling(survey).collections if isinstance(c, LineCollection)]
     assert {len(segment) for segment in edges.get_segments()} == {145}

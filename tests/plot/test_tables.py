@@ -21,7 +21,7 @@ SCAN = QTable(
 
 
 def band(collection):
-    """Lower and upper edge by x."""
+    """Return the lower and upper edges of the interval by x."""
     corners = collection.get_paths()[0].vertices
     return {x: (corners[corners[:, 0] == x, 1].min(), corners[corners[:, 0] == x, 1].max()) for x in corners[:, 0]}
 
@@ -47,7 +47,7 @@ def test_groups_have_lines_of_their_own():
     assert ax is into
     lines = {line.get_label(): line.get_xydata().tolist() for line in ax.get_lines()}
     assert lines == {"long": [[30, 0.2], [35, 0.1]], "short": [[26, 0.4]]}
-    assert not ax.collections  # no interval is known
+    assert not ax.collections  # the intervals are unknown
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Plots of all targets of a tile or of a survey: every target is drawn once, by its outcome."""
+"""Plots of all targets of a tile or of a survey: every target is drawn once, according to its outcome."""
 
 import io
 import re
@@ -53,12 +53,12 @@ def survey(presets, sky):
 
 
 def layers(ax):
-    """Dots by label; those of targets that are left come after the assigned ones of their class."""
+    """Return the dots by label. Dots of unassigned targets follow those of assigned targets of their class."""
     return {c.get_label(): c for c in ax.collections if isinstance(c, PathCollection)}
 
 
 def left_of(ax):
-    """Dots of targets that are left by their color."""
+    """Return the dots of unassigned targets by color."""
     rest = [c for c in ax.collections if isinstance(c, PathCollection) and c.get_label() == "_left"]
     return {to_hex(c.get_facecolor()[0]).lower(): c for c in rest}
 
@@ -86,11 +86,11 @@ def test_targets_on_the_focal_plane_by_outcome(tile, arms):
         np.testing.assert_array_equal(dots.get_offsets(), places(found, rows))
         assert to_hex(dots.get_facecolor()[0]).lower() == color.lower()
         assert label in words(ax)
-    # targets lost to a collision show by shape and size, too
+    # targets lost to a collision also differ in shape and size
     lost, seen = (drawn[f"{OUTCOMES[k]}: {(found['outcome'] == OUTCOMES[k]).sum()}"] for k in (3, 1))
     assert len(lost.get_paths()[0].vertices) != len(seen.get_paths()[0].vertices)
     assert lost.get_sizes()[0] > seen.get_sizes()[0]
-    # everything is in view
+    # all targets are inside the axes
     low, high = np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
     assert ((places(found, known) > low) & (places(found, known) < high)).all()
 
@@ -130,7 +130,7 @@ def test_targets_by_class(tile, sky, color):
 
 
 def test_the_most_important_and_the_rarest_targets_are_on_top(tile):
-    """Of many targets, the last ones that were drawn hid all others: those of the lowest priority."""
+    """Regression: the last targets that were drawn, those of the lowest priority, hid all other targets."""
     for color, order in (("priority", ["priority 1", "priority 2", "priority 3"]), ("kind", ["science", "sky"])):
         drawn = {label.split(":")[0]: dots for label, dots in layers(rs.plot.plot_targets(tile, color=color)).items()}
         heights = [drawn[name].get_zorder() for name in order]
@@ -138,7 +138,7 @@ def test_the_most_important_and_the_rarest_targets_are_on_top(tile):
 
 
 def test_kinds_have_colors_of_their_own(science_only):
-    """Kinds had the color of their rank, so that sky was blue on a tile without standard stars."""
+    """Regression: the color of a kind was that of its rank, so that sky was blue on a tile without standard stars."""
     drawn = left_of(rs.plot.plot_targets(science_only, color="kind"))
     assert set(drawn) == {color.lower() for color in (ARM, SERIES[2], SERIES[3])}
 

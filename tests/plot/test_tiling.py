@@ -1,4 +1,4 @@
-"""A panel for each pass of a tiling."""
+"""Plots of a tiling with a panel for each pass."""
 
 import astropy.units as u
 import numpy as np
@@ -18,7 +18,7 @@ def tiling_of(passes, dec=20):
 
 
 def test_each_pass_has_a_panel_on_the_same_map():
-    """Passes were drawn over each other in two colors."""
+    """Regression: passes were drawn on top of each other in two colors."""
     tiling = tiling_of([1, 1, 3, 3, 3, 7])
     figure = rs.plot.draw_tiling(tiling)
     assert [ax.get_title() for ax in figure.axes] == ["pass 1: 2 tiles", "pass 3: 3 tiles", "pass 7: 1 tile"]
@@ -38,7 +38,7 @@ def test_targets_and_the_region_are_in_every_panel():
         *sides, dots = ax.get_lines()
         assert len(sides) == 4
         assert sorted(dots.get_xdata() % 360) == pytest.approx([352, 358])
-        assert ax.get_ylim()[1] > 50  # all of the region is shown
+        assert ax.get_ylim()[1] > 50  # the whole region is visible
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["region", "2 targets"]
 

@@ -90,7 +90,7 @@ def test_home_is_folded_or_as_near_as_the_joints_allow():
 
 
 def test_safe_distance():
-    """(7.4 + 15) sin(0.2 deg) + 5 mm is the published 5.078 mm."""
+    """The minimum separation (7.4 + 15) sin(0.2 deg) + 5 mm is the published value of 5.078 mm."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, step=0.1 * u.deg)
     assert unit.min_separation.value == pytest.approx(5.0782, abs=5e-5)
     assert rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM).min_separation == 4.5 * MM

@@ -1,4 +1,4 @@
-"""Formulas: areas by shapely's polygons, chances by scipy."""
+"""Formulas, compared with areas of polygons by shapely and with probabilities by scipy."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from scipy import stats
 import rfpsurvey as rs
 from scenes import MM, lamost_like, sdss_like, with_troubles
 
-EDGES = 512  # of a quarter of a circle: polygons are smaller by 2e-6
+EDGES = 512  # number of edges per quarter of a circle; polygons are smaller than circles by 2e-6
 MIXED = replace(sdss_like(2), central_arm=np.linspace(7, 9, 19) * MM, eccentric_arm=np.linspace(16, 7.5, 19) * MM)
 PLANES = {
     "equal arms": lamost_like(2),
@@ -41,7 +41,7 @@ def patrol_areas(plane):
 
 
 def closed_form(plane, variant):
-    """The paper's sum over neighbors, one pair of polygons at a time."""
+    """Return the sum over neighbors of the paper, computed with one pair of polygons at a time."""
     (l1, l2), d, xy = lengths(plane), plane.positioner.clearance.value, plane.xy.value
     outer, inner = l1 + l2 + d, np.maximum(abs(l2 - l1) - d, 0)
     if variant == "printed":
@@ -71,7 +71,10 @@ def test_closed_form_is_the_sum_over_polygons(name):
 
 
 def test_the_first_two_rings_take_part():
-    """Unequal arms of a pitch of 22.4 mm reach over their neighbors; the middle of three rings has 18 of them."""
+    """Unequal arms at a pitch of 22.4 mm reach beyond their neighbors.
+
+    In three rings, the central positioner has 18 neighbors.
+    """
     plane = sdss_like(3)
     middle = np.hypot(*plane.xy.value.T).argmin()
     full = rs.collision_probability(plane, method="closed_form").per_positioner[middle]
@@ -123,7 +126,7 @@ def test_overlap_ratio_is_that_of_polygons(name):
     areas = patrol_areas(plane)
     expected = [a.intersection(shapely.union_all([b for b in areas if b is not a])).area / a.area for a in areas]
     got = rs.collision_probability(plane, method="overlap_ratio")
-    # exact arcs on 400 rings: each of some ten rings that just touch another annulus is wrong by about 400^-1.5
+    # integration over 400 rings with exact arcs; the error is about 400^-1.5 for each ring that touches another annulus
     np.testing.assert_allclose(got.per_positioner, expected, atol=1e-3)
     assert got.value == pytest.approx(np.mean(expected), abs=5e-4)
     assert 0 < got.value <= 1
@@ -179,7 +182,7 @@ def test_who_is_alone_collides_with_nobody(method):
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
     alone = rs.FocalPlane([[3, 4]] * MM, unit)
     assert rs.collision_probability(alone, method=method).value == 0
-    if method != "close_pair":  # which knows no places
+    if method != "close_pair":  # this method does not use the positions
         far = rs.FocalPlane([[0, 0], [2000, 0]] * MM, unit)
         assert rs.collision_probability(far, method=method).value == 0
 

@@ -1,4 +1,4 @@
-"""Allocated targets: conditional expectations and simulation against each other and against every configuration."""
+"""Allocated targets: expected values and simulations, compared with each other and with all configurations."""
 
 import io
 import sys
@@ -46,7 +46,7 @@ TINY = {
     ),
 }
 
-# what to simulate, conditional realizations and plain iterations of one batch
+# scene, number of conditional realizations, number of plain iterations per batch
 SETTINGS = {
     "four a positioner": (lamost_like(), {}, 300, 3000),
     "dense": (lamost_like(), {"n_targets": 1500}, 120, 1200),
@@ -71,7 +71,7 @@ SETTINGS = {
 }
 
 
-# other settings are much like these
+# other settings are similar to these
 ALIKE = {"dense", "left", "small circle", "troubles of equal arms"}
 
 
@@ -80,7 +80,7 @@ def fields(estimate):
 
 
 def batches(plane, seed, n=20, **options):
-    """Independent estimates, and so an error that no estimate has a say in."""
+    """Return independent estimates, whose scatter is an error that does not depend on the stated errors."""
     return [flat.collision_probability(plane, rng=own, **options) for own in np.random.default_rng(seed).spawn(n)]
 
 
@@ -94,7 +94,7 @@ def queues_of(plane, xy):
 
 
 def assert_agree(one, other):
-    """Within 4 combined standard errors, which chance exceeds once in 3000 times; each positioner within 5."""
+    """Check that values agree within 4 combined standard errors (probability 1 in 3000), and positioners within 5."""
     (a, error_a), (b, error_b) = (mean_and_error([fields(e) for e in some]) for some in (one, other))
     assert (np.abs(a - b) < 4 * np.hypot(error_a, error_b)).all()
     (a, error_a), (b, error_b) = (mean_and_error([e.per_positioner for e in some]) for some in (one, other))
@@ -111,7 +111,7 @@ def test_conditional_and_monte_carlo_agree(name, part):
     plain = batches(plane, 2, method="monte_carlo", max_iterations=n_plain // part, **options)
     assert 0.005 < plain[0].value < 0.7
     assert_agree(conditional, plain)
-    for some in (conditional, plain):  # the error that each estimate states is the scatter that they have
+    for some in (conditional, plain):  # the error that each estimate states equals their scatter
         ratio = np.var([e.value for e in some], ddof=1) / np.mean([e.standard_error**2 for e in some])
         assert stats.chi2.ppf(0.001, 19) < 19 * ratio < stats.chi2.ppf(0.999, 19)
 
@@ -121,7 +121,8 @@ def test_conditional_is_the_mean_over_all_configurations(name, rng):
     plane = TINY[name]
     longest, values, idle = 0, [], 0
     skies = [rng.uniform(-edge, edge, (n, 2)) for n, edge in ((4, 20), (7, 20), (11, 25), (13, 30))]
-    skies = [np.array([[-9, 2]]), *(xy + plane.xy.to_value("mm").mean(axis=0) for xy in skies)]  # one for the first
+    # the first sky has a single target
+    skies = [np.array([[-9, 2]]), *(xy + plane.xy.to_value("mm").mean(axis=0) for xy in skies)]
     for xy in skies:
         queues = queues_of(plane, xy)
         longest, idle = max(longest, *(len(q) for q in queues)), idle + sum(not q for q in queues)
@@ -168,7 +169,7 @@ def test_few_entries_are_drawn_alike(rng, most):
 @pytest.mark.parametrize("method", ["monte_carlo", "conditional"])
 @pytest.mark.parametrize("name", ["equal arms", "unequal arms", "troubles", "both hands"])
 def test_iterations_are_the_public_way_through_allocation_and_collisions(name, method, rng):
-    """The rule of LAMOST leaves one configuration of each sky, which every method then has to score."""
+    """The rule of LAMOST leaves one configuration for each sky, so that all methods must give the same result."""
     plane, skies = TINY[name], []
 
     def sampler(rng):
@@ -193,7 +194,10 @@ def test_iterations_are_the_public_way_through_allocation_and_collisions(name, m
 
 
 def test_a_configuration_without_a_choice_is_scored_exactly(rng):
-    """Queues of one leave nothing to draw: one iteration is the count of `find_collisions`."""
+    """With queues of one target there is a single configuration.
+
+    One iteration gives the number of `find_collisions`.
+    """
     plane, rates = sdss_like(2), []
     for _ in range(30):
         xy = rng.uniform(-50, 50, (7, 2))
@@ -261,7 +265,7 @@ def test_without_targets_parked_arms_remain():
 
 
 def test_figures_of_lamost():
-    """The middle of LAMOST's lattice under four rules, as science has it; they differ by a factor of five."""
+    """The values at the center of LAMOST's lattice under four rules; they differ by a factor of five."""
     known = {"uniform": 0.110, "shared": 0.076, "voronoi": 0.019}
     plane = lamost_like(4)
     middle = np.hypot(*plane.xy.value.T).argmin()

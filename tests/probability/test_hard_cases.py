@@ -1,4 +1,4 @@
-"""Scenes in which a probability is easily wrong: immovable units, rare collisions, sharp densities, crowded targets."""
+"""Scenes with difficult probabilities: immovable positioners, rare collisions, narrow densities, crowded targets."""
 
 import astropy.units as u
 import numpy as np
@@ -23,7 +23,7 @@ def stuck_in_the_middle():
 
 
 def test_neighbors_of_an_immovable_unit_differ(rng):
-    """Each of the six sees its fixed pose from another side; a simulation of independent targets agrees."""
+    """The six neighbors see the fixed arm from different directions. A simulation of independent targets agrees."""
     plane = stuck_in_the_middle()
     got = rs.collision_probability(plane, method="quadrature", precision=5e-4)
     n, m = 4000, len(plane)
@@ -54,7 +54,7 @@ def test_who_never_counts_has_no_probability():
 
 @pytest.mark.parametrize("n", [36, pytest.param(100, marks=pytest.mark.exhaustive)])
 def test_rare_collisions_do_not_stop_the_simulation_early(n):
-    """One lucky hit says nothing about how rates scatter."""
+    """A single collision does not show how much rates scatter."""
     plane = rs.FocalPlane.hexagonal(lamost_like(2).positioner, rings=2, pitch=35 * MM)
     found = [rs.collision_probability(plane, precision=1e-3, rng=k) for k in range(n)]
     assert min(e.n for e in found) > 4 * HITS
@@ -107,7 +107,7 @@ def test_disc_targets_keep_apart_and_do_not_crowd_the_edge(rng):
         r2.append((points**2).sum(axis=1) / 60**2)
     r2 = np.concatenate(r2)
     assert r2.max() <= 1
-    # by addition into an empty surrounding the mean is above 0.508
+    # for random addition to an empty surrounding, the mean is above 0.508
     assert abs(r2.mean() - 0.5) < 0.003
 
 
@@ -185,7 +185,7 @@ def test_a_plane_without_a_usable_unit_is_refused(method):
 
 @pytest.mark.parametrize("n", [100, pytest.param(300, marks=pytest.mark.exhaustive)])
 def test_points_of_neighbors_are_shifted_independently(n):
-    """Else the product over neighbors would be biased: few points, many repeats."""
+    """With equal shifts, few points would repeat, and the product over neighbors would be biased."""
     plane = sdss_like(2)
     truth = rs.collision_probability(plane, method="quadrature", precision=1e-4)
     few = [flat.collision_probability(plane, method="quadrature", max_iterations=16, rng=k).value for k in range(n)]
@@ -193,7 +193,10 @@ def test_points_of_neighbors_are_shifted_independently(n):
 
 
 def test_iterations_end_where_they_cannot_help(rng):
-    """For given targets the precision is that of the simulation; what another sky would say cannot be reduced."""
+    """For given targets, the precision is that of the simulation.
+
+    More iterations cannot reduce the scatter between skies.
+    """
     targets = rng.uniform(-60, 60, (600, 2)) * MM
     found = rs.collision_probability(lamost_like(), targets=targets, method="monte_carlo", precision=5e-3)
     assert found.n < 1000

@@ -1,4 +1,4 @@
-"""How large the error is, when it is small enough, and that nothing else has a say in the result."""
+"""The size of the error, the rule that ends iterations, and the independence of results from all other settings."""
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
@@ -23,7 +23,7 @@ def assert_identical(one, other):
 
 
 class Recorder:
-    """A sampler that remembers what it said."""
+    """A function that draws targets and records them."""
 
     def __init__(self, n=20, edge=45):
         self.n, self.edge, self.skies = n, edge, []
@@ -33,7 +33,7 @@ class Recorder:
         return self.skies[-1]
 
     def rates(self, plane):
-        """One configuration of each sky, through the public path."""
+        """Return the rates of one configuration for each sky, computed with public functions."""
         reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost")) for xy in self.skies]
         return np.array([r.rate for r in reports])
 
@@ -61,7 +61,7 @@ def test_effective_trials_would_have_the_error():
 
 
 def test_a_bootstrap_in_pieces_is_one_in_a_piece():
-    """Many rates are drawn from in several goes, so that memory suffices."""
+    """If there are many rates, resampling is done in several parts to limit the memory."""
     rates, n = np.random.default_rng(1).random(1000), 1500
     drawn = rates[np.random.default_rng(2).integers(0, len(rates), (n, len(rates)))].mean(axis=1)
     found = INTERVALS["bootstrap"](rates, rates.mean(), 1000.0, 1000, 2.0, 0.9, np.random.default_rng(2), n_samples=n)
@@ -89,7 +89,7 @@ def test_the_interval_comes_from_the_scatter_of_iterations(n, confidence):
     trials = p * (1 - p) / error**2
     assert got.n_effective == pytest.approx(trials)
     q = stats.t.ppf((1 + confidence) / 2, n - 1)
-    # the equation behind Wilson's interval: where p is q standard errors of the bound away from it
+    # definition of Wilson's interval: p differs from each end by q standard errors, computed at this end
     for bound in (got.low, got.high):
         assert (p - bound) ** 2 == pytest.approx(q**2 * bound * (1 - bound) / trials, rel=1e-6)
     assert got.low < p < got.high
@@ -101,12 +101,12 @@ def test_without_a_collision_every_iteration_is_a_trial():
     got = flat.collision_probability(plane, method="monte_carlo", n_targets=0, max_iterations=40)
     exact = stats.binomtest(0, 40).proportion_ci(method="wilson")
     assert (got.value, got.low, got.n_effective) == (0, 0, 40)
-    # the quantile may allow for few iterations, but is not smaller than the normal one
+    # the quantile may be larger for few iterations, but is not smaller than that of the normal distribution
     assert exact.high * (1 - 1e-9) <= got.high < 1.1 * exact.high
 
 
 def test_with_nothing_but_collisions():
-    """Two arms that are always too close: the mirror image of no collision at all."""
+    """Two arms always collide, which is the opposite of a simulation without collisions."""
     unit = rs.Positioner(8 * MM, 8 * MM, 30 * MM)
     plane = rs.FocalPlane([[0, 0], [8, 0]] * MM, unit)
     got = flat.collision_probability(plane, method="monte_carlo", n_targets=20, max_iterations=40)
@@ -120,14 +120,14 @@ def test_every_positioner_as_a_trial_of_its_own_is_naive():
     options = {"method": "monte_carlo", "n_targets": 1000, "max_iterations": 300}
     naive = flat.collision_probability(plane, interval="wilson_naive", **options)
     trials = naive.meta["trials"]
-    assert trials == 300 * 37  # all of them have targets
+    assert trials == 300 * 37  # all positioners have targets
     k = round(naive.value * trials)
     assert k / trials == pytest.approx(naive.value, abs=1e-12)
     expected = stats.binomtest(k, trials).proportion_ci(method="wilson")
     assert (naive.low, naive.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
     honest = flat.collision_probability(plane, **options)
     assert honest.value == naive.value
-    # who collides, does so with another one: at least twice the variance if pairs were independent of each other
+    # collisions occur in pairs; if pairs are independent, the variance is at least twice as large
     assert (honest.high - honest.low) > 1.2 * (naive.high - naive.low)
     assert honest.meta["design_effect"] > 1.4
 
@@ -148,7 +148,7 @@ def test_bootstrap_is_that_of_scipy(confidence):
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
-    """With the stopping rule at work, which might prefer runs that are wrong about their own error."""
+    """The stopping rule is used, which might otherwise prefer simulations with too small errors."""
     plane, options = lamost_like(1), {"n_targets": 30, "method": "monte_carlo", "precision": 0.006}
     truth = flat.collision_probability(plane, n_targets=30, max_iterations=30_000)
     assert truth.standard_error < 0.006 / 20
@@ -169,7 +169,7 @@ def test_convergence_is_three_small_steps_in_a_row():
 
 @pytest.mark.parametrize(("method", "chunk"), [("monte_carlo", 64), ("conditional", 8)])
 def test_convergence_stops_at_the_first_quiet_stretch(method, chunk):
-    """The rule by hand on the running mean, which the package looks at after each task."""
+    """Apply the rule to the running mean, which the package tests after each task."""
     plane, sampler, tolerance = sdss_like(1), Recorder(8, 30), 0.004
     options = {"method": method, "targets": sampler, "allocator": "lamost"}
     got = flat.collision_probability(plane, stop="convergence", precision=tolerance, **options)
@@ -260,7 +260,7 @@ def test_the_precision_is_reached_and_not_much_more(method, plane, options, prec
     z = stats.norm.ppf((1 + options.get("confidence", 0.95)) / 2)
     assert (got.high - got.low) / 2 <= z * precision
     assert got.standard_error <= precision
-    if got.n > 200:  # the error is foreseen from at least 16 of them, which know it to 20 %
+    if got.n > 200:  # the number of iterations is predicted from at least 16 of them, which give the error to 20 %
         assert got.standard_error > 0.6 * precision
 
 
@@ -276,7 +276,7 @@ def test_so_many_iterations_and_no_more(method, n):
     assert flat.collision_probability(plane, method=method, max_iterations=n).n == n
     got = flat.collision_probability(plane, method=method, targets=sampler, max_iterations=n)
     assert got.n == n == len(sampler.skies)
-    assert (got.low <= got.value <= got.high) == (n > 1)  # seven positioners of one sky have no interval
+    assert (got.low <= got.value <= got.high) == (n > 1)  # there is no interval for seven positioners and one sky
 
 
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
@@ -291,7 +291,7 @@ def test_a_precision_out_of_reach_is_a_warning(method):
 
 @pytest.fixture(scope="module")
 def sky_and_others():
-    """Targets of one sky, and the values of 300 other skies."""
+    """Return the targets of one sky, and the values of 300 other skies."""
     rng = np.random.default_rng(20260101)
     xy, skies = rng.uniform(-80, 80, (150, 2)), rng.uniform(-80, 80, (300, 150, 2)) * MM
     return xy, [rs.collision_probability(sdss_like(), targets=sky).value for sky in skies]
@@ -299,13 +299,13 @@ def sky_and_others():
 
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 def test_one_given_sky_has_an_error_all_the_same(method, sky_and_others):
-    """Its value is known, but not that of another patch of such a sky."""
+    """The value of given targets is known, but the value of another patch of the same sky is not."""
     plane, (xy, others) = sdss_like(), sky_and_others
     got = flat.collision_probability(plane, method=method, targets=xy * MM, max_iterations=500)
     exact = rs.collision_probability(plane, targets=xy * MM)
     assert got.low < got.value < got.high
     assert abs(got.value - exact.value) <= 3 * got.standard_error
-    # the scatter of independent skies, known from a single one to about a factor of two
+    # the scatter of independent skies, which a single sky shows to about a factor of two
     assert 0.5 < got.standard_error / np.std(others) < 2
     if method == "conditional":
         assert got.n == 1
@@ -318,7 +318,7 @@ def test_queues_of_one_leave_nothing_to_average():
     methods = "conditional", "monte_carlo"
     conditional, plain = (flat.collision_probability(plane, method=method, **options) for method in methods)
     assert abs(conditional.value - plain.value) < 3 * np.hypot(conditional.standard_error, plain.standard_error)
-    # of 6 targets on 19 positioners few meet in a queue: a little less scatter, and not more
+    # few of 6 targets on 19 positioners are in the same queue, so that the scatter is slightly smaller
     assert 0.7 < conditional.standard_error / plain.standard_error < 1.1
     assert conditional.n == plain.n == 4000
 
@@ -326,7 +326,7 @@ def test_queues_of_one_leave_nothing_to_average():
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 @pytest.mark.parametrize("n", [1, 50])
 def test_a_sampler_that_always_says_the_same_has_an_error(method, n):
-    """Nothing scatters between iterations, which does not mean that everything is known."""
+    """The iterations do not scatter, but the value of other targets is uncertain."""
     plane, xy = sdss_like(3), np.random.default_rng(5).uniform(-70, 70, (30, 2)) * MM
     options = {"targets": lambda rng: xy, "allocator": "lamost", "max_iterations": n}
     got = flat.collision_probability(plane, method=method, **options)

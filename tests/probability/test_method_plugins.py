@@ -1,4 +1,4 @@
-"""Methods of collision probability that are not ours."""
+"""Methods of collision probability of other packages."""
 
 from dataclasses import replace
 
@@ -68,7 +68,7 @@ def test_allocated_targets_are_those_asked_for(small, rng):
 
 
 def test_an_error_gives_an_interval(small):
-    """Where the binomial distribution is the answer: Wilson's interval of 30 of 100 trials."""
+    """The interval is Wilson's interval of 30 of 100 trials, as for the binomial distribution."""
     from astropy.stats import binom_conf_interval
 
     def answer(question):

@@ -1,4 +1,4 @@
-"""The interval of given targets: what one sky says of others like it."""
+"""The interval of given targets, which describes other skies of the same kind."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,9 @@ from scenes import MM, lamost_like, sdss_like
 
 
 def dense(plane, *, ring):
-    """Adjacency of the nearest ring or of all neighbors, that of the neighbors beyond, and the projection that removes
-    the profile, as matrices."""
+    """Return as matrices the adjacency of the nearest ring or of all neighbors, that of the neighbors beyond, and the
+    projection that removes the profile.
+    """
     n = len(plane)
     everyone, apart = np.zeros((n, n)), np.hypot(*(plane.arrays.xy[:, None] - plane.arrays.xy[None]).transpose(2, 0, 1))
     first, second = plane.neighbor_pairs().T
@@ -28,7 +29,7 @@ def dense(plane, *, ring):
 
 
 def quadratic_form(adjacency, base, projection):
-    """The symmetric matrix M of the only unbiased combination of e'e and e'Ae, by solving the two equations."""
+    """Return the symmetric matrix M of the only unbiased combination of e'e and e'Ae, by solving the two equations."""
     n, p, pa = len(base), projection, projection @ adjacency
     moments = np.array([[np.trace(p @ base), np.trace(pa)], [np.trace(pa @ p @ base), np.trace(pa @ pa)]])
     a, b = np.linalg.solve(moments.T, [base.sum() / n**2, adjacency.sum() / n**2])
@@ -61,7 +62,7 @@ def test_the_variance_is_not_below_that_of_positioners_with_uncorrelated_nearest
     plane = sdss_like(3)
     adjacency, beyond, projection = dense(plane, ring=True)
     vectors = np.linalg.eigh(projection @ adjacency @ projection)[1]
-    away = projection @ vectors[:, 0]  # neighbors differ as much as they can
+    away = projection @ vectors[:, 0]  # neighbors differ as much as possible
     assert away @ adjacency @ away < -1
     base = np.eye(37) + BEYOND * beyond
     floor = away @ away * base.sum() / np.trace(projection @ base) / 37**2
@@ -69,7 +70,7 @@ def test_the_variance_is_not_below_that_of_positioners_with_uncorrelated_nearest
 
 
 def _share(plane):
-    """Fraction of the neighbors that are in the nearest ring."""
+    """Return the fraction of the neighbors that are in the nearest ring."""
     (ring, _, _), (everyone, _, _) = dense(plane, ring=True), dense(plane, ring=False)
     return ring.sum() / everyone.sum()
 
@@ -84,7 +85,9 @@ def test_alike_neighbors_make_the_variance_larger():
 
 @pytest.mark.parametrize(("rings", "each"), [(2, 4), pytest.param(3, 4, marks=pytest.mark.exhaustive), (4, 1)])
 def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
-    """Normal quantiles and residuals that were not corrected held it in 84 and 88 of 100 skies."""
+    """With normal quantiles and uncorrected residuals, only 84 and 88 of 100 intervals contained the expected value
+    over skies.
+    """
     plane, n = lamost_like(rings), 400
     source = make_source(plane, None, RandomTargets(number=each * len(plane)))
     simulation, precision = Simulation(plane, source, rs.AllocationOptions("balanced")), Precision(None, 1)
@@ -117,7 +120,7 @@ def test_iterations_on_a_given_sky_end_although_it_has_no_interval():
 
 
 def test_iterations_without_a_collision_say_nothing_of_other_skies():
-    """On one sky 37 positioners are at most 37 trials, however many configurations of it are drawn."""
+    """One sky with 37 positioners has at most 37 trials, for any number of configurations."""
     plane = lamost_like(3)
     got = flat.collision_probability(plane, method="monte_carlo", targets=plane.xy, max_iterations=500)
     assert (got.value, got.low) == (0, 0)

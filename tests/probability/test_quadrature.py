@@ -1,4 +1,4 @@
-"""Independent targets: quadrature against plain simulation, rejection sampling and every configuration."""
+"""Independent targets: quadrature compared with plain simulation, rejection sampling and all configurations."""
 
 import itertools
 from dataclasses import replace
@@ -18,7 +18,7 @@ N = 16_000
 
 
 def annuli(plane):
-    """Center, inner and outer radius of each patrol area, from the public columns."""
+    """Return the center, inner radius and outer radius of each patrol area, from public columns."""
     unit, n = plane.positioner, len(plane)
     l1 = np.full(n, unit.central_arm.value) if plane.central_arm is None else plane.central_arm.value
     l2 = np.full(n, unit.eccentric_arm.value) if plane.eccentric_arm is None else plane.eccentric_arm.value
@@ -47,13 +47,13 @@ def simulate(plane, rng, keep=lambda i, points: np.ones(len(points), bool), n=N)
 
 
 def assert_same(estimate, counts, plane):
-    """Within 4 combined standard errors, which chance exceeds once in 16,000 times; each positioner within 5."""
+    """Check that values agree within 4 combined standard errors (probability 1 in 16,000), and positioners within 5."""
     n, used = len(counts), movable(plane)
     error = np.hypot(counts.rate.std() / np.sqrt(n), estimate.standard_error)
     assert abs(estimate.value - counts.rate.mean()) < 4 * error
     assert estimate.value_assigned == estimate.value
     pairs = counts.n_pairs / used.sum()
-    # pairs scatter as the value does, up to the factor between the two
+    # the relative scatter of pairs is that of the value
     error = np.hypot(pairs.std() / np.sqrt(n), estimate.standard_error)
     assert abs(estimate.pairs_per_positioner - pairs.mean()) < 4 * error
     part = counts.per_positioner / n
@@ -96,7 +96,7 @@ def voronoi(plane, rng):
 
 
 def sloping(points):
-    """Denser toward the east, and none in a band."""
+    """Return a density that increases toward the east, and is 0 in a band."""
     x, y = points.to_value("mm").T
     return np.where(np.abs(y + 25) > 5, np.exp(x / 25), 0) * 1e200
 
@@ -139,12 +139,12 @@ def test_a_factor_of_the_density_does_not_matter():
     [lamost_like(), sdss_like(2), pytest.param(sdss_like(arm_model="fiber_tip"), marks=pytest.mark.exhaustive)],
 )
 def test_environments_change_nothing(plane):
-    """A function as density switches them off, and every positioner is computed by itself."""
+    """With a function as density, environments are not used, and each positioner is computed separately."""
     few = flat.collision_probability(plane, method="quadrature", max_iterations=512)
     each = flat.collision_probability(plane, method="quadrature", density=lambda p: np.ones(len(p)), max_iterations=512)
     assert few.meta["environments"] < 8 < each.meta["environments"] == len(plane)
     assert abs(few.value - each.value) < 3 * np.hypot(few.standard_error, each.standard_error)
-    # errors of a positioner are larger than those of the mean by no more than the root of their number
+    # the error of a positioner is larger than that of the mean by at most the square root of their number
     error = np.hypot(few.standard_error, each.standard_error) * np.sqrt(len(plane))
     assert (np.abs(few.per_positioner - each.per_positioner) < 5 * error).all()
 
@@ -154,7 +154,7 @@ def test_lamost_has_three_environments(presets):
     assert len(plane) == 469
     got = flat.collision_probability(plane, method="quadrature", max_iterations=64)
     assert got.meta["environments"] == 3
-    # corners, edges and the interior: 3, 4 and 6 neighbors
+    # positioners at corners, at edges and inside have 3, 4 and 6 neighbors
     pairs = plane.neighbor_pairs()
     n_neighbors = np.bincount(pairs.ravel())
     groups = [set(got.per_positioner[n_neighbors == k]) for k in (3, 4, 6)]
@@ -177,7 +177,7 @@ MIXED = {
 
 
 def surroundings(plane, i, radius):
-    """Everything within a radius as (x + iy, what it is), with names for units that do not move and obstacles."""
+    """Return all objects within a radius as (x + iy, kind). Immovable positioners and obstacles have names as kinds."""
     z = plane.xy.value @ [1, 1j]
     l2 = np.full(len(plane), 0) if plane.eccentric_arm is None else plane.eccentric_arm.value
     seen = [
@@ -193,7 +193,9 @@ def surroundings(plane, i, radius):
 
 
 def alike(one, other, turns):
-    """Is one the other after one of these turns by 60 degrees? A unit that does not move, does not turn, either."""
+    """Return whether a rotation by a multiple of 60 degrees maps one environment to the other; immovable arms do not
+    rotate.
+    """
     for k in turns:
         turned = [(z * np.exp(1j * np.pi / 3 * k), what) for z, what in one]
         still = any(what.startswith("disabled") for _, what in one)
@@ -265,7 +267,7 @@ def test_points_come_in_powers_of_two_and_no_more_than_allowed():
 
 
 def test_the_error_is_that_of_repeated_quadrature():
-    """Scrambles of other seeds scatter as much as the standard error says, about the same value."""
+    """Results with different seeds scatter around the same value as much as the standard error states."""
     plane = sdss_like(1)
     got = [
         flat.collision_probability(plane, method="quadrature", max_iterations=128, rng=rng)

@@ -1,4 +1,4 @@
-"""The rule that ends iterations leaves the mean of all estimates where it should be."""
+"""The rule that ends iterations does not bias the mean of many estimates."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ PLANE = lamost_like(1)
 
 
 def rare(p, counted):
-    """Realizations of ``counted`` positioners, of which two collide with a probability of ``p``."""
+    """Return realizations of ``counted`` positioners, two of which collide with the probability ``p``."""
 
     def task(size, rng):
         colliding = np.zeros((size, 4))
@@ -33,20 +33,24 @@ def estimates(p, precision, counted, repeats):
 
 @pytest.mark.parametrize("p", [0.003, pytest.param(0.01, marks=pytest.mark.exhaustive), 0.02])
 def test_rare_collisions_are_not_underestimated(p):
-    """A rule that looked at the error alone ended after 128 realizations without a hit, and was 13 to 27 % too low."""
+    """Regression: a rule based only on the error ended after 128 realizations without a collision, and was 13 to 27 %
+    too low.
+    """
     values, numbers = estimates(p, 0.01, counted=2, repeats=500)
-    # 448 realizations each: the standard error of the mean of 500 estimates, times 4
+    # 448 realizations each: 4 times the standard error of the mean of 500 estimates
     assert values.mean() == pytest.approx(p, abs=4 * np.sqrt(p / 448 / 500))
     assert np.median(numbers) == 448
 
 
 def test_what_is_left_is_a_tenth_of_the_precision():
-    """Worst where the precision needs about as many realizations as are always made, p = 4 times the precision."""
+    """The bias is largest if the precision requires about the minimum number of realizations, p = 4 times the
+    precision.
+    """
     values, _ = estimates(0.04, 0.01, counted=2, repeats=500)
     assert -0.001 - 4 * 0.0083 / np.sqrt(500) < values.mean() - 0.04 < 4 * 0.0083 / np.sqrt(500)
 
 
 def test_a_pair_of_many_positioners_needs_no_floor():
-    """Where a pair is a small part of the positioners, the precision is met without it."""
+    """If a pair is a small fraction of the positioners, the precision is reached without a minimum number."""
     _, numbers = estimates(0.01, 0.01, counted=70, repeats=20)
     assert numbers.max() <= 128

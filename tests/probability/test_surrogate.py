@@ -1,4 +1,4 @@
-"""Designs: the surrogate against quadrature and simulation, the polynomial against least squares."""
+"""Designs: the surrogate compared with quadrature and simulation, and the polynomial compared with least squares."""
 
 import astropy.units as u
 import numpy as np
@@ -13,7 +13,7 @@ PITCH = 31.0
 
 
 def designs_of(rng, n):
-    """Random shapes of the paper's box, none of them a node."""
+    """Return random designs in the range of the paper, none of which is a node of the grid."""
     central_arm, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1), (14.5, 2, 35, 7), (n, 4)).T
     return central_arm, central_arm * ratio, pitch, distance
 
@@ -40,7 +40,7 @@ def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
     rate = counts.per_positioner[middle].mean() / n
     error = 2 * np.sqrt(
         rate * (1 - rate) / (n * middle.sum())
-    )  # neighbors share collisions: at most twice the variance
+    )  # neighbors share collisions, so that the variance is at most doubled
     assert abs(rs.probability.surrogate_probability(9 * MM, 14 * MM, 27 * MM, 4 * MM) - rate) < 3 * error + 0.003
 
 
@@ -120,7 +120,7 @@ def test_held_back_designs_have_no_say(rng):
     central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
     value = rng.random(60)
     fit = rs.probability.fit_polynomial(central_arm * MM, ratio, pitch * MM, value, rng=1)
-    assert fit.r2_held_back < 0.5  # there is nothing to learn
+    assert fit.r2_held_back < 0.5  # all values are equal
     assert fit.r2_held_back < fit.r2 < 0.6
 
 
@@ -130,7 +130,7 @@ def test_a_penalty_shrinks_what_noise_suggests(rng):
     assert noisy.penalty > 1e-3
     left = rs.probability.fit_polynomial(
         central_arm * MM, ratio, pitch * MM, central_arm * ratio, rng=1
-    )  # there is nothing to shrink
+    )  # regularization has no effect
     assert left.penalty < 1e-6
 
 

@@ -1,4 +1,4 @@
-"""Where the targets of a simulation come from: random skies, samplers, catalogs."""
+"""Sources of the targets of a simulation: random skies, functions, catalogs."""
 
 import astropy.units as u
 import numpy as np
@@ -22,7 +22,7 @@ def source_of(plane, kind, n=None, radius=None, separation=None):
 
 
 def apart(gap=33.5, at=(0, 0)):
-    """Three positioners whose patrol areas do not overlap, but whose arms can collide."""
+    """Return three positioners whose patrol areas do not overlap, but whose arms can collide."""
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
     return rs.FocalPlane(([[0, 0], [gap, 0], [gap / 2, gap * 0.8660254]] + np.array(at)) * MM, unit)
 
@@ -32,7 +32,9 @@ def apart(gap=33.5, at=(0, 0)):
     [("uniform", None), ("poisson", None), ("poisson_disc", 7.9), ("poisson_disc", 3), ("poisson_disc", 0.3)],
 )
 def test_targets_are_uniform_in_the_circle(kind, separation, rng):
-    """Discs that fill nearly half of it, too, which are crowded at a wall if there is one."""
+    """Discs are also uniform if they fill nearly half of the circle; a wall at the edge would increase their density
+    there.
+    """
     source = source_of(lamost_like(), kind, 110, 60 * MM, None if separation is None else separation * MM)
     points = np.concatenate([source.draw(rng) for _ in range(200)])
     assert len(points) == 22_000 or kind == "poisson"
@@ -63,18 +65,18 @@ def test_discs_keep_their_distance(n, radius, separation, rng):
         assert np.hypot(*points.T).max() <= radius
         nearest.append(cKDTree(points).query(points, k=2)[0][:, 1].min())
     assert min(nearest) >= separation
-    assert min(nearest) < 1.1 * separation  # and no more than that: the rule is not stricter than it says
+    assert min(nearest) < 1.1 * separation  # the separation of some discs is not much larger than the minimum
 
 
 @pytest.mark.parametrize("at", [(0, 0), (500, -800)])
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 @pytest.mark.parametrize("kind", ["uniform", "poisson", "poisson_disc"])
 def test_chance_of_a_positioner_to_be_without_a_target(kind, method, at):
-    """Patrol areas that do not overlap are empty with a probability in closed form."""
+    """Patrol areas that do not overlap contain no target with a probability given by a formula."""
     plane, n, radius = apart(at=at), 6, 70.0
     middle = plane.xy.value.mean(axis=0) if any(at) else np.zeros(2)
     assert np.hypot(*(plane.xy.value - middle).T).max() + 16.5 < radius
-    separation = 0.5 if kind == "poisson_disc" else None  # so small that it does not matter
+    separation = 0.5 if kind == "poisson_disc" else None  # so small that it has no effect
     got = flat.collision_probability(
         plane,
         method=method,
@@ -87,7 +89,7 @@ def test_chance_of_a_positioner_to_be_without_a_target(kind, method, at):
     )
     part = (16.5 / radius) ** 2
     empty = np.exp(-n * part) if kind == "poisson" else (1 - part) ** n
-    # three of them compete for the same targets: at most as scattered as if they were one
+    # three positioners compete for the same targets; the scatter is at most that of one positioner
     assert abs(1 - got.meta["trials"] / 30_000 - empty) < 4 * np.sqrt(empty * (1 - empty) / 10_000)
 
 
@@ -140,7 +142,7 @@ LIMITED = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, phi_range=[70, 180] * u.deg
     "plane", [sdss_like(2), rs.FocalPlane.hexagonal(LIMITED, rings=2, pitch=22.4 * MM)], ids=["free", "joint limits"]
 )
 def test_a_sampler_of_uniform_targets_is_like_uniform_targets(plane, n):
-    """Two ways through the package: kernels alone, and allocation and poses one sky at a time."""
+    """The first calculation uses only kernels, and the second uses public functions for one sky at a time."""
     radius = 67.2
 
     def sampler(rng):
@@ -162,7 +164,9 @@ def tiny(fiber_type=("A", "B", "A", "B")):
 
 
 def test_a_catalog_is_projected_and_its_fiber_types_count(rng):
-    """Every configuration of the catalog's queues, projected by astropy's WCS, with the fiber that targets ask for."""
+    """Compare with all configurations of the queues of the catalog, projected by astropy's WCS, with the requested
+    fiber types.
+    """
     instrument = tiny(fiber_type=["A+B", "B+A", "A", "B"])
     plane = instrument.focal_plane
     coord = CENTER.spherical_offsets_by(rng.uniform(-0.06, 0.2, 30) * u.deg, rng.uniform(-0.08, 0.16, 30) * u.deg)
@@ -208,7 +212,8 @@ def test_priorities_of_a_catalog_reach_the_allocator(rng):
 
 def test_a_catalog_is_centered_on_its_mean_direction(rng):
     instrument = tiny()
-    angle = np.arange(0, 360, 15) * u.deg  # symmetric, so that its mean direction is the center, even across 0 h
+    # the targets are symmetric around the center, also across 0 h, so that the center is their mean direction
+    angle = np.arange(0, 360, 15) * u.deg
     center = SkyCoord(0, 40, unit="deg")
     coord = center.directional_offset_by(angle, 0.1 * u.deg)
     assert np.ptp(coord.ra.deg) > 300

@@ -19,7 +19,7 @@ MAPS = {
 
 
 def around(center, radius_deg, n, rng):
-    """Points within a circle, made by astropy."""
+    """Return points within a circle, computed by astropy."""
     r = radius_deg * np.sqrt(rng.random(n))
     return center.directional_offset_by(rng.uniform(0, 360, n) * u.deg, r * u.deg)
 
@@ -114,10 +114,11 @@ def test_inverse_of_the_radial_map_agrees_with_brentq(form):
 
 def test_a_map_that_turns_over_is_refused():
     with pytest.raises(rs.InputError, match="must rise from the center"):
-        rs.RadialMap("theta", [1, -1], max_angle=1 * u.deg)  # turns over at 0.577 deg
+        rs.RadialMap("theta", [1, -1], max_angle=1 * u.deg)  # the radial map has a maximum at 0.577 deg
     rs.RadialMap("theta", [1, -1], max_angle=0.57 * u.deg)
     with pytest.raises(rs.InputError, match="must rise"):
-        rs.RadialMap("sine", [60.0], max_angle=1.6 * u.deg, radius=1 * u.m)  # sin beyond 90 deg
+        # the sine form is not defined beyond 90 deg
+        rs.RadialMap("sine", [60.0], max_angle=1.6 * u.deg, radius=1 * u.m)
     with pytest.raises(rs.InputError, match="must rise"):
         rs.RadialMap("theta", [-1.0], max_angle=1 * u.deg)
 
@@ -183,7 +184,7 @@ def test_bad_maps_are_named(arguments, message):
 
 
 def test_distances_and_representations_do_not_matter(rng):
-    """Rows without a good parallax once vanished, and a cartesian center failed."""
+    """Regression: rows without a valid parallax were lost, and a center in cartesian coordinates raised an error."""
     center = SkyCoord(10, 20, unit="deg")
     coord = around(center, 2, 4, rng)
     plane = rs.TangentPlane(center, 200 * u.mm / u.deg, 10 * u.deg)
@@ -207,7 +208,7 @@ def test_center_must_be_one_coordinate():
 
 @pytest.mark.parametrize("form", MAPS)
 def test_the_center_of_a_distorted_field_has_an_image(form):
-    for place in ((10, 20), (0, 0)):  # at (0, 0) the field angle is zero to the last bit
+    for place in ((10, 20), (0, 0)):  # at (0, 0), the field angle is exactly 0
         center = SkyCoord(*place, unit="deg")
         plane = rs.TangentPlane(center, distortion=MAPS[form])
         np.testing.assert_allclose(plane.to_focal_plane(center).value, [[0, 0]], atol=1e-9)
@@ -220,7 +221,8 @@ def test_units_of_a_map_and_rotation_of_a_focal_length():
     in_arcmin = rs.RadialMap("theta", [200.0 / 60, 3.0 / 60**3], max_angle=1 * u.deg, unit_angle=1 * u.arcmin)
     for angle in (0.1, 0.7, 1.0):
         assert in_arcmin.to_radius(angle * u.deg).value == pytest.approx(in_deg.to_radius(angle * u.deg).value)
-    with pytest.raises(rs.InputError, match="must rise"):  # turns over at tan(theta) = 0.577, theta = 30 deg
+    # the radial map has a maximum at tan(theta) = 0.577, theta = 30 deg
+    with pytest.raises(rs.InputError, match="must rise"):
         rs.RadialMap("tan_theta", [1, -1], max_angle=30.1 * u.deg)
     rs.RadialMap("tan_theta", [1, -1], max_angle=29.9 * u.deg)
     center = SkyCoord(1, 2, unit="deg")

@@ -1,4 +1,4 @@
-"""Damaged files of every format: read with all rows, or refused in a sentence."""
+"""Damaged files of every format are read with all rows, or are refused with a sentence."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_valid_files_are_read(valid):
 
 @pytest.mark.parametrize("seed", range(N_EACH))
 def test_damaged_files_are_refused_or_read_whole(valid, tmp_path, seed):
-    """More of them, each in a process of its own: python tests/benchmarks/fuzz_readers.py."""
+    """``python tests/benchmarks/fuzz_readers.py`` tests more files, each in a separate process."""
     for number, sample in enumerate(valid):
         folder = tmp_path / str(number)
         folder.mkdir()

@@ -1,4 +1,4 @@
-"""Tables of text with other delimiters than commas, and other first lines than the names of the columns."""
+"""Text tables with delimiters other than commas, and with lines before the names of the columns."""
 
 import astropy.units as u
 import numpy as np
@@ -13,7 +13,7 @@ ROWS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.csv.gz"])
-@pytest.mark.parametrize("text", ["s", "ä"])  # which another reader of astropy reads
+@pytest.mark.parametrize("text", ["s", "ä"])  # a different reader of astropy reads this
 @pytest.mark.parametrize("delimiter", ROWS.values(), ids=ROWS)
 def test_the_delimiter_is_found_in_the_line_of_names(tmp_path, delimiter, text, name):
     import gzip
@@ -86,7 +86,7 @@ def test_tables_of_vizier_have_units(tmp_path):
     np.testing.assert_allclose(catalog.coord.pm_ra_cosdec.to_value(u.mas / u.yr), [1, np.nan])
     path.write_text('RAJ2000;DEJ2000\n"h:m:s";"d:m:s"\n-----;---\n06 20 00;+23 00 00\n')
     assert rs.Catalog.read(path).coord.ra.deg.tolist() == pytest.approx([95])
-    path.write_text("ra;dec\n--;--\n10;20\n")  # dashes without units
+    path.write_text("ra;dec\n--;--\n10;20\n")  # a line of dashes without a line of units
     assert len(rs.Catalog.read(path)) == 1
 
 
@@ -110,7 +110,7 @@ def test_words_for_missing_numbers(tmp_path):
     np.testing.assert_allclose(rs.Catalog.read(path).coord.pm_dec.value, [np.nan, np.nan, 2])
 
 
-@pytest.mark.parametrize("last", ["s", "ä"])  # which another reader of astropy reads
+@pytest.mark.parametrize("last", ["s", "ä"])  # a different reader of astropy reads this
 @pytest.mark.parametrize("delimiter", ROWS.values(), ids=ROWS)
 def test_digits_with_leading_zeros_stay_text(tmp_path, delimiter, last):
     rows = ["id,n,zero,signed,dec,quoted,gap,last", '001,1,0,-5,05,"007",,a', '01,20,3,05,1.5,"8",02,b']

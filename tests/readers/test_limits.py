@@ -1,4 +1,4 @@
-"""Small files that took minutes, or more memory than there is: each is refused, in little time."""
+"""Small files that took minutes, or more memory than available. Each is refused in a short time."""
 
 import bz2
 import gzip
@@ -88,7 +88,7 @@ BOMBS = {
 
 @pytest.fixture(scope="module")
 def reports(request, tmp_path_factory):
-    """What is said of each file, the seconds it takes, and the largest memory of the process so far."""
+    """Return for each file the error message, the time in seconds, and the maximum memory of the process so far."""
     folder = tmp_path_factory.mktemp("bombs")
     tests = [item for item in request.session.items if "reports" in getattr(item, "fixturenames", ())]
     for name in {item.callspec.params["name"] for item in tests}:
@@ -102,7 +102,7 @@ def reports(request, tmp_path_factory):
     "name", [pytest.param(name, marks=pytest.mark.exhaustive if name == "comments.csv" else ()) for name in BOMBS]
 )
 def test_a_small_file_takes_little_time_and_memory(reports, name):
-    """3 MB of compressed line breaks took 64 s and 6 GB, a number of columns 65 s and 11 GB, one key 59 s."""
+    """Regression: 3 MB of compressed line breaks took 64 s and 6 GB, many columns 65 s and 11 GB, one key 59 s."""
     seconds, n_bytes, text = reports[name]
     assert text.startswith(":")
     assert " must " in text
@@ -111,7 +111,7 @@ def test_a_small_file_takes_little_time_and_memory(reports, name):
 
 
 def test_the_limits_leave_real_catalogs_alone(tmp_path, monkeypatch):
-    """Random coordinates compress to a third; what is small may compress as it likes."""
+    """Random coordinates have a compression ratio of three. For small contents, the ratio is not limited."""
     path = tmp_path / "a.csv.gz"
     path.write_bytes(gzip.compress(b"id,ra,dec\n" + b"1,2,3\n" * 1_000_000))
     assert len(rs.Catalog.read(path)) == 1_000_000
@@ -128,3 +128,9 @@ def test_compressed_files_that_are_cut_off(tmp_path, compress):
     for part in (content[:-9], content[: len(content) // 2], content[:20]):
         path.write_bytes(part)
         assert "cannot be read" in refusal(path)
+
+
+def test_an_exception_without_a_message_is_named_by_its_type():
+    assert _limits.sentence(MemoryError()) == "MemoryError"
+    assert _limits.sentence(KeyError("a")) == "KeyError: 'a'"
+    assert _limits.sentence(ValueError("a\nb")) == "a"

@@ -1,4 +1,4 @@
-"""Files that lost rows, reached for other files, or ended in a traceback when they were read."""
+"""Regression tests: files that lost rows, caused other files to be read, or raised unhandled exceptions."""
 
 import gzip
 import json
@@ -14,6 +14,7 @@ from astropy.table import MaskedColumn, QTable, Table
 
 import rfpsurvey as rs
 from refusals import refusal, sentence
+from rfpsurvey._readers import read_fits_bytes, read_table
 
 DEG = u.deg
 GOOD = [f"s{k},{10 + 0.01 * k},20.0" for k in range(100)]
@@ -30,7 +31,7 @@ def csv(path, lines, end="\n"):
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
 def test_an_open_quotation_mark_drops_no_rows(tmp_path, name, end):
-    """50 of 100,000 targets were left, without a word."""
+    """Regression: only 50 of 100,000 targets were read, without a warning."""
     lines = list(GOOD)
     lines[48] = '"' + lines[48]
     path = csv(tmp_path / "a.csv", lines, end)
@@ -41,7 +42,7 @@ def test_an_open_quotation_mark_drops_no_rows(tmp_path, name, end):
 
 
 def test_a_quoted_value_over_several_lines_is_refused(tmp_path):
-    """Ten rows were taken for one value."""
+    """Regression: ten rows were interpreted as one value."""
     lines = list(GOOD)
     lines[48], lines[58] = '"' + lines[48], lines[58] + '"'
     assert "an open quotation mark in line 50" in refusal(csv(tmp_path / "a.csv", lines))
@@ -66,6 +67,10 @@ def test_good_quotation_marks_are_kept(tmp_path):
         assert catalog.id.tolist() == [expected, "other", "third"]
     path.write_text('"id","ra", "dec"\n"a",10,20\n')
     assert rs.Catalog.read(path).id.tolist() == ["a"]
+    path.write_text('"id,ra,dec\na,10,20\n')
+    assert "an open quotation mark in line 1" in refusal(path)
+    path.write_text("id,ra,dec")
+    assert read_table(path).colnames == ["id", "ra", "dec"]
 
 
 def test_blank_lines_comments_and_line_ends_are_no_rows(tmp_path):
@@ -85,14 +90,14 @@ def test_blank_lines_comments_and_line_ends_are_no_rows(tmp_path):
     ],
 )
 def test_rows_that_are_not_whole_are_refused(tmp_path, line, message):
-    """Short rows had empty values, and a NUL byte moved all values after it."""
+    """Regression: short rows had empty values, and a NUL byte shifted all values after it."""
     path = tmp_path / "a.csv"
     path.write_bytes("\n".join(["id,ra,dec", *GOOD[:2], line, *GOOD[2:]]).encode("utf-8", "surrogateescape"))
     assert message in refusal(path)
 
 
 def test_text_of_other_alphabets_has_as_many_rows(tmp_path):
-    """Characters at which Python breaks lines are no line breaks of a file."""
+    """Unicode line separators, at which Python splits text, do not end the lines of a file."""
     lines = ["Ä\u2028ö,10,20", "b\x0bc,11,21", "c\x85d,12,22"]
     assert len(rs.Catalog.read(csv(tmp_path / "a.csv", lines))) == 3
 
@@ -107,6 +112,16 @@ def test_ecsv_with_an_open_quotation_mark(tmp_path, delimiter):
     for change in ('"' + lines[-2], lines[-2] + delimiter + '"g'):
         path.write_text("\n".join([*lines[:-2], change, *lines[-3:]]))
         assert f"open quotation mark in line {len(lines) - 1}" in refusal(path)
+
+
+def test_text_in_ecsv_has_a_limited_width(tmp_path):
+    path = tmp_path / "a.ecsv"
+    path.write_text("# %ECSV 1.0\n# ---\n# datatype:\n# - {name: a, datatype: '<U100000'}\na\nx\n")
+    assert "a value must have at most 99999 characters, got the width 100000" in refusal(path)
+
+
+def test_a_name_of_a_file_with_a_nul_is_refused(tmp_path):
+    assert refusal(f"{tmp_path}/a\0.fits") == ": there is no such file"
 
 
 def test_numbers_beyond_doubles_are_told(tmp_path):
@@ -132,7 +147,7 @@ ROWS = "<TABLEDATA><TR><TD>1</TD><TD>2</TD><TD>abc</TD></TR></TABLEDATA>"
 @pytest.mark.parametrize("encoding", ["", ' encoding="base64"', ' encoding="gzip"'])
 @pytest.mark.parametrize("text", ["utf-8", "utf-16"])
 def test_a_stream_is_not_fetched(tmp_path, monkeypatch, kind, encoding, text):
-    """Addresses of the network and files of this machine were read."""
+    """Regression: addresses on the network and files of this machine were read."""
     monkeypatch.setattr(urllib.request, "urlopen", lambda *_: pytest.fail("fetched"))
     (tmp_path / "secret").write_bytes(struct.pack(">dd3s", 1, 2, b"abc"))
     tag = kind.split()[0]
@@ -150,7 +165,7 @@ def test_entities_and_lost_rows_of_a_votable(tmp_path):
     path.write_text(VOTABLE.format(ROWS).replace("<VOTABLE", '<!DOCTYPE V [<!ENTITY a "b">]><VOTABLE', 1))
     assert "must not have entities, got 'a'" in refusal(path)
     path.write_text(VOTABLE.format(ROWS).replace("<VOTABLE", '<!DOCTYPE V SYSTEM "file:///etc/passwd"><VOTABLE', 1))
-    assert len(rs.Catalog.read(path)) == 1  # what is named is not read
+    assert len(rs.Catalog.read(path)) == 1  # the named file is not read
     path.write_text(VOTABLE.format(ROWS.replace("abc", "abcd")))
     assert "every value must fit into its column" in refusal(path)
     path.write_text(VOTABLE.format(ROWS).replace("<TABLE>", '<TABLE nrows="2">'))
@@ -177,7 +192,7 @@ def test_votables_of_each_form(tmp_path, form):
         assert "STREAM must hold nothing but its data, got FIELD" in refusal(path)
 
 
-# --- what ended in a traceback -------------------------------------------------------------------------------------
+# --- unhandled exceptions ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -188,9 +203,10 @@ def test_votables_of_each_form(tmp_path, form):
         ('["a"]', "must be an object in JSON, got list"),
         ('"text"', "must be an object in JSON, got str"),
         ("[" * 100_000, "must be nested at most 32 deep, got more"),
+        ('{"a":' + "[" * 40 + "]" * 40 + "}", "values must be nested at most 32 deep, got more"),
         (json.dumps({"a": [0] * 100_001}), "at most 100000 values"),
     ],
-    ids=["number", "number in JSON", "list", "text", "nested", "long"],
+    ids=["number", "number in JSON", "list", "text", "open", "nested", "long"],
 )
 def test_the_meta_of_a_table_must_be_an_object(tmp_path, value, message):
     table = Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value})
@@ -232,6 +248,13 @@ def test_bytes_that_are_no_text(tmp_path):
     ]
     fits.BinTableHDU.from_columns(columns).writeto(path)
     assert "column 'id' must hold text in ASCII or UTF-8, got the bytes b'M\\xfcller'" in refusal(path)
+    table = Table({"ra": [1.0, 2.0], "dec": [1.0, 2.0]})
+    table["id"] = MaskedColumn(["Müller".encode(), b"b"], mask=[False, True], description="the name", meta={"a": 1})
+    table["id"].info.serialize_method["fits"] = "data_mask"
+    table.write(path, overwrite=True)
+    column = read_table(path)["id"]  # FITS text is ASCII, so that astropy returns these values as bytes
+    assert column.tolist() == ["Müller", None]
+    assert (column.info.description, column.info.meta) == ("the name", {"a": 1})
     with pytest.raises(rs.InputError, match="id must be text in ASCII or UTF-8"):
         rs.Catalog(SkyCoord([1, 2] * DEG, [1, 2] * DEG), id=ids)
 
@@ -244,7 +267,7 @@ def test_units_that_nobody_knows(tmp_path):
 
 
 def test_the_meta_of_a_focal_plane(small):
-    """In YAML the name y is a truth value, and no text."""
+    """In YAML, the name y is a truth value and not text."""
     table = small.focal_plane.to_table()
     table.meta["positioner"] = {True: "8.25 mm"}
     with pytest.raises(rs.InputError, match="unknown entries: True"):
@@ -255,7 +278,7 @@ def test_the_meta_of_a_focal_plane(small):
 
 
 def test_a_damaged_part_of_a_survey_is_named(tmp_path, small):
-    """With a checksum that agrees, as another program leaves it behind."""
+    """The part has a correct checksum, as if another program had written it."""
     from valid_files import sign
 
     sky = rs.synthetic_catalog("uniform", SkyCoord(95 * DEG, 23 * DEG), 0.5 * DEG, n_targets=50, rng=1)
@@ -297,6 +320,7 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
         ("NAXIS", 3, "NAXIS3 must be a whole number"),
         ("BITPIX", 7, "BITPIX must be 8, 16"),
         ("PCOUNT", "x", "PCOUNT must be a whole number"),
+        ("NAXIS", 1, "the header card NAXIS of a table must be 2, got 1"),
     ):
         path.write_bytes(changed(good, card, value))
         assert message in refusal(path)
@@ -304,8 +328,16 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
     assert "it is cut off" in refusal(path)
     path.write_bytes(good + bytes(2880 * 3))
     assert len(rs.Catalog.read(path)) == 200
+    path.write_bytes(good + bytes(2880) + b"rest".ljust(2880))
+    assert "must begin with XTENSION, got bytes that belong to no table" in refusal(path)
     path.write_bytes(good[:2880])
     assert "must hold a table" in refusal(path)
+    path.write_bytes(good[:2880].replace(b"EXTEND  =", b"GROUPS  ="))
+    assert "the file must hold a table, got random groups" in refusal(path)
+    path.write_bytes(good + fits.ImageHDU().header.tostring().encode() * 999)
+    assert "must have at most 1000 header and data units, got more" in refusal(path)
+    with pytest.raises(rs.InputError, match="a part cannot be read as fits: name already used"):
+        read_fits_bytes(good.replace(b"'dec     '", b"'ra      '"), "a part")
 
 
 def test_the_first_of_several_tables_is_read_with_a_warning(tmp_path):
@@ -314,6 +346,16 @@ def test_the_first_of_several_tables_is_read_with_a_warning(tmp_path):
     fits.HDUList([fits.PrimaryHDU(), *(fits.table_to_hdu(table) for _ in range(2))]).writeto(path)
     with pytest.warns(rs.RfpsurveyWarning, match="the file has 2 tables, of which the first was read"):
         assert len(rs.Catalog.read(path)) == 1
+    assert "the file must have 3 tables, got 2" in refusal(path, lambda path: read_table(path, 2))
+
+
+def test_fits_tables_of_text_are_read(tmp_path):
+    columns = [fits.Column("id", "A7", array=["a", "star 2"]), fits.Column("ra", "F7.3", array=[1.5, 20.25])]
+    path = tmp_path / "a.fits"
+    fits.TableHDU.from_columns(columns).writeto(path)
+    table = read_table(path)
+    assert table["id"].tolist() == ["a", "star 2"]
+    assert table["ra"].tolist() == [1.5, 20.25]
 
 
 # --- at the command line -------------------------------------------------------------------------------------------

@@ -15,13 +15,13 @@ DEG = u.deg
 
 
 def everywhere(n, seed=1):
-    """Random directions on the sphere."""
+    """Return random directions on the sphere."""
     rng = np.random.default_rng(seed)
     return SkyCoord(rng.uniform(0, 360, n) * DEG, np.rad2deg(np.arcsin(rng.uniform(-1, 1, n))) * DEG)
 
 
 def gnomonic(coord, center):
-    """Great circles become straight lines; NaN on the far side."""
+    """Return gnomonic positions, in which great circles are straight lines; NaN on the opposite hemisphere."""
     offset = coord.transform_to(center.skyoffset_frame())
     x, y, z = offset.cartesian.xyz.value
     x = np.where(x > 0.05, x, np.nan)
@@ -70,7 +70,7 @@ def test_areas_in_closed_form():
 @pytest.mark.parametrize("center", [(0, 0), (120, 35), (0, 89), (359.9, -60)])
 @pytest.mark.parametrize("reverse", [False, True])
 def test_polygons_agree_with_shapely(center, reverse, rng):
-    """In a gnomonic map; stars with 9 points, and 3000 directions."""
+    """The comparison uses gnomonic positions, stars with 9 points, and 3000 directions."""
     center = SkyCoord(*center, unit="deg")
     corners = center.directional_offset_by(np.arange(18) * 20 * DEG, np.tile([20, 6], 9) * DEG)
     corners = corners[::-1] if reverse else corners
@@ -106,7 +106,7 @@ def test_pixels_agree_with_astropy_healpix():
 
 @pytest.mark.parametrize("text", REGIONS.values(), ids=REGIONS.keys())
 def test_distances_and_the_circle_around(text):
-    """Against the nearest of many directions inside."""
+    """Compare with the nearest of many directions inside the region."""
     from scipy.spatial import cKDTree
 
     region = rs.Region.parse(text)
@@ -126,7 +126,7 @@ def test_distances_and_the_circle_around(text):
 def test_samples_are_the_pixels_inside():
     hp = HEALPix(64, order="nested", frame="icrs")
     centers = hp.healpix_to_skycoord(np.arange(hp.npix))
-    # the edges of the octant run through centers
+    # the edges of the octant contain centers of pixels
     shapes = [rs.Region.parse(text) for name, text in REGIONS.items() if name != "octant"]
     for region in (*shapes, rs.Region.healpix([3, 700], 8), rs.Region.healpix([5], 256)):
         near = _healpix.centers(64, _healpix.pixels_near(64, partial(distance_to, region), 0.0))

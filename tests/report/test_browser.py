@@ -1,4 +1,4 @@
-"""Pages in a real browser: Chromium or its kin, if there is one; RFPSURVEY_BROWSER names another."""
+"""Pages in a real browser: Chromium or a related one, if it is installed; RFPSURVEY_BROWSER names another browser."""
 
 import json
 import os
@@ -68,7 +68,7 @@ addEventListener("load", () => {
   parent.postMessage(encodeURIComponent(JSON.stringify({ seen, orders, fetched, wide, cut, hidden })), "*");
 });
 </script>"""
-# windows are at least 500 pixels wide, frames are not
+# windows are at least 500 pixels wide, but frames can be narrower
 FRAME = """<!DOCTYPE html><html><body>
 <iframe src="copy.html" style="border: 0; width: {width}px; height: 900px"></iframe>
 <script>
@@ -84,7 +84,7 @@ addEventListener("message", (event) => {
 
 @pytest.fixture(scope="session")
 def browse(tmp_path_factory):
-    """Return a function from path and width to the page as the browser has it in the end, and what it logged."""
+    """Return a function that loads a page with a given width, and returns the final content and the logged messages."""
     names = ("chromium", "chromium-browser", "google-chrome", "chrome")
     browser = os.environ.get("RFPSURVEY_BROWSER") or next(filter(None, map(shutil.which, names)), None)
     if browser is None:
@@ -102,7 +102,9 @@ def browse(tmp_path_factory):
 
 
 def tried(browse, path, width=1200):
-    """Click every head twice in a copy of a page, whose policy lets the test's script run; return what was found."""
+    """Click every column name twice in a copy of a page whose policy permits the script of the test; return the
+    results.
+    """
     text, relaxed = re.subn(
         r"script-src 'sha256-[^']*'", "script-src 'unsafe-inline'", path.read_text(encoding="utf-8")
     )
@@ -121,7 +123,7 @@ def tried(browse, path, width=1200):
 
 @pytest.fixture(scope="module")
 def page_of(small, tmp_path_factory):
-    """Return a function from a kind of result to the path of its page, written once."""
+    """Return a function that returns the path of the page of a kind of result, written once."""
     return cache(lambda kind: write_page(kind, tmp_path_factory.mktemp(kind), small))
 
 
@@ -150,8 +152,8 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, k
     path = page_of(kind)
     tables = [t for t in Reader(path.read_text()).tables if t["class"].split()[0] == "rows" and len(t["rows"]) > 2]
     found = tried(browse, path, width=400)
-    assert found["wide"] <= 0  # a phone scrolls tables and wide figures, not the page
-    assert max(found["cut"], default=0) <= 0  # and it shows figures whole
+    assert found["wide"] <= 0  # on a phone, tables and wide figures scroll, but the page does not
+    assert max(found["cut"], default=0) <= 0  # figures are shown completely
     clicked = [orders for orders in found["orders"] if orders]
     assert len(clicked) == len(tables) == {"tile": 3, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
     for orders in clicked:
@@ -167,7 +169,7 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, k
 
 @pytest.mark.parametrize("width", [400, pytest.param(1200, marks=EXHAUSTIVE)])
 def test_a_table_says_how_many_columns_are_hidden(browse, page_of, width):
-    """Wide tables ended at the edge of the page, as if that were all."""
+    """Regression: wide tables ended at the edge of the page without any note."""
     hidden = tried(browse, page_of("tile"), width)["hidden"]
     assert len(hidden) == 3
     assert width == 1200 or min(number for number, _ in hidden) > 0
@@ -196,7 +198,7 @@ def test_sorting_knows_numbers_keeps_ties_and_puts_what_is_missing_last(browse, 
     )
     rs.write_report(table, tmp_path / "page.html")
     ((_, number, count, word),) = tried(browse, tmp_path / "page.html")["orders"]
-    # ties stay in the order in which they are on the page when the button is pressed: that of the sort before
+    # rows with equal values stay in the order that the page had before the click
     assert ["".join(names) for *_, names in number] == ["fdbaec", "eabdfc"]
     assert ["".join(names) for *_, names in count] == ["bdeacf", "ceabdf"]
     assert ["".join(names) for *_, names in word] == ["debafc", "faebdc"]
@@ -207,7 +209,7 @@ def test_the_page_itself_runs_its_script_under_its_policy(browse, tmp_path):
     dom, console = browse(tmp_path / "page.html")
     assert console == []
     assert dom.count("<button") == dom.count('aria-sort="none"') == 2
-    # and no other: what slipped through would be refused
+    # the browser refuses all other scripts
     text = (tmp_path / "page.html").read_text().replace("</body>", "<script>document.title = 'run'</script></body>")
     (tmp_path / "page.html").write_text(text)
     dom, console = browse(tmp_path / "page.html")

@@ -64,7 +64,7 @@ def nasty_figure():
 
 
 def claims():
-    """What `reproduce` returns, without its folder."""
+    """Return the result of `reproduce`, without its folder."""
     one = reproduction._claims.Claim("small", "it is so", "1", "1.1", "reproduced", "as read")
     other = reproduction._claims.Claim("small", "it is not", "2", "1.1", "not reproduced", "as read")
     table = reproduction._claims.claims_table([one, other])
@@ -91,7 +91,7 @@ KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators", "claims"
 
 @pytest.fixture(scope="module")
 def plain_page(results, tmp_path_factory):
-    """Return a function from a kind of result to its page without options, written once."""
+    """Return a function that returns the page of a kind of result without options, written once."""
     return cache(lambda kind: written(results[kind], tmp_path_factory.mktemp(kind)))
 
 
@@ -109,7 +109,7 @@ def test_a_page_is_well_formed_complete_and_fetches_nothing(results, tmp_path, k
     assert [len(page.all(tag)) for tag in ("title", "h1", "main", "footer")][1:] == [1, 1, 1]
     metas = {a.get("name", a.get("http-equiv")): a.get("content") for a in page.all("meta")}
     assert "width=device-width" in metas["viewport"]
-    # the only script is the page's own, and the only one that the browser would run
+    # the page contains only its own script, and the policy permits no other script
     (script,) = page.text("script")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert metas["Content-Security-Policy"].startswith("default-src 'none'")
@@ -181,9 +181,9 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     assert [row[0]["text"] for row in rows] == colliding["id"].tolist()
     assert facts["digest"] == tile.provenance["instrument"]["digest"]
     assert facts["rng"] == str(tile.provenance["parameters"]["rng"])
-    # the foot gives numbers in full
+    # the provenance contains all digits
     assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
-    # those that barely do not collide: the same as by hand
+    # the smallest clearances without a collision, compared with a direct calculation
     heads, rows = page.table("The smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
@@ -193,7 +193,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
 
 
 def test_a_tile_lists_all_its_assignments(presets, tmp_path):
-    """The page named the file with all assignments and showed a part of them."""
+    """Regression: the page referred to a file with all assignments, and showed only some of them."""
     pfs = presets["pfs"]
     sky = rs.synthetic_catalog("uniform", CENTER, pfs.field_radius, n_targets=4000, rng=1)
     tile = rs.plan_tile(sky, pfs, CENTER, allocator="balanced")
@@ -210,7 +210,7 @@ def test_a_tile_lists_all_its_assignments(presets, tmp_path):
         assert shown == [str(value) for value in t[name]]
     flags = [row[heads.index("in collision")]["text"] for row in rows]
     assert flags.count("yes") == t["in_collision"].sum() > 0
-    assert len(page.all("details")) == 1  # opened by those who look for it
+    assert len(page.all("details")) == 1  # the table is collapsed until the reader opens it
     assert len(text) < 1_500_000
 
 
@@ -223,7 +223,7 @@ def test_the_rows_of_a_page_can_be_limited(tile, tmp_path):
 
 @pytest.mark.parametrize("kind", ["tile", "survey"])
 def test_a_number_has_one_form_on_a_page(results, plain_page, kind):
-    """A rate was 2.10 % at the top of the page, and 0.021 below."""
+    """Regression: the same rate was 2.10 % at the top of the page, and 0.021 below."""
     page, rate = Reader(plain_page(kind)), results[kind].summary["collision_rate"]
     assert page.facts()["collision rate"] in page.text("dd")
     assert float(page.facts()["collision rate"]) == pytest.approx(rate, rel=1e-3)
@@ -255,7 +255,7 @@ def test_a_survey_has_its_own_numbers(survey, plain_page):
 
 
 def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
-    """The page of a tiling had keys such as "n on tiles" and "radius deg"."""
+    """Regression: the page of a tiling had labels such as "n on tiles" and "radius deg"."""
     sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=1)
     for tiling in (results["tiling"], rs.place_tiles(sky, small)):
         facts = Reader(written(tiling, tmp_path)).facts()
@@ -274,7 +274,7 @@ def test_claims_have_verdicts_and_their_experiments(tmp_path):
 
 
 def test_every_figure_of_an_experiment_has_a_caption():
-    """Some had the name of their table as a caption, and lines that no caption named."""
+    """Regression: some captions were names of tables, and did not describe all lines of the figure."""
     drawn = {name for figures in DRAWN.values() for name in figures}
     assert set(CAPTIONS) == drawn
     for title, words in CAPTIONS.values():
@@ -355,7 +355,8 @@ def test_grays_follow_the_page_and_colors_do_not(tmp_path):
     dark = dict(re.findall(r"--g([0-9a-f]{2}):#([0-9a-f]{6})", text))
     assert {"00", "44"} <= set(dark)
     assert set(dark) == set(re.findall(r"var\(--g([0-9a-f]{2}),", text.partition("<body>")[2]))
-    assert int(dark["00"][:2], 16) > int(dark["44"][:2], 16) > 0x80  # light on dark, in the same order
+    # light text on a dark background, with the same order of gray levels
+    assert int(dark["00"][:2], 16) > int(dark["44"][:2], 16) > 0x80
 
 
 def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
@@ -368,7 +369,7 @@ def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
 
 
 def test_ids_of_figures_never_clash():
-    """Matplotlib makes ids from what is drawn: the same figure twice has the same ones."""
+    """Matplotlib computes identifiers from the content. Two equal figures therefore have equal identifiers."""
     first, second = (_svg.svg_of(nasty_figure(), name)["content"] for name in ("f1", "f2"))
     names = [set(re.findall(r'id="([^"]*)"', text)) for text in (first, second)]
     assert len(names[0]) == len(names[1]) > 3

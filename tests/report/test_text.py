@@ -1,4 +1,4 @@
-"""Numbers and text as pages show them."""
+"""The format of numbers and text on pages."""
 
 from dataclasses import replace
 
@@ -26,7 +26,10 @@ def test_numbers_of_a_column_have_the_same_decimals():
 
 
 def test_text_of_any_language_stays_as_it_is():
-    """No-break and ideographic spaces and joiners are text; what turns the direction of a page is not."""
+    """No-break spaces, ideographic spaces and joiners are kept.
+
+    Characters that change the direction of text are replaced.
+    """
     words = ["a\u00a0b", "\u65e5\u672c\u3000\u8a9e", "x\u200dy", "1\u202f000"]
     for word in words:
         assert text_of(word) == word

@@ -1,4 +1,4 @@
-"""The paper's experiments run, write what they say they write, and judge by numbers."""
+"""The experiments of the paper run, write the stated files, and compare numbers with the claims."""
 
 import astropy.units as u
 import numpy as np
@@ -18,10 +18,10 @@ QUICK = Settings(quick=True)
 
 
 def shrink(monkeypatch):
-    """Let the experiments work on 61 positioners in the middle of their targets, and less carefully."""
+    """Limit the experiments to 61 positioners in the center of their targets, with a lower precision."""
     for layout in (LARGE, COVERED):
         monkeypatch.setitem(layout, "rings", 4)
-    monkeypatch.setitem(LARGE, "target_radius", 80 * u.mm)  # as dense as 20,000 within 200 mm
+    monkeypatch.setitem(LARGE, "target_radius", 80 * u.mm)  # the density of 20,000 targets within 200 mm
     for module in ("_designs", "_poisson"):
         monkeypatch.setattr(f"rfpsurvey.reproduction.{module}.N_TARGETS", 3200)
     loosen(monkeypatch)
@@ -33,7 +33,7 @@ def shrink(monkeypatch):
 
 
 def loosen(monkeypatch):
-    """Let iterations end with twice the error: a quarter of them."""
+    """Double the standard error at which iterations end, which reduces their number to a quarter."""
     for name, (scene, precisions) in SCENES.items():
         monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
 
@@ -80,7 +80,10 @@ def test_designs_are_those_of_the_paper():
 
 
 def disc_designs():
-    """Uniform targets collide 10 % more in a design of equal arms, 1 % in one of unequal arms; LAMOST's comes last."""
+    """Return designs for which uniform targets collide more: 10 % for equal arms, 1 % for unequal arms.
+
+    LAMOST's design is last.
+    """
     return QTable(
         {
             "ratio": [1.1, 1.9, 1.0],
@@ -108,7 +111,10 @@ def test_drops_are_averaged_over_means_and_over_designs():
 
 
 def test_a_reading_is_judged_by_each_average():
-    """An average that agrees is named; if it is one of a part of the designs, the text does not decide."""
+    """The result names an average that agrees.
+
+    If this average includes only some designs, the text does not decide the claim.
+    """
     table = disc_designs()
     claim = _of_reading("disc", table)
     assert claim.verdict == "reproduced"
@@ -121,14 +127,14 @@ def test_a_reading_is_judged_by_each_average():
     table["uniform"][2], table["uniform error"][2] = 0.0512, 2e-4  # 2.4 +- 0.4 %
     assert _of_reading("disc", table).reading == "disc; agrees: LAMOST's design"
     assert _of_reading("disc", table).verdict == "cannot be decided from the text"
-    table["disc"][0] = 0.0  # nothing collides: no ratio
+    table["disc"][0] = 0.0  # without collisions, the ratio is undefined
     assert "; +0.00 % +- 0.02 % (mean of the drops); +nan" in _of_reading("disc", table).ours
     table["disc"][2] = np.nan
     assert "LAMOST" not in _of_reading("disc", table).ours
 
 
 def test_readings_without_discs_are_those_of_the_whole(monkeypatch):
-    """What takes long can be left out: the other columns stay the same."""
+    """The readings with discs, which take a long time, can be omitted without a change of the other columns."""
     monkeypatch.setattr(_poisson, "random_designs", lambda settings: random_designs(settings)[:2])
     coarse = Settings(quick=True, error=2e-2)
     assert coarse.precision == 2e-2
@@ -152,7 +158,7 @@ def plain_row(value, standard_error):
     [(0.1005, 4e-4, "reproduced"), (0.1, 6e-4, "not reproduced"), (0.102, 4e-4, "not reproduced")],
 )
 def test_a_proper_number_of_iterations_is_precise_and_right(value, error, words):
-    """An interval of more than 1 % is too wide, and a value that is off by five errors is wrong."""
+    """An interval of more than 1 % is too wide, and a value that differs by five errors is wrong."""
     (claim,) = _of_plain(plain_row(value, error))
     assert claim.verdict == words
     assert f"a 95 % interval of +- {196 * error / value:.1f} %" in claim.ours
@@ -167,7 +173,7 @@ def test_a_mean_that_one_formula_gives_is_attributed_to_it():
         table[f"{way}_error"] = 1e-4
     table["closed_form_corrected"], table["closed_form_pitch"] = ratio / 20, ratio**3 / 40 + rng.normal(0, 1e-3, 80)
     mean, variance, correlated, edge = _of_differences(table, _differences(table, Settings()))
-    assert mean.verdict == "not reproduced"  # simulation - formula: -0.1 for the one, 0 for the other
+    assert mean.verdict == "not reproduced"  # simulation - formula: -0.1 for the first formula, 0 for the second
     assert "in 0 of 8 readings" in mean.ours
     assert variance.verdict == "not reproduced"
     assert correlated.verdict == "reproduced"
@@ -181,18 +187,21 @@ def test_a_mean_that_one_formula_gives_is_attributed_to_it():
 
 
 def test_intervals_of_one_sky_are_counted():
-    """Seven positioners have none; where all hold, the stated error of the coverage is not 0."""
+    """Seven positioners have no interval.
+
+    If all intervals contain the true value, the stated error of the coverage is not 0.
+    """
     table = one_sky(QUICK)
     seven = table["positioners"] == 7
     assert (table["with_interval"][seven] == 0).all()
     assert np.isnan(table["coverage"][seven]).all()
-    assert (table["coverage"][~seven] > 0.7).all()  # 40 skies: four standard errors below 0.9
+    assert (table["coverage"][~seven] > 0.7).all()  # four standard errors below 0.9, for 40 skies
     assert (table["coverage_error"][~seven] > 0).all()
     assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
 
 
 def test_an_iteration_is_more_than_one_trial(monkeypatch):
-    """With every iteration as one trial the interval is several times too wide, and holds the truth always."""
+    """With every iteration as one trial, the interval is several times too wide, and always contains the true value."""
     loosen(monkeypatch)
     table = coverage(QUICK, repeats=20)
     width = {r["interval"]: r["half_width"] for r in table if r["scene"] == "LAMOST" and r["method"] == "monte_carlo"}

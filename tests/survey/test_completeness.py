@@ -1,4 +1,4 @@
-"""What becomes of each target of a survey, and what its passes complete."""
+"""The outcome of each target of a survey, and the completeness after each pass."""
 
 import astropy.units as u
 import numpy as np
@@ -18,7 +18,7 @@ def sky():
 
 @pytest.mark.filterwarnings("ignore:no target was observed")
 def test_what_became_of_each_target(small):
-    """One positioner, and for each outcome a target that must have it."""
+    """There is one positioner, and one target for each outcome."""
     one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
     instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
@@ -49,9 +49,12 @@ def test_what_became_of_each_target(small):
 
 @pytest.mark.parametrize("order", ["color", "given"])
 def test_completeness_counts_what_the_visits_say(sky, small, order):
-    """Targets counted as complete in the pass of their last tile in time, which need not be the last pass."""
+    """A target is complete in the pass of the last tile that observes it, in the order of planning.
+
+    This may not be the last pass.
+    """
     tiling = grid(1.2)
-    if order == "given":  # tiles of the second pass come before and after those of the first
+    if order == "given":  # tiles of the second pass are planned before and after those of the first pass
         tiling = rs.Tiling(tiling.table[np.random.default_rng(2).permutation(len(tiling))])
     survey = rs.plan_survey(sky, small, tiling, order=order)
     number = dict(zip(survey.tiles["tile"].tolist(), survey.tiles["pass"].tolist(), strict=True))
@@ -72,7 +75,7 @@ def test_completeness_counts_what_the_visits_say(sky, small, order):
 
 
 def test_a_target_is_complete_after_the_last_pass_that_it_needs(small):
-    """Its tile of pass 2 is observed before that of pass 1: pass 1 alone does not complete two visits."""
+    """The tile of pass 2 precedes that of pass 1. Two visits are therefore not complete after pass 1 alone."""
     tiles = QTable({"ra": [0.1, 0.1] * u.deg, "dec": [60, 60] * u.deg, "pass": [2, 1]})
     target = rs.Catalog(SkyCoord([CENTER.directional_offset_by(0 * u.deg, 0.05 * u.deg)]), visits=[2])
     survey = rs.plan_survey(target, small, tiles, order="given")
@@ -104,7 +107,9 @@ def test_more_priorities_are_counted_in_ranges(sky, small, rng):
 
 
 def test_a_common_priority_is_never_split(sky, small):
-    """Nine of ten have the same value: it is a class of its own, as are those above and below it."""
+    """If nine of ten targets have the same priority, it is a separate class, and so are the priorities above and below
+    it.
+    """
     n = len(sky)
     for low in (True, False):
         priority = np.where(np.arange(n) % 10 > 0, 500.0, np.arange(n) * (0.1 if low else 10.0) + (0 if low else 600))

@@ -1,4 +1,4 @@
-"""Required targets and circles that no arm may cover, in surveys: tile after tile, and on disk."""
+"""Required targets, and circles that no arm may cover, in surveys of many tiles in memory and on disk."""
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -30,7 +30,7 @@ def tiles():
 
 @pytest.fixture(scope="module")
 def circles():
-    """Circles of different sizes, some of them in several fields, one in none."""
+    """Return circles of different sizes; some of them are in several fields, and one is in no field."""
     rng = np.random.default_rng(1)
     lon, lat = rng.uniform(-1.2, 1.2, (2, 300)) * u.deg
     centers = SkyCoord(lon, lat, frame=CENTER.skyoffset_frame()).icrs
@@ -39,7 +39,7 @@ def circles():
 
 
 def covered(survey, instrument, circles):
-    """Count by hand, for each tile, the pairs of an arm and a circle that it covers."""
+    """Count, for each tile, the pairs of an arm and a circle that it covers."""
     clearance = instrument.focal_plane.positioner.clearance.value
     found = []
     for row in survey.tiles:
@@ -72,19 +72,19 @@ def test_every_arm_that_covers_a_circle_is_counted(sky, small, tiles, circles, a
     assert sum(covered(plain, small, circles)) > 20
     if allocator == "lamost":
         assert min(n) > 0
-    else:  # arms with a target avoid them
+    else:  # arms with a target do not touch the circles
         assert not survey.targets["in_collision"].any()
         assert survey.summary["n_assigned"] > 0.8 * plain.summary["n_assigned"]
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "sdss", "optimal", "repair"])
 def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles, allocator):
-    """Targets of the least priority that no tile observes are all observed once they are required."""
+    """No tile observes the targets of the lowest priority unless they are required; then all of them are observed."""
     low = rs.Catalog(sky.coord, priority=np.where(np.arange(len(sky)) % 4 == 0, 0, 5))
     plain = flat.plan_survey(low, small, tiles, allocator=allocator, lost_in_collision=False)
     lost = np.flatnonzero((plain.outcomes["observed"] == 0) & (low.priority == 0))
     reach = np.array([rs.Survey.OUTCOMES[k] == "in reach not assigned" for k in plain.outcomes["outcome"]])
-    # far from each other, so that all of them can be observed
+    # the targets are far from each other, so that all of them can be observed
     chosen = []
     for k in lost[reach[lost]]:
         if all(low.coord[k].separation(low.coord[j]) > 0.25 * u.deg for j in chosen):
@@ -102,7 +102,9 @@ def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles
 
 @pytest.mark.filterwarnings("ignore:no target was observed")
 def test_required_targets_without_a_visit_are_told_with_their_outcome(small):
-    """One for each outcome: no field, no reach, taken by another, lost, not requested."""
+    """There is one required target for each outcome: outside all fields, out of reach, not assigned, lost to a
+    collision, not requested.
+    """
     one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
     instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
@@ -224,7 +226,7 @@ def test_a_circle_is_recorded_as_region_reads_it(circles):
 
 
 def test_place_tiles_has_both():
-    """The arm to a required target is in the way of another; a circle leaves a positioner without a target."""
+    """The arm of a required target obstructs another arm, and a circle leaves a positioner without a target."""
     plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm))
     two = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
     stars = rs.Catalog(two.projection(CENTER).to_sky([[-2, 0], [3.9, 0], [4.1, 0]] * u.mm), id=["own", "left", "right"])
@@ -242,7 +244,7 @@ def test_place_tiles_has_both():
 @pytest.mark.parametrize("name", ["sdss_apo", "desi", "moons"])
 @pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1), (0.5, 3.0)])
 def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):
-    """Circles whose center has no image were left out, and others were smaller than on the sky."""
+    """Regression: circles with centers outside the projection were omitted, and others were smaller than on the sky."""
     instrument = presets[name]
     field = instrument.field_radius
     sky = rs.synthetic_catalog("uniform", CENTER, field, n_targets=2000, rng=1)
@@ -256,5 +258,5 @@ def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):
         assigned.append(len(table))
     assert inside[0] > 3
     assert inside[1] == 0
-    # no more is kept free than the circle and the width of arms around it
+    # the free area is not larger than the circle and the width of arms around it
     assert assigned[0] - assigned[1] < 2 * inside[0] + 10

@@ -1,4 +1,4 @@
-"""The order in which tiles are planned: rounds of tiles that do not overlap."""
+"""The order in which tiles are planned, which consists of rounds of tiles that do not overlap."""
 
 import tracemalloc
 
@@ -45,7 +45,7 @@ def test_rounds_are_those_of_a_greedy_coloring_and_of_longest_chains(rng):
 
 
 def test_rounds_of_many_tiles_on_one_another_take_little_memory():
-    """The neighbors of every tile were listed, half a gigabyte for 10,000 tiles within 3 deg."""
+    """Regression: the neighbors of every tile were listed, which took half a gigabyte for 10,000 tiles within 3 deg."""
     rng = np.random.default_rng(0)
     z, angle = 1 - rng.random(5000) * (1 - np.cos(0.03)), 2 * np.pi * rng.random(5000)
     vectors = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
@@ -54,5 +54,5 @@ def test_rounds_of_many_tiles_on_one_another_take_little_memory():
     rounds = make_rounds(vectors, 0.06, np.zeros(5000, int), "given")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert len(rounds) == 5000  # all overlap
+    assert len(rounds) == 5000  # all tiles overlap
     assert peak < 5e6

@@ -1,8 +1,9 @@
-"""Surveys on disk: any number of workers, killed at any moment, damaged, refused."""
+"""Surveys on disk: any number of workers, interruptions at any time, damaged files, refused requests."""
 
 import errno
 import hashlib
 import io
+import json
 import multiprocessing
 import os
 import shutil
@@ -27,7 +28,7 @@ CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
 
 @pytest.fixture(scope="module")
 def case(small):
-    """Arguments of a survey with draws, several passes, priorities and collisions."""
+    """Return the arguments of a survey with random numbers, several passes, priorities and collisions."""
     sky = rs.synthetic_catalog("poisson", CENTER, 4 * u.deg, density=100 / u.deg**2, rng=3)
     rng = np.random.default_rng(1)
     sky = rs.Catalog(sky.coord, visits=rng.integers(1, 4, len(sky)))
@@ -44,7 +45,7 @@ def plan(case, folder, **options):
 
 @pytest.fixture(scope="module")
 def undisturbed_folder(case, tmp_path_factory):
-    """The folder of a run that nothing happened to."""
+    """Return the folder of a survey that was planned without interruption."""
     folder = tmp_path_factory.mktemp("undisturbed") / "survey"
     plan(case, folder)
     return folder
@@ -52,13 +53,13 @@ def undisturbed_folder(case, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def undisturbed(undisturbed_folder):
-    """The content of every file of a run that nothing happened to."""
+    """Return the content of every file of a survey that was planned without interruption."""
     return content(undisturbed_folder)
 
 
 @pytest.fixture
 def folder(undisturbed_folder, tmp_path):
-    """The folder of a finished survey: a copy, which the test may damage."""
+    """Return a copy of the folder of a finished survey, which the test may damage."""
     return shutil.copytree(undisturbed_folder, tmp_path / "survey")
 
 
@@ -96,7 +97,7 @@ def test_threads_and_processes(case, tmp_path, undisturbed):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.filterwarnings("ignore")  # those of a cluster that loses workers
+@pytest.mark.filterwarnings("ignore")  # warnings of a cluster that loses workers
 def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
     distributed = pytest.importorskip("distributed")
     with (
@@ -119,7 +120,7 @@ def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.parametrize("n", [6, pytest.param(20, marks=pytest.mark.exhaustive)])
 def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
-    """Each time somewhere between the first and the last file, and several times in a row."""
+    """The process is killed several times, each time between writing the first and the last file."""
     context = multiprocessing.get_context("fork")
     begin = time.perf_counter()
     plan(case, tmp_path / "clock")
@@ -140,7 +141,7 @@ def test_killed_at_random_moments(case, tmp_path, undisturbed, rng, n):
 
 
 def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
-    """A part without its line, a line without its end, a line without its part, a temporary file."""
+    """There is a part without its line in the index, an incomplete line, a line without part, and a hidden file."""
     for name in ("tiles.fits", "completeness.ecsv", "outcomes.fits"):
         (folder / name).unlink()
     lines = (folder / "index.csv").read_text().splitlines(keepends=True)
@@ -158,7 +159,7 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
 
 @pytest.mark.parametrize("what", ["text", "another table", "cut off"])
 def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, folder, undisturbed, what):
-    """A part with the right checksum was taken for a table of visits: a traceback."""
+    """Regression: a file with a correct checksum was read as a table of visits, which raised an unhandled exception."""
     part = folder / "tiles" / "000" / "000007.fits"
     other = _io.table_bytes(QTable({"a": [1, 2]}), "a.fits")
     content_of = {"text": b"nothing", "another table": other, "cut off": part.read_bytes()[:5760]}[what]
@@ -219,7 +220,10 @@ def test_killed_before_anything_is_there(case, tmp_path, undisturbed):
 
 
 def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path):
-    """A whole and verified part, but of a run that drew otherwise: the books still balance."""
+    """The part is complete and verified, but is from a survey with other random numbers.
+
+    The numbers of visits remain correct.
+    """
     one, other = folder, tmp_path / "other"
     plan(case, other, rng=7)
     tiles = rs.Survey.read(one).tiles
@@ -353,7 +357,7 @@ def test_a_full_disk_keeps_what_is_there(case, tmp_path, undisturbed, monkeypatc
             plan(case, folder)
     assert not list(folder.rglob(".*"))
     parts = [name for name in content(folder) if name.startswith("tiles/")]
-    assert len(parts) == 28  # two writes were those of the request and of the index
+    assert len(parts) == 28  # the request and the index were also written
     assert all(content(folder)[name] == undisturbed[name] for name in parts)
     plan(case, folder, resume=True)
     assert content(folder) == undisturbed
@@ -380,3 +384,26 @@ def test_progress_is_one_line_with_a_rate(case, tmp_path, capsys):
     assert "tiles/s, 0:00:00 left" in line
     plan(case, None)
     assert capsys.readouterr().err == ""
+
+
+def test_a_folder_of_version_0_1_is_not_continued(case, folder):
+    request = json.loads((folder / "survey.json").read_text())
+    (folder / "survey.json").write_text(json.dumps({**request, "method": "balanced"}))
+    with pytest.raises(rs.InputError, match=r"was begun by version 0\.1, which recorded other options"):
+        plan(case, folder, resume=True)
+
+
+def test_what_cannot_be_read_or_is_left_over_in_a_folder(case, folder, undisturbed):
+    """A folder in the place of a file causes an error of the operating system."""
+    (folder / "tiles" / ".rfpsurvey-5x").write_bytes(b"half of a part")
+    part = folder / "tiles" / "000" / "000007.fits"
+    part.unlink()
+    part.mkdir()
+    with pytest.raises(rs.InputError, match=r"000007\.fits is damaged \(Is a directory\)"):
+        rs.Survey.read(folder).visits(7)
+    part.rmdir()
+    (folder / "index.csv").unlink()  # without it, no file is trusted
+    with pytest.raises(rs.InputError, match="is damaged"):
+        rs.Survey.read(folder)
+    plan(case, folder, resume=True)
+    assert content(folder) == undisturbed

@@ -1,4 +1,4 @@
-"""Whole surveys: what a tile gets, what becomes of targets, and that nothing depends on who does the work."""
+"""Complete surveys: the targets of tiles, the outcomes of targets, and results that do not depend on the executor."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def sky():
 
 
 def same(a, b):
-    """Are two surveys equal, table by table?"""
+    """Return whether all tables of two surveys are equal."""
     for one, other in zip(
         (a.tiles, a.completeness, a.outcomes, a.targets), (b.tiles, b.completeness, b.outcomes, b.targets), strict=True
     ):
@@ -31,7 +31,7 @@ def same(a, b):
 
 
 def one_by_one(sky, tiling, instrument, order, **options):
-    """Plan the tiles with plan_tile, in a plain loop."""
+    """Plan the tiles with `plan_tile` in a loop."""
     left = sky.visits.astype(int).copy()
     visits, summaries = {}, {}
     for k in order:
@@ -54,7 +54,9 @@ def one_by_one(sky, tiling, instrument, order, **options):
 @pytest.mark.parametrize("constrained", [False, True])
 @pytest.mark.parametrize("text", [False, True])
 def test_a_survey_of_one_tile_is_a_tile_in_every_column(text, constrained, allocator):
-    """Blank sky, fiber types, required targets and keep-outs among them; column by column, to the last bit."""
+    """Compare all columns exactly, including those of blank sky, fiber types, required targets and circles that no arm
+    may cover.
+    """
     rng = np.random.default_rng(7)
     sky = rs.synthetic_catalog("poisson", CENTER, 1.6 * u.deg, density=200 / u.deg**2, rng=3)
     n = len(sky)
@@ -123,7 +125,7 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
         assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
         n_pairs = len(instrument.focal_plane.neighbor_pairs())
         assert f"each tile tests the {n_pairs} pairs within reach of each other" in said[name]
-        # the statement on a tile differs in the pairs alone
+        # the model of a tile also states its number of pairs
         tile = rs.plan_tile(sky, instrument, CENTER).summary["model"]
         assert tile.split(";")[0] == said[name].split(";")[0]
         assert tile.split(", which is exact for ")[1] == said[name].split(" is exact for ")[1]
@@ -213,7 +215,7 @@ def test_fields_that_overlap_are_planned_in_turn(sky, small):
 
 
 def test_each_tile_draws_by_itself(sky, small):
-    """The same targets seen by two tiles far from each other: not the same draw."""
+    """Two distant tiles with the same targets have different random numbers."""
     other = CENTER.directional_offset_by(0 * u.deg, 10 * u.deg)
     offsets = np.random.default_rng(1).uniform(-0.4, 0.4, (2, 2000)) * u.deg
     both = [SkyCoord(*offsets, frame=c.skyoffset_frame()).icrs for c in (CENTER, other)]
@@ -286,7 +288,7 @@ def test_visits_say_where_they_are(sky, small):
 
 
 def test_a_tile_of_a_survey_can_be_scored(presets):
-    """From the visits to poses of all arms, with the collisions that the survey counted."""
+    """The visits determine the poses of all arms, whose collisions equal those of the survey."""
     sdss = presets["sdss_apo"]
     catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
     fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
@@ -319,7 +321,7 @@ def test_drawing_allocators_draw_the_same_for_the_same_seed(sky, small):
 
 
 def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
-    """The same survey, turned: a pole, and the origin of right ascension, are places like any other."""
+    """Rotate a survey to a pole and to the origin of right ascension."""
     results = []
     for center in (SkyCoord(180 * u.deg, 0 * u.deg), SkyCoord(0 * u.deg, 0 * u.deg), SkyCoord(77 * u.deg, 90 * u.deg)):
         rng = np.random.default_rng(8)
@@ -327,7 +329,7 @@ def test_tiles_at_the_pole_and_across_the_origin_of_right_ascension(small):
         lon, lat = rng.uniform(-1, 1, (2, 2000)) * u.deg
         catalog = rs.Catalog(SkyCoord(lon, lat, frame=frame).icrs)
         tiles = SkyCoord([-0.5, 0, 0.5] * u.deg, [0, 0.2, -0.2] * u.deg, frame=frame).icrs
-        # north at each tile is that of the sky, so that arms differ: the number of targets in the field does not
+        # the direction of north differs between tiles, so that arms differ; the number of targets in the field does not
         survey = rs.plan_survey(catalog, small, tiles, allocator="nearest")
         results.append((survey.tiles["n_in_field"][0], survey.summary["n_rounds"]))
     assert results[0] == results[1] == results[2]
@@ -342,7 +344,7 @@ def test_targets_move_to_the_epoch(small):
 
 
 def test_columns_of_the_catalog_travel(small, tmp_path):
-    """Priority, category and kept columns of the targets are in the visits, in memory and in files."""
+    """The visits contain priority, category and further columns of the targets, in memory and in files."""
     rng = np.random.default_rng(3)
     coord = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=80, rng=2).coord
     columns = {"priority": rng.integers(1, 4, 80), "category": rng.choice(["qso", "lrg"], 80)}

@@ -1,4 +1,4 @@
-"""What a user gives to a tile: centers as text, requirements on unknown categories, epochs."""
+"""Input of tiles: centers as text, requirements on unknown categories, epochs."""
 
 import astropy.units as u
 import pytest
@@ -74,7 +74,7 @@ def test_a_requirement_on_an_unknown_category_is_told(run, tmp_path):
         ):
             tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=options)
         assert (hint in tile.summary["unmet"][0]) == ("did you mean" in hint)
-    for what in ("quasar=2", "sky=2", "zz=-2"):  # what the catalog has, kinds, and limits that are met
+    for what in ("quasar=2", "sky=2", "zz=-2"):  # existing categories, kinds, and limits that are met
         rs.plan_tile(stars, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements=what))
     stars.write(tmp_path / "a.ecsv")
     code, _, err = run("plan", tmp_path / "a.ecsv", "--instrument", "sdss_apo", "--require", "skies=20")

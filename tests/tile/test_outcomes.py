@@ -1,4 +1,4 @@
-"""What became of every target of a field, and the columns of the catalog that a tile carries."""
+"""The outcome of every target of a field, and the columns of the catalog in the table of a tile."""
 
 import astropy.units as u
 import numpy as np
@@ -137,7 +137,7 @@ def test_where_the_tile_is(presets, sky):
     assert tile.epoch is None
     assert len(tile) == len(tile.table)
     assert (tile["x"] == tile.table["x"]).all()
-    assert "fiber_type" not in tile.table.colnames  # of one kind
+    assert "fiber_type" not in tile.table.colnames  # all targets have the same kind
     scored = rs.score_tile(tile.table, presets["moons"])
     assert scored.outcomes is None
     assert scored.completeness is None
@@ -181,7 +181,7 @@ def test_tiles_with_other_outcomes_are_not_equal(tile):
 
 
 def test_many_classes_are_summed_up(presets):
-    """The summary stopped at 100 classes, and the command counted those left of 100 only."""
+    """Regression: the summary contained at most 100 classes, and the command did not count all others."""
     coord = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=600, rng=1).coord
     tile = rs.plan_tile(rs.Catalog(coord, priority=np.arange(600)), presets["sdss_apo"], CENTER)
     objectives = tile.summary["objectives"]
@@ -196,7 +196,7 @@ def test_many_classes_are_summed_up(presets):
 
 
 def test_the_short_text_counts_kinds(tile, science_only):
-    """'500 of 500 assigned' hid the sky fibers."""
+    """Regression: the text '500 of 500 assigned' did not mention sky fibers."""
     kinds = {kind: counts["n_assigned"] for kind, counts in tile.summary["kinds"].items()}
     assert f"({kinds['science']} science, {kinds['standard']} standard, {kinds['sky']} sky)" in repr(tile)
     assert "(" not in repr(science_only)

@@ -5,8 +5,9 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import FK5, SkyCoord
-from astropy.table import QTable
+from astropy.table import MaskedColumn, QTable
 from astropy.time import Time
+from astropy.utils.masked import Masked
 
 import rfpsurvey as rs
 from oracles import segment_distances
@@ -26,7 +27,7 @@ def sky():
 
 @pytest.fixture(scope="module")
 def small():
-    """An equal-arm instrument small enough to look at by hand."""
+    """Return an instrument with equal arms that is small enough for calculations by hand."""
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * MM)
     return rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
@@ -47,13 +48,13 @@ def test_the_table_is_consistent(presets, sky, name, allocator):
         np.testing.assert_array_equal(np.isfinite(t[column].value), assigned)
     ids = t["target_id"][assigned]
     assert len(np.unique(ids)) == len(ids)
-    # the fibers look at their targets: projection by way of astropy's offsets
+    # the fibers are at their targets, according to a projection with astropy's offset frame
     plane = instrument.projection(CENTER, 33 * u.deg)
     tips = np.column_stack([t["tip_x"], t["tip_y"]])[assigned]
     target = SkyCoord(t["ra"][assigned], t["dec"][assigned])
     assert plane.to_sky(tips).separation(target).to_value(u.arcsec).max() < 1e-6
     np.testing.assert_array_equal(target.ra.deg, sky.coord.ra.deg[ids.data])
-    # the arms have their lengths, and phi is the angle between them
+    # the distances equal the arm lengths, and phi is the angle between the arms
     unit = instrument.focal_plane.positioner
     there = np.isfinite(t["tip_x"].value)
     assert there.sum() == s["n_assigned"] + s["n_parked"]
@@ -64,7 +65,7 @@ def test_the_table_is_consistent(presets, sky, name, allocator):
 
 
 def test_collisions_and_clearances_are_those_of_brute_force(presets, sky):
-    """LAMOST's arms end at the fiber, so that the columns of the table say all."""
+    """The arms of LAMOST end at the fiber, so that the columns of the table determine the collisions."""
     tile = rs.plan_tile(sky, presets["lamost"], CENTER, allocator="balanced")
     t = tile.table
     arms = np.column_stack([t[c].value for c in ("elbow_x", "elbow_y", "tip_x", "tip_y")])
@@ -115,6 +116,12 @@ def test_tiles_that_differ_are_not_equal(small):
     second.table["tip_x"][18] += 1e-12 * MM
     assert second != first
     assert first != "a tile"
+    second = rs.Tile(first.table.copy())
+    second.table["tip_x"] = second.table["tip_x"].value * u.cm
+    assert second != first
+    second = rs.Tile(first.table.copy())
+    second.table["target_id"][np.flatnonzero(~second.table["target_id"].mask)[0]] = np.ma.masked
+    assert second != first
 
 
 def test_provenance_says_how_to_make_it_again(small, sky):
@@ -141,7 +148,7 @@ def test_proper_motion_moves_the_fibers(small):
     catalog = rs.Catalog(coord, epoch=Time(2016, format="jyear", scale="tcb"))
     still, moved = (rs.plan_tile(catalog, small, CENTER, epoch=e) for e in (None, 2016.05))
     row = np.flatnonzero(still.table["status"] == "assigned")[0]
-    # 180 arcsec east at 200 mm / deg, along +x
+    # 180 arcsec toward the east, along +x, at 200 mm / deg
     shift = moved.table["tip_x"][row] - still.table["tip_x"][row]
     assert shift.to_value(MM) == pytest.approx(10, rel=1e-4)
     assert moved.provenance["parameters"]["epoch"] == "J2016.050"
@@ -189,7 +196,7 @@ def test_fiber_types_and_spectrographs(presets):
     assert (t["fiber_type"][wanted != ""] == wanted[wanted != ""]).all()
     assert (t["fiber_type"][wanted == ""] == "BOSS").all()
     np.testing.assert_array_equal(t["spectrograph"], (t["fiber_type"] == "APOGEE").astype(int))
-    # an instrument without named fiber types takes them all
+    # an instrument without named fiber types observes all of them
     assert rs.plan_tile(rs.Catalog(coord, fiber_type=types), presets["lamost"], CENTER).summary["n_assigned"] > 80
 
 
@@ -259,7 +266,7 @@ def test_a_failed_write_leaves_the_old_file(small, sky, tmp_path, monkeypatch):
 
 
 def test_targets_of_other_kinds_before_and_between(small):
-    """Row numbers of science targets are not those of the catalog."""
+    """Row numbers among science targets differ from row numbers of the catalog."""
     coord = CENTER.directional_offset_by([0, 90, 200, 300] * u.deg, [0.05, 0.2, 0.3, 5] * u.deg)
     catalog = rs.Catalog(coord, id=["sky", "star", "standard", "far"], kind=["sky", "science", "standard", "sky"])
     tile = rs.plan_tile(catalog, small, CENTER)
@@ -285,7 +292,7 @@ def test_parked_positioners_can_be_left_out(small):
 
 
 def test_fast_stars_from_outside_the_field_come_in(small):
-    """A star half a degree outside, moving 180 arcsec a year for ten years, is in the field by then."""
+    """A star half a degree outside the field, which moves 180 arcsec per year, is in the field after ten years."""
     start = CENTER.directional_offset_by(90 * u.deg, 0.5 * u.deg)
     coord = SkyCoord([start.ra], [start.dec], pm_ra_cosdec=[-180e3] * u.mas / u.yr, pm_dec=[0] * u.mas / u.yr)
     tile = rs.plan_tile(rs.Catalog(coord, epoch=2016.0), small, CENTER, epoch=2026.0)
@@ -295,7 +302,7 @@ def test_fast_stars_from_outside_the_field_come_in(small):
 def test_stuck_units_in_collision_are_not_counted_as_colliding(small):
     n = len(small.focal_plane)
     stuck = np.full((n, 2), np.nan)
-    stuck[18] = [0, 0]  # the central one, stretched toward +x
+    stuck[18] = [0, 0]  # the central arm is stretched toward +x
     plane = replace(small.focal_plane, stuck=stuck * u.deg)
     target = small.projection(CENTER).to_sky([[14, 1]] * MM)
     tile = rs.plan_tile(
@@ -324,7 +331,7 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
         plane = presets[name].focal_plane
         tested, near = (int(n) for n in re.search(r"of (\d+) pairs .*, (\d+) needed", said[name]).groups())
         assert tested == len(plane.neighbor_pairs())
-        # every pair that is closer than an arm is long is near
+        # all pairs with a distance less than the length of an arm are listed
         middle = np.column_stack(
             [(tile.table["elbow_x"] + tile.table["arm_x"]) / 2, (tile.table["elbow_y"] + tile.table["arm_y"]) / 2]
         )
@@ -339,3 +346,21 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
     lonely = rs.Instrument("lonely", far, plate_scale=300 * u.mm / u.deg)
     tile = rs.plan_tile(rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1), lonely, CENTER)
     assert "No two arms can touch (collision type 1), so that no pair was tested" in tile.summary["model"]
+
+
+def test_a_file_that_does_not_hold_a_tile_is_named(small, tmp_path):
+    tile = rs.plan_tile(CENTER.directional_offset_by([0, 90] * u.deg, 0.1 * u.deg), small, CENTER)
+    path, table = tmp_path / "tile.ecsv", tile.table.copy()
+    table["phi"] = Masked(table["phi"], mask=np.arange(len(table)) == 3)
+    table["in_collision"] = MaskedColumn(np.ones(len(table), dtype=bool), mask=np.arange(len(table)) == 3)
+    table.write(path)
+    back = rs.Tile.read(path).table  # without masks, as a tile has them
+    assert np.isnan(back["phi"][3])
+    assert back["in_collision"].tolist() == [k != 3 for k in range(len(table))]
+    table.meta = {**table.meta, "provenance": {**tile.provenance, "instrument": {}}}
+    table.write(path, overwrite=True)
+    message = (
+        r"tile\.ecsv does not hold a tile: the meta of a tile must have the entry provenance\.instrument\.\w+, got"
+    )
+    with pytest.raises(rs.InputError, match=message):
+        rs.Tile.read(path)

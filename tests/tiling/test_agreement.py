@@ -1,4 +1,4 @@
-"""A tiling promises what the survey of its tiles delivers."""
+"""The completeness of a tiling equals that of a survey of its tiles."""
 
 import astropy.units as u
 import numpy as np
@@ -25,7 +25,7 @@ def clustered(name, per_fiber=0.3, **columns):
 
 
 def delivered(catalog, model, tiling, **options):
-    """Return the completeness of the survey, its tiles in the order of the list."""
+    """Return the completeness of a survey of the tiles in the order of the list."""
     return rs.plan_survey(catalog, model, tiling, order="given", **options).summary["completeness"]
 
 
@@ -49,7 +49,7 @@ def test_ideal_fibers_are_an_upper_limit(name):
 @pytest.mark.parametrize("method", ["max_density", "mean_shift", "sdss"])
 @pytest.mark.parametrize("allocator", ["balanced", "repair"])
 def test_every_method_and_allocator_agree(method, allocator):
-    """Also one that draws: the stream of random numbers of each tile is that of the survey."""
+    """One allocator uses random numbers; the stream of each tile is that of the survey."""
     catalog, model = clustered("sdss_apo", visits=lambda n: 1 + np.arange(n) % 2)
     tiling = rs.place_tiles(catalog, model, method=method, n_tiles=5, allocator=allocator, rng=7)
     found = delivered(catalog, model, tiling, allocator=allocator, rng=7)
@@ -66,7 +66,7 @@ def test_targets_that_collide_may_count():
 
 
 def test_requirements_take_their_fibers():
-    """Standards and blank sky are assigned as in a survey, and do not count."""
+    """Standards and blank sky are assigned as in a survey, and are not counted."""
     catalog, model = clustered("moons", 2, kind=lambda n: np.where(np.arange(n) % 10 == 0, "standard", "science"))
     needs = rs.AllocationOptions(requirements=["standard=100", "sky=200"], sky_separation=5 * u.arcsec)
     tiling = rs.place_tiles(catalog, model, n_tiles=4, allocator=needs)

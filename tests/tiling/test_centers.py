@@ -1,4 +1,4 @@
-"""Centers from a list, limits of declination, what is excluded, progress."""
+"""Centers from a list, limits of declination, excluded regions, progress."""
 
 import astropy.units as u
 import numpy as np
@@ -33,13 +33,14 @@ def test_declinations_hold(method, limits):
     assert tiling.summary["n_beyond_declination"] == beyond.sum()
     assert tiling.summary["n_targets"] == tiling.summary["n_wanted"] == 300
     assert tiling.summary["completeness"] == pytest.approx(tiling.summary["n_observed"] / 300)
-    if method in ("hexagonal", "spiral"):  # whoever is in reach of a strip is on a tile, but for slivers at its edge
+    # the targets within reach of the strip are on tiles, except for narrow parts at its edge
+    if method in ("hexagonal", "spiral"):
         inside = (catalog.coord.dec.deg >= low) & (catalog.coord.dec.deg <= high)
         assert tiling.summary["n_on_tiles"] >= inside.sum()
 
 
 def test_coverings_reach_the_limit():
-    """Centers beyond it are moved onto it, not dropped."""
+    """Centers beyond the limit are moved onto it."""
     region, where = rs.Region.parse("box 0 40 20 40"), Centers(declination=(-90 * DEG, 30 * DEG))
     with pytest.warns(
         rs.RfpsurveyWarning, match="cover 0.[0-9]+ of the region; 0.[0-9]+ of it is out of reach of centers from -90"

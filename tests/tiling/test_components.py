@@ -1,4 +1,4 @@
-"""Parts of the placing of tiles on their own: what a tile serves, network flow, searches."""
+"""Separate parts of the placement of tiles: the targets that a tile serves, network flow, searches."""
 
 from itertools import combinations
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ def sky(center=(95, 23), radius=3, n=300, seed=1, kind="uniform", **options):
 
 @pytest.mark.parametrize("search", [_greedy._climb_sum, _greedy._shift_to_mean])
 def test_searches_never_lose_and_sometimes_gain(search):
-    """From random places among few targets, where means wander and sums are stairs."""
+    """The searches start at random positions among few targets, where sums have steps and means are irregular."""
     gains = []
     for seed in range(40):
         catalog = sky(n=25, radius=2, seed=seed)
@@ -49,7 +49,10 @@ def test_targets_that_more_tiles_cover_can_wait():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_overlaps_help_where_fibers_are_short(seed):
-    """Two overlapping fields with as many fibers as targets: those of one field only go first, and all are served."""
+    """Two fields overlap, and have as many fibers as targets.
+
+    All targets are served, because targets in one field are served first.
+    """
     rng = np.random.default_rng(seed)
     ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
     coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
@@ -61,7 +64,7 @@ def test_overlaps_help_where_fibers_are_short(seed):
 
 
 def test_fibers_keep_their_distance(rng):
-    """As large a set as brute force finds, and nobody too close."""
+    """The number of targets is that of a brute-force search, and no targets are too close to each other."""
     for _ in range(30):
         points = rng.uniform(0, 1, (9, 2))
         vectors = SkyCoord(points[:, 0] * DEG, points[:, 1] * DEG).cartesian.xyz.value.T
@@ -75,12 +78,12 @@ def test_fibers_keep_their_distance(rng):
         sets = [s for n in range(10) for s in combinations(range(9), n) if not close[np.ix_(s, s)].any()]
         best = max(map(len, sets))
         assert best - 1 <= len(served) <= best
-        # nobody who could be served, is not
+        # each target that is not served is too close to a served target
         assert all(close[k, served].any() for k in set(range(9)) - set(served.tolist()))
 
 
 def test_network_flow_is_the_best_assignment(rng):
-    """Against the assignment of single targets to single fibers (Hungarian method)."""
+    """Compare with the assignment of single targets to single fibers (Hungarian method)."""
     coord = sky(n=40, radius=3).coord
     index = SkyIndex(coord.cartesian.xyz.value.T)
     problem = SimpleNamespace(index=index, wanted=np.ones(40, dtype=int), radius=np.deg2rad(1), fibers=5)
@@ -96,7 +99,7 @@ def test_network_flow_is_the_best_assignment(rng):
 
 
 def test_tiles_move_to_what_they_are_given(rng):
-    """Every target in a field at the end, from centers that are a bit off, and one that is of no use where it is."""
+    """All targets are in a field at the end. Two initial centers are shifted, and one is far from all targets."""
     clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
     vectors = np.vstack([c.arrays.vectors for c in clusters])
     problem = TilingProblem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, FreeFibers(25, None, None))
@@ -123,6 +126,6 @@ def test_chances_are_the_tiles_to_come():
     for k, (_, chances) in enumerate(seen):
         later = [center for center, _ in seen[k + 1 :]]
         inside = [np.linalg.norm(index.vectors - c, axis=1) <= 2 * np.sin(np.deg2rad(0.5)) for c in later]
-        # tiles that will find nobody are to come, too
+        # the number of later tiles includes tiles that serve no target
         assert (chances >= np.sum(inside, axis=0)).all()
         assert (chances <= 11 - k).all()

@@ -1,4 +1,4 @@
-"""Tiles for targets: every method against brute force."""
+"""Tiles for targets: all methods, compared with brute force."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ def method(request):
 
 @pytest.fixture(scope="module")
 def stars(tycho):
-    """Every fourth star of the field."""
+    """Return every fourth star of the field."""
     return rs.Catalog.read(tycho)[::4]
 
 
@@ -37,7 +37,7 @@ def sky(center=(95, 23), radius=3, n=300, seed=1, kind="uniform", **options):
 
 
 def replay(catalog, tiling, radius, visits=1):
-    """Serve everybody in each field in the order of the tiles, with astropy's separations."""
+    """Serve all targets in each field in the order of the tiles, with separations computed by astropy."""
     left, rows = np.full(len(catalog), visits), []
     for center in tiling.coord:
         inside = (catalog.coord.separation(center) <= radius) & (left > 0)
@@ -79,7 +79,7 @@ def test_columns_agree_with_a_replay(method):
     np.testing.assert_array_equal(tiling.table["n_targets"], expected[:, 0])
     np.testing.assert_array_equal(tiling.table["n_new"], expected[:, 1])
     np.testing.assert_allclose(tiling.table["completeness"], expected[:, 2])
-    if method not in ("hexagonal", "spiral"):  # a covering keeps its tiles
+    if method not in ("hexagonal", "spiral"):  # a covering keeps all of its tiles
         assert (tiling.table["n_new"] > 0).all()
     summary = tiling.summary
     assert summary["n_tiles"] == len(tiling)
@@ -96,7 +96,7 @@ def test_coverings_observe_the_fullest_tile_first():
 
 
 def test_max_density_is_the_densest_place(rng):
-    """No place of a fine grid has more targets than the first tile."""
+    """No point of a fine grid has more targets than the first tile."""
     catalog = sky(n=500, radius=4, kind="clustered", cluster_scale=0.5 * DEG)
     tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=10_000, method="max_density", n_tiles=1)
     center = SkyCoord(95 * DEG, 23 * DEG)
@@ -114,7 +114,7 @@ def test_mean_shift_rests_at_the_mean():
 
 
 def test_density_gradient_rests_on_the_hill(rng):
-    """No place nearby has a larger smoothed density."""
+    """No point nearby has a larger smoothed density."""
     catalog = sky(n=300, radius=3, kind="clustered", cluster_scale=0.7 * DEG, cluster_size=20)
     tiling = rs.place_tiles(catalog, radius=2 * DEG, fibers=10_000, method="density_gradient", n_tiles=1)
 
@@ -145,7 +145,7 @@ def test_completeness_ends_the_placing(method, stars):
     assert tiling.table["completeness"][-1] >= 0.9
     if method != "sdss":
         assert (tiling.table["completeness"][:-1] < 0.9).all()
-    # 250 targets a tile at most
+    # at most 250 targets per tile
     assert 0.9 * len(stars) / 250 <= len(tiling) <= 1.3 * 0.9 * len(stars) / 250
     again = rs.place_tiles(stars, "lamost", fibers=250, method=method, completeness=0.9)
     np.testing.assert_array_equal(tiling.table["ra"], again.table["ra"])
@@ -163,7 +163,7 @@ def test_n_tiles_ends_the_placing(method):
     "name", [pytest.param(m, marks=EXHAUSTIVE if m in ("sdss", "max_density") else ()) for m in SEARCHES]
 )
 def test_the_sky_has_no_edge(name):
-    """The same targets at RA = 0, at the poles and elsewhere take about as many tiles."""
+    """At RA = 0, at the poles and elsewhere, the same targets require about the same number of tiles."""
     center = SkyCoord(123 * DEG, 45 * DEG)
     base = sky((123, 45), 4, 800, kind="clustered", cluster_scale=0.3 * DEG).coord
     angle, away = center.position_angle(base), center.separation(base)
@@ -204,7 +204,7 @@ def test_pairs_too_close_take_two_tiles(method):
     coord = SkyCoord(ra * DEG, np.zeros(6) * DEG)
     options = {"n_tiles": 2} if method == "sdss" else {"completeness": 1}
     tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=rs.tiling.Fibers(6, 50 * u.arcsec), method=method, **options)
-    # the ends of the chain of three go together
+    # the first and the last of the three targets in a row are observed together
     assert tiling.table["n_new"][0] == 4
     assert tiling.summary["n_isolated"] == 1
     assert tiling.summary["completeness_isolated"] == 1
@@ -220,7 +220,7 @@ def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in (1, 3))])
 def test_network_flow_finds_the_fewest_tiles(seed):
-    """With one less, the completeness is not reached."""
+    """With one tile less, the completeness is not reached."""
     catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "sdss"}
     tiling = rs.place_tiles(catalog, completeness=0.95, **options)
     less = rs.place_tiles(catalog, n_tiles=len(tiling) - 1, **options)
@@ -228,7 +228,7 @@ def test_network_flow_finds_the_fewest_tiles(seed):
 
 
 def test_real_focal_planes_look_beside_a_hole():
-    """One target where no positioner gets: the tile goes a little to the side."""
+    """The only target is out of reach of all positioners, and the tile is shifted slightly."""
     plane = rs.FocalPlane([[40.0, 0.0]] * u.mm, rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm))
     one = rs.Instrument("one", plane, plate_scale=60 * u.um / u.arcsec)
     tiling = rs.place_tiles(SkyCoord([10.0] * DEG, [5.0] * DEG), one, method="mean_shift", allocator="nearest")
@@ -255,31 +255,32 @@ def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
 
 
 def test_real_focal_planes_end(method):
-    """Also where positioners cannot reach every target of the last tiles."""
+    """The methods also end if positioners cannot reach every target of the last tiles."""
     catalog = sky(n=60, radius=0.6)
     tiling = rs.place_tiles(catalog, "moons", method=method, allocator="nearest")
     assert tiling.summary["completeness"] > 0.8
-    if method not in ("hexagonal", "spiral"):  # a covering keeps its tiles
+    if method not in ("hexagonal", "spiral"):  # a covering keeps all of its tiles
         assert (tiling.table["n_new"] > 0).all()
 
 
 @pytest.mark.parametrize("covering", ["hexagonal", "spiral"])
 def test_passes_that_are_asked_for_are_made(covering, stars):
-    """Each covers every target, though one pass has fibers enough for all."""
+    """Each pass covers all targets, although the fibers of one pass suffice for all of them."""
     tiling = rs.place_tiles(stars, radius=1 * u.deg, fibers=10_000, method=covering, passes=3)
     assert set(tiling.table["pass"]) == {1, 2, 3}
     for number in (1, 2, 3):
         centers = tiling.coord[tiling.table["pass"] == number]
         separation = stars.coord[:, None].separation(centers)
         assert separation.min(axis=1).max() <= 1 * u.deg
-        assert separation.min(axis=0).max() <= 1 * u.deg  # and no tile is empty
+        assert separation.min(axis=0).max() <= 1 * u.deg  # no tile is empty
     assert tiling.summary["completeness"] == 1
 
 
 def test_centers_are_chosen_from_a_list(method, stars):
     near = stars.within(SkyCoord("6h20m +23d"), 5 * DEG)
     bright = near.coord[::15]
-    bright = SkyCoord(np.append(bright.ra, bright.ra), np.append(bright.dec, bright.dec))  # one star twice is one star
+    # repeated positions of a star count once
+    bright = SkyCoord(np.append(bright.ra, bright.ra), np.append(bright.dec, bright.dec))
     tiling = rs.place_tiles(near, "lamost", fibers=250, method=method, centers=bright, completeness=0.9)
     assert tiling.summary["completeness"] >= 0.9
     assert tiling.summary["n_on_tiles"] >= tiling.summary["n_observed"]
@@ -317,7 +318,7 @@ def test_what_does_not_count(method):
 
 @pytest.mark.parametrize("coord", [[(5, 5)], [(5, 5)] * 7, [(0, 0), (180, 0)], [(10, 90), (0, -90), (0, 0)]])
 def test_few_targets(method, coord):
-    """One, the same several times, antipodes: every method ends."""
+    """All methods end for one target, for several equal targets, and for antipodal targets."""
     if method == "hexagonal" and len(set(coord)) > 1:
         pytest.skip("beyond a hemisphere")
     coord = SkyCoord(np.array(coord, dtype=float) * DEG)
@@ -376,7 +377,7 @@ def test_nothing_to_observe_is_an_error(small):
 
 @pytest.mark.parametrize("method", ["max_density", "density_gradient", "mean_shift"])
 def test_a_target_that_no_tile_can_serve_keeps_nobody_from_the_others(method):
-    """It lies on the only center near it, inside the hole of the patrol area."""
+    """The target is at the only center near it, inside the hole of the patrol area."""
     plane = rs.FocalPlane([[0, 0]] * u.mm, rs.Positioner(5 * u.mm, 8 * u.mm, 2 * u.mm))
     ring = rs.Instrument("ring", plane, plate_scale=200 * u.mm / u.deg)
     centers = SkyCoord([95, 100] * u.deg, [23, 23] * u.deg)

@@ -1,4 +1,4 @@
-"""Tables of targets that are given in place of tiles, and tables of tiles that are not suspected."""
+"""Tables of targets given instead of tiles, and tables of tiles for which there is no warning."""
 
 import warnings
 

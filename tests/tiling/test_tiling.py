@@ -18,7 +18,7 @@ CENTERS = {"equator": (180, 0), "zero": (0.01, 30), "north pole": (0, 90), "sout
 
 
 def cap_points(center, radius_rad, n=60_000, seed=3):
-    """Random unit vectors in a circle."""
+    """Return random unit vectors in a circle."""
     rng = np.random.default_rng(seed)
     coord = SkyCoord(*center, unit="deg").directional_offset_by(
         rng.uniform(0, 360, n) * DEG, 2 * np.arcsin(np.sin(radius_rad / 2) * np.sqrt(rng.random(n))) * u.rad
@@ -31,7 +31,7 @@ def vector(center):
 
 
 def angles(a, b):
-    """Angles to the nearest."""
+    """Return the angle from each vector to the nearest center."""
     return 2 * np.arcsin(np.minimum(cKDTree(b).query(a)[0] / 2, 1))
 
 
@@ -147,7 +147,7 @@ def test_coverage_agrees_with_brute_force():
 
 
 def test_the_tiles_of_desi(real_data):
-    """Its list says which area its tiles cover."""
+    """The list of tiles states the area that they cover."""
     tiling = rs.Tiling.read(real_data("desi_tiles_main.ecsv.gz"))
     assert len(tiling) == 21615
     assert set(tiling.table["program"]) == {"DARK", "BRIGHT"}
@@ -168,7 +168,7 @@ def test_no_gap(make, center, reach, radius, number):
 
 @pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
 def test_the_widest_gap_is_what_dense_points_find(center):
-    """With a hole too: a proof that finds no gap in a lattice without one of its centers proves nothing."""
+    """The lattice is also tested without one of its centers, since a proof must then find the gap."""
     reach = np.deg2rad(8)
     centers = lattice(vector(center), 2 * reach, np.deg2rad(2), dither(2))
     for vectors in (centers, np.delete(centers, 5, axis=0)):
@@ -213,7 +213,7 @@ def test_every_pass_covers_the_region(method, text):
     for number in (1, 2):
         tiles = tiling.vectors[tiling.table["pass"] == number]
         assert np.rad2deg(angles(points, tiles).max()) <= 2 * (1 + 1e-9)
-    # no tile is for nothing
+    # no tile is superfluous
     assert np.rad2deg(distance_to(region, tiling.vectors).max()) <= 2
     assert tiling.summary["covering_fraction"] == 1
     first, second = (tiling.vectors[tiling.table["pass"] == number] for number in (1, 2))
@@ -233,7 +233,7 @@ def test_a_polygon_may_be_closed():
 
 
 def test_a_covering_is_close_to_the_best():
-    """No covering of the plane by circles needs less than 2 pi / sqrt(27) times the area."""
+    """Every covering of the plane by equal circles has an area of at least 2 pi / sqrt(27) times the covered area."""
     region = rs.Region.parse("cap 200 40 30")
     hexagons = rs.place_tiles(region, radius=1.5 * DEG)
     depth = len(hexagons) * 4 * np.pi * np.sin(np.deg2rad(0.75)) ** 2 / region.area.to_value(u.sr)
@@ -248,7 +248,7 @@ def test_what_is_excluded_needs_no_tile():
     points = cap_points((95, 23), np.deg2rad(8))
     points = points[~is_inside(hole, points)]
     assert np.rad2deg(angles(points, tiling.vectors).max()) <= 1
-    # those in the middle and in the first ring about it lie inside with all they cover
+    # the central tile and those of the first ring are completely inside
     assert len(tiling) == len(rs.place_tiles(region, radius=1 * DEG)) - 7
     with pytest.raises(rs.InputError, match="nothing is left"):
         rs.place_tiles(hole, radius=1 * DEG, exclude=region)

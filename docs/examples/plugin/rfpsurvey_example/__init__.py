@@ -11,7 +11,7 @@ TOY = Path(__file__).with_name("toy.toml")
 
 
 def rarest(problem):
-    """Assign each target to the nearest free positioner, by class, and first those that few positioners reach."""
+    """Assign targets to the nearest free positioner: by class, targets in reach of the fewest positioners first."""
     centers = problem.focal_plane.xy.to_value(u.mm)
     reach = problem.reachable.tocsc()  # positioners of each target
     target_of = np.full(len(centers), -1)
