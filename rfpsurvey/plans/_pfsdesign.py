@@ -87,7 +87,9 @@ def read(path: Path) -> QTable:
     """
     units = read_fits_units(path)
     primary, tables = units[None][0], {name: rows for name, (_, rows) in units.items() if name is not None}
-    for name in ("DESIGN", "PHOTOMETRY"):
+    version = primary.get("DAMD_VER", 0)
+    has_stars = isinstance(version, int | float) and version >= 2  # older files have no guide stars
+    for name in ("DESIGN", "PHOTOMETRY", *(("GUIDESTARS",) if has_stars else ())):
         if name not in tables:
             raise InputError(f"{path}: the file must have the extension {name}, got {', '.join(tables)}")
     rows = tables["DESIGN"]
@@ -161,16 +163,14 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
         raise InputError(f"{path}: the file of this design must have the name pfsDesign-0x{number:016x}.fits")
     comments = plan.meta.get("comments", {}) if plan.meta["format"] == "pfsdesign" else COMMENTS
     with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
-        units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
-        # tables repeat the cards of the primary header
-        units.append(_table("DESIGN", rows, _fits_header(header, comments)))
-        units.append(
-            _table("PHOTOMETRY", _flux_rows(plan, rows["fiberId"][0]), _fits_header(header, comments), FLUX_UNITS)
-        )
-        units.append(_guide_stars(plan))
         try:
+            units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
+            # tables repeat the cards of the primary header
+            units.append(_table("DESIGN", rows, _fits_header(header, comments)))
+            units.append(_table("PHOTOMETRY", _flux_rows(plan), _fits_header(header, comments), FLUX_UNITS))
+            units.append(_guide_stars(plan))
             units.writeto(temporary)
-        except (ValueError, UnicodeEncodeError) as error:
+        except (ValueError, TypeError) as error:
             raise InputError(f"{path}: the plan cannot be written as FITS: {error}") from error
 
 
@@ -403,16 +403,16 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
     return fits.BinTableHDU.from_columns(made, header, name=name)
 
 
-def _flux_rows(plan: QTable, fiber: np.ndarray) -> dict:
+def _flux_rows(plan: QTable) -> dict:
     """Return the columns of PHOTOMETRY, with one row for each fiber and filter."""
     names = [name for name in FLUXES if name in plan.colnames]
     form = dict.fromkeys(names or FLUXES, "E")
-    if "filterName" not in plan.colnames:
+    if plan.meta["format"] != "pfsdesign" or "filterName" not in plan.colnames:
         none = {name: (np.empty(0, dtype=np.float32), "E") for name in form}
         return {"fiberId": (np.empty(0, dtype=np.int32), "J"), **none, "filterName": (np.empty(0, dtype="U1"), "1A")}
     filters = np.asarray(plan["filterName"]).reshape(len(plan), -1)
     keep = filters != ""
-    found = {"fiberId": (np.repeat(fiber, keep.sum(axis=1)), "J")}
+    found = {"fiberId": (np.repeat(np.asarray(plan["fiberId"]), keep.sum(axis=1)), "J")}
     for name in names:
         found[name] = u.Quantity(plan[name]).to_value(u.nJy).reshape(keep.shape)[keep], "E"
     return {**found, "filterName": (filters[keep], _text_form(filters[keep]))}

@@ -75,7 +75,7 @@ def test_the_base_is_good(tmp_path):
         ("layout.fiber_types", figure("[1]"), "layout.fiber_types must be a list of names, got [1]"),
         ("layout.fiber_types", figure('"A"'), "layout.fiber_types must be a list of names, got 'A'"),
         ("layout.rows_along", figure('"z"'), "layout.rows_along must be one of x, y, got 'z'"),
-        ("layout.names", figure("1"), "layout.names must be one of row and column, got 1"),
+        ("layout.names", figure("1"), "layout.names must be one of row and column, cobra, got 1"),
         ("layout.table", figure("1"), "layout.table must be text, got 1"),
         ("positioner.home", figure("[1.0]", "deg"), "positioner.home must be two angles, got [1.0] deg"),
         ("positioner.home", figure("3", "deg"), "positioner.home must be two angles, got 3 deg"),
