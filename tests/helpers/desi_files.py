@@ -11,7 +11,7 @@ import rfpsurvey as rs
 
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 START = "2020-01-01T00:00:00"
-PHI = [[-1.0, -0.5], [3.5, -0.9], [3.7, 0.0], [3.5, 0.9], [-1.0, 0.5]]
+PHI = [[-1.0, -0.5], [3.5, -0.9], [3.7, 0.0], [3.5, 0.8], [-1.0, 0.5]]
 
 
 def locations(per_petal=500):
@@ -50,7 +50,7 @@ def focal_plane(path, *, per_petal=500, equal=False, edit=None, seed=1):
     table["LENGTH_R1"], table["LENGTH_R2"] = (
         (np.full(n, 3.0), np.full(n, 3.0)) if equal else rng.normal(3, 0.03, (2, n))
     )
-    table["MAX_T"], table["MIN_T"], table["MAX_P"], table["MIN_P"] = 190.0, -190.0, 190.0, -10.0
+    table["MAX_T"], table["MIN_T"], table["MAX_P"], table["MIN_P"] = 190.0, -185.0, 190.0, -10.0
     for name in table.colnames[7:]:
         table[name].unit = "mm" if name.startswith(("LENGTH", "OFFSET_X", "OFFSET_Y")) else "degrees"
     table.add_row((0, 11, 11, 2, "P018", "FIF", -1, 5, 5, 0, 0, 0, 0, 0, 0, 0, 0))
@@ -109,7 +109,7 @@ def tile(path, *, per_petal=500, edit=None, seed=2, header=None):
     idle = np.arange(n) % 7 == 0
     table["FIBERSTATUS"][idle], table["OBJTYPE"][idle], table["FA_TYPE"][idle] = 1, "", 0
     table["TARGETID"][idle] = -(4403 * 5000 + ids[idle])
-    table["FIBERSTATUS"][1], table["FIBERSTATUS"][2], table["FIBERSTATUS"][3] = 2, 5, 8
+    table["FIBERSTATUS"][1], table["FIBERSTATUS"][2], table["FIBERSTATUS"][3] = 2, 4, 8
     if edit is not None:
         edit(table)
     units = {"TARGET_RA": "deg", "TARGET_DEC": "deg", "PMRA": "mas/yr", "PMDEC": "mas/yr", "LAMBDA_REF": "Angstrom"}

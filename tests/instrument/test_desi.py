@@ -79,6 +79,7 @@ def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
     there = plane.forward(-t * u.deg, -p * u.deg)
     assert_allclose(there.to_value(u.mm), np.column_stack([-x, y]), atol=1e-10)
     theta, phi = plane.inverse(there)
+    assert_allclose(plane.theta_range.to_value(u.deg), np.tile([-190, 185], (len(plane), 1)))
     free = plane.id != 1005  # its reach is restricted
     assert_allclose(np.cos(theta.to_value(u.rad) + np.deg2rad(t))[free], 1, atol=1e-9)
     assert_allclose(phi.to_value(u.deg)[free], -p[free], atol=1e-6)
@@ -136,13 +137,22 @@ def test_the_clearance_is_that_of_the_polygons(folder, name):
 
 
 @partial
+def test_circles_of_polygons_count(folder):
+    text = '{"default": {"phi": {"segments": [[[0, 0.3]]], "circles": [[[3, -0.2], 0.5]]}}}'
+    (folder / "circle.json").write_text(text)
+    plane = next(folder.glob("desi-focalplane*"))
+    instrument = rs.Instrument.from_desi(plane, exclusions=folder / "circle.json")
+    assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.7)
+
+
+@partial
 def test_the_latest_focal_plane_of_a_folder_is_used(folder):
     def moved(table):
         table["OFFSET_X"] += 1
 
     later = desi_files.focal_plane(folder / "desi-focalplane_2024-01-01T00:00:00+00:00.ecsv", per_petal=FEW, edit=moved)
     desi_files.state(folder / "desi-state_2024-01-01T00:00:00+00:00.ecsv", later)
-    new, old = (rs.Instrument.from_desi(folder, time=time) for time in (None, "2023-12-31"))
+    new, old = (rs.Instrument.from_desi(folder, time=time) for time in ("2024-01-01", "2023-12-31"))
     assert_allclose((old.focal_plane.xy - new.focal_plane.xy).to_value(u.mm)[:, 0], 1)
     assert "2024-01-01" in new.notes
     assert "2020-01-01" in old.notes
@@ -163,7 +173,8 @@ def test_a_tile_can_be_planned_with_measured_arms(folder):
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=600 / u.deg**2, rng=5)
     tile = rs.plan_tile(sky, desi, center)
     assert tile.summary["n_assigned"] > 100
-    assert tile.summary["n_parked"] == len(desi.focal_plane) - tile.summary["n_assigned"]
+    assert tile.summary["n_parked"] == desi.focal_plane.arrays.usable.sum() - tile.summary["n_assigned"]
+    assert tile.summary["n_idle"] == 0
     assert_allclose(
         desi.focal_plane.forward(tile.table["theta"], tile.table["phi"])[tile.table["status"] == "assigned"],
         np.column_stack([tile.table["tip_x"], tile.table["tip_y"]])[tile.table["status"] == "assigned"],
@@ -299,7 +310,11 @@ def test_exclusions_that_are_not_polygons_are_refused(folder):
         ("{}", "there must be polygons with the name 'default'"),
         ('{"default": {"phi": {"segments": [[[0, "x"]]], "circles": []}}}', "must be lists of segments"),
         ('{"default": {"phi": {"segments": [], "circles": []}}}', "must be lists of segments"),
-        ('{"default": {"phi": {"segments": [[[0, 0]]], "circles": []}}}', "must have a width above 0"),
+        (
+            '{"default": {"phi": {"segments": [[[0, 0]]], "circles": []}}}',
+            "must have a half width above 0 and below 1000 mm, got 0",
+        ),
+        ('{"default": {"phi": {"segments": [], "circles": [[[0, 0], 1e9]]}}}', "below 1000 mm, got 1e[+]09"),
     ):
         (folder / "bad.json").write_text(content)
         with pytest.raises(rs.errors.InputError, match=sentence):
