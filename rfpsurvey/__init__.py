@@ -1,7 +1,7 @@
 """Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
 
-The names below are the whole public interface. Data flow from the catalog through projection, reach, allocation,
-arm poses and collisions to the score of a tile.
+The names in ``__all__`` are the whole public interface. Data flow from the catalog to the projection, reach,
+allocation, poses of the arms, collisions and the score of a tile, in this order.
 """
 
 from importlib import import_module
@@ -18,9 +18,9 @@ from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
-# for type checkers and editors
+# these imports are for type checkers and editors
 if TYPE_CHECKING:
-    from rfpsurvey import benchmark, compare, design, plot, probability, report, reproduction, survey, tiling  # noqa: F401
+    from rfpsurvey import benchmark, compare, design, plans, plot, probability, report, reproduction, survey, tiling  # noqa: F401
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 try:
     from rfpsurvey._version import version as __version__
-except ImportError:  # a source tree that has not been built
+except ImportError:  # the source tree has not been built
     __version__ = "0+unknown"
 
 __all__ = [
@@ -76,6 +76,7 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
     "benchmark": (),
     "compare": ("compare_allocators", "compare_instruments"),
     "design": (),
+    "plans": (),
     "plot": (),
     "probability": ("Estimate", "collision_probability"),
     "report": ("write_report",),
@@ -96,6 +97,7 @@ def __getattr__(name):
 
 
 def __dir__():
-    # public names and public subpackages; other subpackages contain their implementation
+    # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
+    # names.
     hidden = {"compare", "report", "survey"}
     return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision"} - hidden)

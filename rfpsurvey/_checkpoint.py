@@ -1,4 +1,4 @@
-"""Resume unfinished work, if the request is the same."""
+"""Checks for resuming unfinished work, which is possible only if the request has not changed."""
 
 from pathlib import Path
 
@@ -15,14 +15,14 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
     path : Path
         File or folder of the unfinished work.
     before, now : dict
-        The earlier and the present request, with only values that JSON can represent.
+        The earlier and the present request; their values must be such that JSON can represent them.
     work, place : str
-        The kind of work, and the parameter that the user can change to begin new work; both are for the error message.
+        Text for the error message: the kind of work, and the parameter that the user can change to begin new work.
 
     Raises
     ------
     InputError
-        If an entry of the requests differs.
+        If the requests differ.
     """
     different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
     if different:
@@ -34,7 +34,7 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
 
 
 def warn_of_software(path: Path, before: object, now: object, parts: str) -> None:
-    """Issue a warning if the work was begun with other versions of the software."""
+    """Issue a warning if unfinished work was begun with different versions of the software."""
     if before != now:
         text = f"{path} was begun with other versions of the software; its {parts} may differ in rounding"
         warn(text)

@@ -10,7 +10,7 @@ DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
 def to_html(result: object, facts: dict, table: object = None) -> str:
-    """Return an HTML representation of a result: its short text, a list of facts, and the first rows of a table.
+    """Return an HTML representation of a result, with its short text, a list of facts, and the first rows of a table.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
 
 
 def rounded(table: object) -> object:
-    """Return a copy of a table that prints few digits; its values are not rounded."""
+    """Return a copy of a table that is displayed with few digits; the values are not rounded."""
     table = table.copy(copy_data=False)
     for column in table.itercols():
         if getattr(column.dtype, "kind", "") == "f":

@@ -1,4 +1,4 @@
-"""Functions that run work on executors; worker processes end when the process that started them ends."""
+"""Run calls on executors; worker processes end when the process that started them ends."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ __all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
-    """Yield the results of a function in the order of its arguments; without an executor, calls are in this thread."""
+    """Yield the results of a function in the order of its arguments; with None, this thread calls the function."""
     if not isinstance(executor, Executor | None):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
@@ -59,7 +59,7 @@ def _end_after(parent) -> None:
 
 @dataclass(frozen=True)
 class _InWorker:
-    """A function for a worker process; its first call makes the process end when the parent process ends."""
+    """A function for a worker process, whose first call makes this process end when its parent process ends."""
 
     function: Callable
 
@@ -69,7 +69,7 @@ class _InWorker:
 
 
 def _for_workers(executor, function):
-    """Return the function to submit; in a process pool, it also makes each worker end when this process ends."""
+    """Return the function to submit to an executor; for a process pool, wrap it in `_InWorker`."""
     from concurrent.futures import ProcessPoolExecutor
 
     return _InWorker(function) if isinstance(executor, ProcessPoolExecutor) else function

@@ -1,4 +1,4 @@
-"""HEALPix pixels in the nested order as unit vectors; astropy-healpix is imported on first use."""
+"""Functions of HEALPix pixels (in the nested order) and unit vectors; astropy-healpix is imported on first use."""
 
 from collections.abc import Callable
 from numbers import Number
@@ -13,7 +13,7 @@ MOST_NSIDE = 2**20
 
 
 def check_nside(nside: object) -> int:
-    """Return a valid resolution, a power of two, or raise an error."""
+    """Return a resolution as an integer; raise an error unless it is a power of two."""
     good = isinstance(nside, int | np.integer) and not isinstance(nside, bool) and 1 <= nside <= MOST_NSIDE
     if not good or int(nside) & (int(nside) - 1):
         raise refusal(f"nside must be a power of two from 1 to {MOST_NSIDE}", nside, Number)
@@ -21,7 +21,7 @@ def check_nside(nside: object) -> int:
 
 
 def centers(nside: int, pixels: np.ndarray) -> np.ndarray:
-    """Return unit vectors of pixel centers, shape (n, 3)."""
+    """Return the unit vectors of the centers of pixels, shape (n, 3)."""
     from astropy_healpix import healpy
 
     xyz = healpy.pix2vec(nside, np.asarray(pixels, dtype=np.int64), nest=True)
@@ -29,7 +29,7 @@ def centers(nside: int, pixels: np.ndarray) -> np.ndarray:
 
 
 def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
-    """Return the pixel of each direction."""
+    """Return the pixel that contains each direction."""
     from astropy_healpix import healpy
 
     if len(vectors) == 0:
@@ -38,9 +38,10 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 
 
 def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
-    """Return the pixels whose centers are at most ``margin`` away from an object on the sky, sorted.
+    """Return the sorted pixels whose centers are at most ``margin`` away from an object on the sky.
 
-    The search begins with the twelve largest pixels. A pixel that is too far away is dropped with all pixels inside it.
+    The search begins with the twelve largest pixels. If a pixel is too far away, all pixels inside it are also
+    excluded.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
 
 
 def to_nested(nside: int, pixels: np.ndarray) -> np.ndarray:
-    """Return the numbers in the nested order of pixels that are numbered in the ring order."""
+    """Convert pixel numbers in the ring order to the nested order."""
     from astropy_healpix import healpy
 
     return np.atleast_1d(healpy.ring2nest(nside, pixels)).astype(np.int64)
@@ -74,10 +75,10 @@ def to_nested(nside: int, pixels: np.ndarray) -> np.ndarray:
 
 def pixel_radius(nside: int) -> float:
     """Return an upper limit of the distance (radians) from the center of a pixel to its corners."""
-    # measured: nside times the largest distance grows from 0.84 toward 1.07
+    # According to measurements, nside times the largest distance increases with nside from 0.84 toward 1.07.
     return 1.07 / nside
 
 
 def nside_for(radius_rad: float) -> int:
-    """Return the coarsest resolution whose pixels are no larger than the radius."""
+    """Return the lowest resolution at which pixels are no larger than the radius."""
     return int(min(2 ** max(np.ceil(np.log2(1.0 / radius_rad)), 0), MOST_NSIDE))

@@ -1,7 +1,8 @@
-"""Write tables to disk, never partially and never over existing files by default; readers are in ``_readers``.
+"""Write tables to files; readers are in ``_readers``.
 
-FITS headers cannot contain nested values. The ``meta`` of a table is therefore written as one JSON string with the
-keyword ``RFPSURVY``, in addition to plain cards for human readers.
+Output files are never incomplete, and existing files are replaced only on request. FITS headers cannot contain nested
+values. The ``meta`` of a table is therefore written as one JSON string with the keyword ``RFPSURVY``, in addition to
+plain cards for human readers.
 """
 
 import gzip
@@ -54,8 +55,9 @@ def write_table(
 ) -> None:
     """Write a table as FITS or ECSV.
 
-    ``cards`` are further cards of the FITS header (a value, or a value and a comment), ``name`` is the name of the
-    extension, and ``others`` maps the names of further extensions to their tables; ECSV files contain only one table.
+    ``cards`` are additional cards of the FITS header (a value, or a value and a comment), and ``name`` is the name of
+    the extension. ``others`` maps the names of additional extensions to their tables; ECSV files contain only one
+    table.
     """
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
@@ -70,11 +72,18 @@ def write_table(
                 table.write(file, format="ascii.ecsv")
 
 
-def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False) -> Path:
-    """Return the path of an output file; raise an error if it must not be written or its ending is invalid."""
+def check_output(
+    path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False
+) -> Path:
+    """Return the path of an output file; raise an error if its ending is not valid or the file cannot be written.
+
+    The name of a table may end in ``.gz``. The names of other files may end in ``.gz`` only if ``gzipped`` is True.
+    """
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
-    if suffix_of(path) not in endings or (zipped and (path.suffix.lower() != ".gz" or endings is not WRITABLE)):
+    if suffix_of(path) not in endings or (
+        zipped and (path.suffix.lower() != ".gz" or not (gzipped or endings is WRITABLE))
+    ):
         raise InputError(f"{path}: the name of this output must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
@@ -88,7 +97,7 @@ def check_output(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite
 
 
 def check_fits_text(columns: dict, remedy: str) -> None:
-    """Raise an error for text that FITS files cannot contain; ``columns`` maps descriptions to arrays."""
+    """Raise an error if FITS files cannot contain a text; ``columns`` maps descriptions to arrays of text."""
     for what, values in columns.items():
         values = np.asarray(values)
         text = np.unique(values).tolist() if values.dtype.kind == "U" else []
@@ -102,10 +111,10 @@ def check_fits_text(columns: dict, remedy: str) -> None:
 
 @contextmanager
 def _in_place_of(path: Path, *, overwrite: bool = True):
-    """Provide a temporary path on the same disk as ``path``, which is renamed to it on success and always removed.
+    """Provide a temporary path that is renamed to ``path`` on success, and removed otherwise.
 
-    The temporary path is in a new folder with a random name and without write permission for other users. Therefore no
-    other thread or process writes there, and no link with the name of the path can exist.
+    The temporary path is in a new folder beside ``path``, with a random name and without write permission for other
+    users. Therefore, no other thread or process writes there, and no link with the name of the path can exist.
     """
     room = None
     try:
@@ -124,25 +133,26 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
 
 
 def _rename_to_new(temporary: Path, path: Path) -> None:
-    """Rename a file, but never replace an existing one."""
+    """Rename a file, and raise an error if a file with the new name exists."""
     try:
         os.link(temporary, path)
     except FileExistsError:
         raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)") from None
-    except OSError:  # file systems without hard links
+    except OSError:  # the file system has no hard links
         os.replace(temporary, path)
 
 
 @contextmanager
-def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False):
-    """Provide a temporary path beside ``path``, which is renamed to it on success."""
-    with _in_place_of(check_output(path, endings, overwrite=overwrite), overwrite=overwrite) as temporary:
+def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
+    """Provide a temporary path beside ``path`` that is renamed to ``path`` on success."""
+    path = check_output(path, endings, overwrite=overwrite, gzipped=gzipped)
+    with _in_place_of(path, overwrite=overwrite) as temporary:
         yield temporary
 
 
 @contextmanager
 def temporary_folder(path: str | os.PathLike):
-    """Provide a temporary folder beside ``path``, which is renamed to it on success."""
+    """Provide a temporary folder beside ``path`` that is renamed to ``path`` on success."""
     path = to_path(path)
     if path.exists():
         raise InputError(f"{path} exists; give a folder that does not")
@@ -165,7 +175,7 @@ def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str |
 
 
 def _to_hdus(table, cards, name, others):
-    """Return FITS header-data units of one or more tables; one card contains the metadata of the first table."""
+    """Return the header-data units (HDUs) of one or more tables; a card contains the metadata of the first table."""
     from astropy.io import fits
 
     meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
@@ -184,7 +194,7 @@ def _to_hdus(table, cards, name, others):
 
 
 def table_cards(name: str | None, columns: list[str], about: dict, units: dict | None = None) -> dict:
-    """Return FITS cards with the name of an extension and the existing descriptions and units of its columns."""
+    """Return FITS cards with the name of an extension, and with the descriptions and units of its columns."""
     cards = {} if name is None else {"EXTNAME": (name, "name of this table")}
     for k, column in enumerate(columns, 1):
         if about.get(column):
@@ -198,7 +208,7 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
     """Write a file atomically; with ``sync``, the content is on disk before the file is renamed."""
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
     try:
-        # a new file with a random name: no other process writes to it, and no link is followed
+        # The file is new and has a random name, so that no other process writes to it and no link is followed.
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         try:
             with open(handle, "wb") as file:
@@ -218,9 +228,9 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
 
-    This is fast for thousands of small tables with the same columns: astropy makes the header of the first table, with
-    the ``fixed`` cards (pairs of a name and a value, or a value and a comment). For further tables, only ``cards``
-    are replaced or added.
+    This is fast for thousands of small tables with the same columns, because astropy makes only the header of the first
+    table. This header contains the ``fixed`` cards, which are pairs of a name and a value (or a value and a comment).
+    For each table, ``cards`` are replaced or added.
     """
     primary, header, places, disk = _fits_template(rows.dtype, fixed)
     image = bytearray(header)
@@ -242,7 +252,7 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
 
 @lru_cache(maxsize=32)
 def _fits_template(dtype: np.dtype, fixed: tuple):
-    """Return the bytes of the primary HDU, the header of a table with this dtype, and the dtype of records on disk."""
+    """Return the primary HDU, the header of a table, the positions of its cards, and the dtype of rows in the file."""
     from astropy.io import fits
 
     file = io.BytesIO()
@@ -252,12 +262,12 @@ def _fits_template(dtype: np.dtype, fixed: tuple):
     types = {"b": lambda t: np.dtype("u1"), "U": lambda t: np.dtype(f"S{max(t.itemsize // 4, 1)}")}
     disk = [(name, types.get(dtype[name].kind, lambda t: t.newbyteorder(">"))(dtype[name])) for name in dtype.names]
     image = header.tostring(sep="", endcard=False, padding=False).encode("ascii")
-    places = {image[k : k + 8].decode().strip(): k for k in range(0, len(image), 80)}  # long values take several cards
+    places = {image[k : k + 8].decode().strip(): k for k in range(0, len(image), 80)}  # a long value uses several cards
     return file.getvalue(), image, places, np.dtype(disk)
 
 
 def fits_card(name: str, value: object, comment: str = "") -> bytes:
-    """Return a card of a FITS header as astropy formats it; simple cards are formatted here, which is faster."""
+    """Return a FITS card in the format of astropy; simple cards are formatted without astropy, which is faster."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return _slow_card(name, value, comment)
     if isinstance(value, str):
@@ -279,7 +289,7 @@ def fits_card(name: str, value: object, comment: str = "") -> bytes:
 
 
 def _float_text(value: float) -> str | None:
-    """Return a number in the format of FITS headers, in at most 20 characters; None if this simple method fails."""
+    """Return a number in the format of FITS headers, or None if this simple method needs more than 20 characters."""
     text = str(value)
     if "e" in text or "n" in text or len(text) > 20:
         return None

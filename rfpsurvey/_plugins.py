@@ -1,4 +1,4 @@
-"""Plugins: objects that other packages provide by entry points, and functions of users; loaded on first use."""
+"""Plugins, which are functions of users, or objects of other packages that are loaded when they are first used."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -13,13 +13,13 @@ __all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
 
 @dataclass(frozen=True)
 class Plugin:
-    """A plugin: an object of another package, or a function of the user."""
+    """A plugin, which is an object of another package or a function of the user."""
 
     what: str
     name: str
     value: object
     package: str = ""
-    """Distribution that contains the plugin; empty for a function of the user."""
+    """Name of the distribution that contains the plugin; empty text for a function of the user."""
     version: str = ""
     place: str = ""
     """Location in the package, according to the entry point."""
@@ -30,7 +30,7 @@ class Plugin:
 
     @property
     def software(self) -> dict[str, str]:
-        """Name and version of the distribution, for the provenance."""
+        """Name and version of the distribution, which results record."""
         return {self.package: self.version} if self.package else {}
 
     @contextmanager
@@ -50,7 +50,7 @@ def plugin_names(group: str) -> set[str]:
 
 
 def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Plugin:
-    """Return the plugin with a name; if there is none, the error lists all choices, including the ``known`` ones."""
+    """Return the plugin with a given name; the error for an unknown name lists all names, including ``known``."""
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)
@@ -59,7 +59,7 @@ def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Pl
 
 
 def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:
-    """Return the plugin of a function, or the one with the given name."""
+    """Return the plugin with a given name, or make a plugin of a given function."""
     if callable(given):
         return Plugin(what, name_of(given), given)
     plugin = find_plugin(group, given, known, what)
@@ -69,7 +69,7 @@ def find_function(group: str, given: object, known: Iterable[str], what: str) ->
 
 
 def name_of(given: str | Callable) -> str:
-    """Return a name unchanged, and for a function a name that can be recorded."""
+    """Return a given name, or the name of a given function, in a form that results can record."""
     if not callable(given):
         return given
     thing = given if hasattr(given, "__qualname__") else type(given)
@@ -78,7 +78,7 @@ def name_of(given: str | Callable) -> str:
 
 @cache
 def _load(group: str, name: str, what: str) -> Plugin:
-    """Import a plugin. Failures are not cached, so that a package can be installed in the meantime."""
+    """Import a plugin; the call can be repeated after a failure, because only successful imports are cached."""
     points = entry_points(group=group, name=name)
     if not points:
         raise LookupError(name)

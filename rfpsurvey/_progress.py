@@ -6,22 +6,22 @@ from rfpsurvey.errors import check_switch
 
 __all__ = ["Progress"]
 
-EVERY = 0.1  # seconds between two updates of the line
+EVERY = 0.1  # least time between two updates of the line, in seconds
 
 
 class Progress:
-    """Shows the progress of a run with the rate and the remaining time, or passes it to a function.
+    """Shows the progress of a run with the rate and the remaining time, or passes the progress to a function.
 
-    The rate includes only the work and time of this run, because reading the results of an earlier run is much faster.
+    The rate includes only new work of this run, because reading the results of an earlier run is much faster.
 
     Parameters
     ----------
     progress : bool or callable
-        False shows nothing, and True shows a line. A function is called with (done, total).
+        With True, a line is shown; with False, nothing is shown. A function is called with (done, total).
     total : float, optional
-        Total amount of work; 1 if only a fraction is known.
+        Total amount of work; 1 if the progress is given as a fraction.
     unit : str, optional
-        Unit of the work, in the plural; percent if it is empty.
+        Unit of the work, in the plural; if it is empty, the progress is shown in percent.
     done : float, optional
         Amount of work that an earlier run did.
     """
@@ -56,7 +56,7 @@ class Progress:
 
             bar, text = progress.BarColumn(), progress.TextColumn("{task.description}")
             where = console.Console(stderr=True, force_jupyter=False)
-            # without a thread, because threads and forked processes do not mix
+            # The line is updated without a thread, because a process with threads cannot be forked safely.
             self._line = progress.Progress(
                 bar, text, console=where, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
             )

@@ -1,4 +1,4 @@
-"""Convert input with units and masks to plain float64 arrays in mm, in radians, or without unit."""
+"""Convert input, which can have units and masks, to float64 arrays in mm, in radians, or without unit."""
 
 from numbers import Number
 
@@ -49,7 +49,7 @@ def locked(array: np.ndarray) -> np.ndarray:
 
 
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
-    """Return ``value`` as a new float64 array in ``unit``, with NaN for masked values; errors contain ``name``."""
+    """Return ``value`` as a new float64 array in ``unit``, with NaN in place of masked values."""
     if not isinstance(value, u.Quantity):
         raise InputTypeError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {short(value)} without a unit"
@@ -65,7 +65,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
 def to_scalar(
     value: object, unit: u.UnitBase, name: str, *, low: float = -np.inf, high: float = np.inf, closed: bool = False
 ) -> float:
-    """Return one finite number in ``unit`` that is above ``low`` (or equal to it, if ``closed``) and below ``high``."""
+    """Return one finite number in ``unit`` between ``low`` and ``high``; it may equal ``low`` if ``closed``."""
     number = to_unit(value, unit, name)
     if number.shape != ():
         raise InputError(f"{name} must be one value, got the shape {number.shape}")
@@ -96,7 +96,7 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
 
 
 def to_direction(coord: object, name: str = "coord") -> SkyCoord:
-    """Return coordinates without distance and radial velocity, in the same frame, with their proper motions."""
+    """Return coordinates in the same frame, with proper motions but without distances and radial velocities."""
     if not isinstance(coord, SkyCoord):
         raise InputTypeError(f"{name} must be a SkyCoord, got {short(coord)}")
     data = coord.data
@@ -114,7 +114,7 @@ def to_direction(coord: object, name: str = "coord") -> SkyCoord:
 
 
 def to_center(center: object, name: str = "center") -> SkyCoord:
-    """Return one direction from a SkyCoord, or from text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees)."""
+    """Convert a SkyCoord, or text such as "06h20m00s +23d00m00s" or "95.0 23.0" (degrees), to one direction."""
     if not isinstance(center, str):
         center = to_direction(center, name)
         if not center.isscalar:
@@ -134,7 +134,7 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
 
 
 def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:
-    """Return directions as ICRS unit vectors, shape (n, 3); distances are ignored."""
+    """Convert directions to ICRS unit vectors, shape (n, 3); distances are ignored."""
     direction = to_direction(coord, name)
     if one and not direction.isscalar:
         raise InputError(f"{name} must be one direction, got the shape {direction.shape}")
@@ -143,7 +143,7 @@ def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.n
     direction = SkyCoord(direction.frame.realize_frame(direction.data.without_differentials()))
     try:
         icrs = direction.icrs
-    except Exception as error:  # some frames raise exceptions of any type if an observer or a time is missing
+    except Exception as error:  # frames that lack an observer or a time can raise any exception
         raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be brought to ICRS: {error}") from error
     xyz = icrs.represent_as(UnitSphericalRepresentation).to_cartesian().xyz.value
     return np.ascontiguousarray(np.atleast_2d(xyz.T), dtype=np.float64)
@@ -156,7 +156,7 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_plain(column: object, name: str = "the values", what: str = "numbers or text") -> np.ndarray:
-    """Return a table column or array without unit and mask: masked numbers become NaN, masked text becomes empty."""
+    """Return an array without unit and mask; masked numbers become NaN, and masked text becomes empty."""
     values = getattr(column, "value", column)
     mask = np.asarray(getattr(column, "mask", False))
     values = np.asarray(getattr(values, "unmasked", values))
@@ -177,7 +177,7 @@ def to_plain(column: object, name: str = "the values", what: str = "numbers or t
 
 
 def _plain_object(value: object, name: str, what: str) -> object:
-    """Return a number or text unchanged; return empty text for a missing value."""
+    """Return a number or text unchanged, or empty text for a missing value."""
     if value is None or value is np.ma.masked:
         return ""
     if isinstance(value, bytes):
@@ -188,7 +188,7 @@ def _plain_object(value: object, name: str, what: str) -> object:
 
 
 def to_flags(value: object, name: str) -> np.ndarray:
-    """Return booleans from booleans, numbers or the words true and false; masked values become False."""
+    """Convert booleans, numbers, or the words true and false to booleans; masked values become False."""
     values = to_plain(value, name, "truth values")
     if values.dtype.kind == "U":
         words = np.char.lower(np.char.strip(values))
@@ -201,7 +201,7 @@ def to_flags(value: object, name: str) -> np.ndarray:
 
 
 def to_labels(value: object, name: str) -> np.ndarray:
-    """Return identifiers as an array of int64, or of text without leading and trailing blanks."""
+    """Convert identifiers to an array of int64, or of text without leading and trailing blanks."""
     blank = np.asarray(getattr(value, "mask", False))
     if blank.any() and np.asarray(value).dtype.kind in "iu":
         raise InputError(f"{name} must be integers or text for every row, but {rows_of(blank)} have none")
@@ -221,14 +221,14 @@ def to_labels(value: object, name: str) -> np.ndarray:
 
 
 def rows_of(mask: np.ndarray) -> str:
-    """Return a phrase with the number of marked rows and the first few of their numbers, counted from 1."""
+    """Return a phrase with the number of marked rows and the first few row numbers, counted from 1."""
     rows = np.flatnonzero(mask)
     few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:
-    """Return the requested number of visits of each of n targets as small integers."""
+    """Return the requested number of visits of each of n targets as 8-bit integers."""
     try:
         values = to_plain(visits, "visits").astype(float)
     except InputError:
@@ -244,7 +244,7 @@ def to_visits(visits: object, n: int) -> np.ndarray:
 
 
 def to_generator(rng: object) -> np.random.Generator:
-    """Return a NumPy Generator from a seed, a Generator or None."""
+    """Convert a seed, a Generator or None to a NumPy Generator."""
     try:
         if isinstance(rng, np.random.RandomState):
             raise TypeError
@@ -254,13 +254,13 @@ def to_generator(rng: object) -> np.random.Generator:
 
 
 def to_seed(rng: object) -> int:
-    """Return a seed that can be recorded."""
+    """Return the given seed or a new one, which results can record."""
     generator = to_generator(rng)
     return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))
 
 
 def to_spawner(rng: object) -> np.random.Generator:
-    """Return a Generator that can spawn others, or raise an error."""
+    """Return a Generator that can spawn other generators; raise an error if this is not possible."""
     generator = to_generator(rng)
     try:
         generator.spawn(0)

@@ -28,8 +28,8 @@ __all__ = [
 
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
-# Parameters of earlier versions: old name, a present parameter, and the parameter that the message
-# suggests if the function has the present parameter.
+# Parameters of earlier versions: old name, a present parameter, and the text that the message suggests if the function
+# has this present parameter.
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
@@ -52,23 +52,23 @@ RENAMED = (
 
 
 class InputError(ValueError):
-    """An input is not valid; the message states what it must be and what was given.
+    """An input is not valid; the message states what the input must be and what was given.
 
-    An error due to a wrong type is also a `TypeError`, and one due to a wrong unit is also an
+    If the type is wrong, the error is also a `TypeError`. If the unit is wrong, it is also an
     `~astropy.units.UnitsError`.
     """
 
 
 class InputTypeError(InputError, TypeError):
-    """An input has a wrong type; also a `TypeError`."""
+    """An input has a wrong type; this error is also a `TypeError`."""
 
 
 class InputUnitsError(InputError, UnitsError):
-    """An input has a wrong unit; also an `~astropy.units.UnitsError`."""
+    """An input has a wrong unit; this error is also an `~astropy.units.UnitsError`."""
 
 
 class RfpsurveyWarning(UserWarning):
-    """Part of the input was ignored or assumed, or a goal was not reached; the message gives the details."""
+    """A part of the input was ignored or assumed, or a goal was not reached; the message gives the details."""
 
 
 def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
@@ -95,12 +95,12 @@ def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
 
 
 def number_of(n: int, noun: str, plural: str = "") -> str:
-    """Return a number and its noun, such as "1 target" and "2 targets"; an irregular plural must be given."""
+    """Return a number with its noun, such as "1 target" or "2 targets"; an irregular plural must be given."""
     return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
 def check_choice(name: object, choices: Iterable[str], what: str, *, others: str = "") -> str:
-    """Return ``name`` if it is one of ``choices``, otherwise raise an error that lists them, and names ``others``."""
+    """Return ``name`` if it is one of ``choices``; otherwise, raise an error that lists all choices."""
     choices = sorted(choices)
     if isinstance(name, str) and name in choices:
         return name
@@ -111,20 +111,20 @@ def check_choice(name: object, choices: Iterable[str], what: str, *, others: str
 
 
 def check_switch(value: object, name: str) -> bool:
-    """Return a boolean, or 0 or 1, as a bool; raise an error for other values."""
+    """Convert a boolean or a number to a bool; raise an error for other values."""
     if isinstance(value, Number) or type(value).__name__ == "bool":
         return bool(value)
     raise InputTypeError(f"{name} must be True or False, got {short(value)}")
 
 
 def refusal(text: str, value: object, *types: type) -> InputError:
-    """Return the error for an invalid value: an InputTypeError unless the value has one of the types."""
+    """Return the error for an invalid value, which is an InputTypeError unless the value has one of the types."""
     kind = InputError if isinstance(value, types) else InputTypeError
     return kind(f"{text}, got {short(value)}")
 
 
 def short(value: object) -> str:
-    """Return a value as one short line of text; a table is described by its type and length."""
+    """Return one short line of text for a value; the text for a table states its type and length."""
     name = type(value).__name__
     if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, possibly of another package
         return f"a {name} of {number_of(len(value), 'row')}"
@@ -133,7 +133,7 @@ def short(value: object) -> str:
 
 
 def check_keywords(function: T) -> T:
-    """Make the error for an unknown parameter of a function or constructor suggest a similar parameter."""
+    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter."""
     if inspect.isclass(function):
         function.__init__ = _checked(function.__init__, function.__qualname__)
         return function
@@ -154,7 +154,7 @@ def _checked(function, title):
 
 
 def _instead_of(name, parameters):
-    """Return a hint at the parameter that was possibly meant by an unknown parameter."""
+    """Return a hint for an unknown parameter: its replacement, a similar parameter, or a list of all parameters."""
     for old, needed, new in RENAMED:
         if old == name and needed in parameters:
             return f"write {new}"

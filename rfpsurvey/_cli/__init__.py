@@ -1,4 +1,4 @@
-"""The command line: it parses options, calls the library, and writes the results."""
+"""The commands of the command line, which parse options, call the library, and write the results."""
 
 from rfpsurvey._cli import (
     benchmark,

@@ -1,4 +1,4 @@
-"""The application, and functions that all commands share."""
+"""The command-line application, and functions that all commands share."""
 
 import os
 import re
@@ -91,16 +91,16 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; invalid input ends with a one-sentence message and the exit code 2."""
+    """Run the command line; if the input is invalid, print a one-sentence message and exit with the code 2."""
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
     warnings.simplefilter("always", rs.RfpsurveyWarning)
     announce_compilation()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that incomplete outputs are removed
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exit handlers remove incomplete outputs
     code = 0
     try:
         app()
-    except SystemExit as stop:  # typer always raises this exception, even if the output is a closed pipe
+    except SystemExit as stop:  # typer raises this at the end, also after a closed pipe
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:
         code = READER_GONE
@@ -110,14 +110,14 @@ def main() -> None:
 
 
 def _complain(error: Exception) -> int:
-    """Print a one-sentence message, and return the exit code of invalid input."""
+    """Print a one-sentence message, and return the exit code for invalid input."""
     with suppress(BrokenPipeError):
         print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
     return 2
 
 
 def _with_options(text: str, words: list[str]) -> str:
-    """Return an error message in which the names of parameters are replaced by those of the options that were typed."""
+    """Return an error message in which the options that the user typed replace the names of parameters."""
     typed = {word.partition("=")[0] for word in words if word.startswith("--")}
 
     def option(match: re.Match) -> str:
@@ -136,14 +136,14 @@ def _flush(code: int) -> int:
         except OSError as error:
             gone = isinstance(error, BrokenPipeError)
             code = READER_GONE if gone else _complain(error)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # because the interpreter flushes again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # the interpreter flushes again
         except ValueError:  # the stream is closed
             pass
     return code
 
 
 def parse_center(text: str | None):
-    """Return the field center from the text of an option; None if the option was not given."""
+    """Convert the text of an option to the field center; None if the option is not given."""
     return None if text is None else to_center(text, "--center")
 
 
@@ -156,7 +156,7 @@ OPTIONS = {
     "n_realizations": "--realizations",
     "requirements": "--require",
 }
-"""Options by the names of their parameters, where these differ."""
+"""Option of each parameter whose name differs from the name of the option."""
 FORMS = {
     "--column": "ROLE=NAME",
     "--unit": "ROLE=UNIT",
@@ -167,7 +167,7 @@ FORMS = {
 
 
 def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
-    """Return a dict from options of a form such as NAME=VALUE."""
+    """Convert options of a form such as NAME=VALUE to a dict."""
     found = {}
     for pair in pairs or []:
         name, sign, value = pair.partition("=")
@@ -178,7 +178,7 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the requested instrument or, if none is requested, the instrument of a tile that this package wrote."""
+    """Return the instrument with a given name; without a name, return the instrument of a tile of this package."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if name is None and own is None:
@@ -195,7 +195,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
         return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
-    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # an epoch, such as J2016, instead of a column
+    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # an epoch instead of a column
     if common:
         del columns["epoch"]
     catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
@@ -203,7 +203,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
-    """Return a catalog, from a file or synthetic, and the field center; the center None is that of the catalog."""
+    """Return a catalog, from a file or synthetic, and the field center; None means the center of the catalog."""
     field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -212,7 +212,7 @@ def targets_and_center(path, center, model, seed, column, unit, frame, fill, kee
 
 
 def _parse_circle(text: str) -> "rs.Region":
-    """Return a circle from text such as "95.0,23.0,0.01" (degrees), optionally with the word cap before it."""
+    """Convert text such as "95.0,23.0,0.01" (degrees) to a circle; the word cap may precede the numbers."""
     words = text.replace(",", " ").split()
     try:
         return rs.Region.parse(" ".join(words if words[:1] == ["cap"] else ["cap", *words]))
@@ -233,7 +233,7 @@ def allocation_options(
     required: list[str] | None = None,
     keep_out: list[str] | None = None,
 ) -> "rs.AllocationOptions":
-    """Return the options of an allocation from the options of a command."""
+    """Convert the options of a command to the options of an allocation."""
     own = require is not None and "instrument" in require
     if own and len(require) > 1:
         raise rs.InputError("--require instrument stands for all requirements of the instrument: give no others")
@@ -252,7 +252,7 @@ def allocation_options(
 
 
 def read_assignment(path: Path, select: list[str] | None):
-    """Read a table, and select the rows whose columns have the given values, compared as text."""
+    """Read a table, and select the rows whose columns have the given values; values are compared as text."""
     table = read_table(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
@@ -265,18 +265,18 @@ def read_assignment(path: Path, select: list[str] | None):
 
 
 def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
-    """Return the given units; for CSV files, which have no units, add the usual units of all other columns."""
+    """Return the given units; for CSV files, which contain no units, add the usual units of all other columns."""
     usual = {role: str(u) for role, u in UNITS.items()} if suffix_of(path) in (".csv", ".tsv") else {}
     return {**usual, **parse_pairs(unit, "--unit")}
 
 
 def to_mm(value: float | None):
-    """Return a length in mm, or None."""
+    """Convert a number of mm to a Quantity; None remains None."""
     return None if value is None else value * u.mm
 
 
 def read_targets(name: str):
-    """Return a catalog from a file, or the name of a kind of random targets unchanged."""
+    """Read a catalog from a file; return the name of a kind of random targets unchanged."""
     return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
 
 
@@ -288,7 +288,7 @@ def check_outputs(
     *,
     overwrite: bool,
 ) -> None:
-    """Raise an error for an output that cannot be written, before any work is done."""
+    """Raise an error if an output cannot be written; this is called before any work is done."""
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
     for path in (plot, quality):
@@ -299,7 +299,7 @@ def check_outputs(
 
 
 def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | None" = None) -> None:
-    """Raise an error for a column that cannot determine the colors of targets, before any work is done."""
+    """Raise an error if a column cannot determine the colors of targets; this is called before any work is done."""
     if color is None:
         return
     check_choice(color, COLORINGS, "--targets")
@@ -310,7 +310,7 @@ def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | N
 
 
 def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, output: Path | None) -> None:
-    """Raise an error for text of the targets of a field that FITS cannot contain, before any work is done."""
+    """Raise an error if FITS cannot contain text of the targets of a field; this is called before any work is done."""
     if output is None or suffix_of(output) != ".fits" or len(catalog) == 0:
         return
     center = catalog.mean_direction if center is None else center
@@ -322,6 +322,6 @@ def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, outpu
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
-    """Return the path of the table that belongs to a plot; raise an error if an output cannot be written."""
+    """Return the path of the table beside a plot; raise an error if one of the outputs cannot be written."""
     check_outputs(None, plot, report, overwrite=overwrite)
     return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)

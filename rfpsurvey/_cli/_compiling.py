@@ -1,4 +1,4 @@
-"""A message that explains why a first command takes longer."""
+"""A message that explains why the first command takes longer than later ones."""
 
 import sys
 
@@ -8,7 +8,7 @@ __all__ = ["announce_compilation"]
 
 
 class _Announcement(event.Listener):
-    """Prints a line when kernels that are not in the cache are compiled, once per process."""
+    """Prints one line per process when numba compiles a function that is not in its cache."""
 
     def __init__(self):
         self._told = False

@@ -1,4 +1,4 @@
-"""Functions of the command ``design``, which parse the axes of a scan and print a summary."""
+"""Functions of the command ``design`` that parse the parameters of a scan and print a summary."""
 
 from pathlib import Path
 
@@ -35,9 +35,9 @@ COLUMNS = (
 
 
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
-    """Return the parameters of a scan from text such as 8.25, or 7,8,9, or 22:30:9, or 22:30; lengths are in mm.
+    """Convert text such as 8.25, or 7,8,9, or 22:30:9, or 22:30 to the parameters of a scan; lengths are in mm.
 
-    Parameters that are not given have default values or, in a scan ``around`` an instrument, the values of the
+    Parameters that are not given have default values. In a scan ``around`` an instrument, they have the values of the
     instrument.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
@@ -69,7 +69,7 @@ def _axis(name, text, n_designs):
 
 
 def loss(estimand, method, each, density: float | None, n_skies: int, time_limit: float) -> "rs.design.LossOptions":
-    """Return the options of the loss from options of the command."""
+    """Convert options of the command to the options of the loss."""
     return rs.design.LossOptions(
         estimand,
         method,
@@ -81,7 +81,7 @@ def loss(estimand, method, each, density: float | None, n_skies: int, time_limit
 
 
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Draw the front and write a page if requested, and print the front and the sensitivities."""
+    """Print the best designs (the front) and the sensitivities, and write the plot and the page if requested."""
     page = {"title": f"{len(table)} designs", "data": output}
     if report is not None:
         page["figures"] = {FIGURE: rs.plot.plot_designs(table)}
@@ -98,7 +98,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             _print_improvements(table)
         try:
             found = rs.design.design_sensitivities(table)
-        except rs.InputError as error:  # too few designs
+        except rs.InputError as error:  # there are too few designs
             print(f"no sensitivities: {error}")
         else:
             print(
@@ -124,7 +124,7 @@ def _print_rows(front, table) -> None:
 
 
 def _format(column) -> None:
-    """Print up to 12 digits of the numbers in a column if different numbers look equal in the usual format."""
+    """Set the format of a column such that different numbers look different, with up to 12 digits."""
     values = np.asarray(column, dtype=float)
     n_different = len({f"{value:.12g}" for value in values.tolist()})
     for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):
@@ -152,7 +152,7 @@ def _print_improvements(table) -> None:
 
 
 def _change(name, before, after, scanned) -> str:
-    """Return a parameter of a better design as text with its change in percent; empty text if it does not change."""
+    """Return text with a parameter of a better design and its change in percent, or empty text without a change."""
     if abs(after - before) <= 1e-9 * abs(before):
         return ""
     edge = ", edge of the scan" if after in (scanned.min(), scanned.max()) else ""

@@ -19,13 +19,14 @@ CatalogArgument = Annotated[
     Path | None,
     typer.Argument(
         help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
-        "stars come with the package. None: a synthetic Poisson "
-        "catalog."
+        "stars come with the package. By default, a synthetic Poisson catalog."
     ),
 ]
 CenterOption = Annotated[
     str | None,
-    typer.Option(help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. None: the mean direction."),
+    typer.Option(
+        help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. By default, the mean direction."
+    ),
 ]
 PaOption = Annotated[
     float, typer.Option(help="Position angle of +y (deg), from north toward east.", callback=check_angle)
@@ -36,50 +37,56 @@ AllocatorOption = Annotated[
     str,
     typer.Option(
         help="lamost, nearest, balanced (ignores priorities), sdss (network flow), optimal (proven, without "
-        "collisions), repair (lamost, with collisions removed by local moves), or one of an installed package."
+        "collisions), repair (lamost, with collisions removed by local moves), or an allocator of an installed package."
     ),
 ]
 RequireOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Number of targets that a tile needs, KIND=NUMBER, as sky=20/spectrograph or sky_boss=300; instrument: "
-        "the numbers of the instrument."
+        help="Number of targets that a tile must contain, KIND=NUMBER, such as sky=20/spectrograph or sky_boss=300. "
+        "The word instrument stands for the requirements of the instrument."
     ),
 ]
 RequiredOption = Annotated[
-    list[str] | None, typer.Option(help="Identifier of a target that takes precedence over all others.")
+    list[str] | None, typer.Option(help="Identifier of a target that takes precedence over all other targets.")
 ]
 KeepOutOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Circle that no arm may cover, RA,DEC,RADIUS (deg, ICRS), as 95.0,23.0,0.01. repair and optimal keep it "
-        "free; for other allocators, arms that cover it are counted as collisions."
+        help="Circle that no arm may cover, RA,DEC,RADIUS (deg, ICRS), such as 95.0,23.0,0.01. The allocators "
+        "repair and optimal avoid it; with other allocators, an arm that covers it is counted as a collision."
     ),
 ]
-SkyOption = Annotated[float | None, typer.Option(help="Use positions this far (arcsec) from all targets as sky.")]
-ObjectiveOption = Annotated[
-    str, typer.Option(help="sdss, optimal: priority (class after class), or count (total number first).")
+SkyOption = Annotated[
+    float | None, typer.Option(help="Use positions at least this far (arcsec) from all targets as sky positions.")
 ]
-TimeLimitOption = Annotated[float, typer.Option(help="sdss, optimal: time limit of the search (s).")]
+ObjectiveOption = Annotated[
+    str,
+    typer.Option(
+        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize all first)."
+    ),
+]
+TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the search (s), for sdss and optimal.")]
 InstrumentOption = Annotated[str, typer.Option(help="Name of a preset, or path of a TOML file.")]
 EquinoxOption = Annotated[
-    str | None, typer.Option(help="Measure the position angle from north at this equinox, as J2026.0.")
+    str | None, typer.Option(help="Measure the position angle from north at this equinox, such as J2026.0.")
 ]
-EpochOption = Annotated[str | None, typer.Option(help="Move targets to this epoch, as 2026.5 or 2026-07-01.")]
+EpochOption = Annotated[str | None, typer.Option(help="Move targets to this epoch, such as 2026.5 or 2026-07-01.")]
 ColumnOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="ROLE=NAME of a column, as id=star; priority=-rank reverses the sign; epoch=J2016 is that of all rows."
+        help="ROLE=NAME of a column, such as id=star. priority=-rank reverses the sign. epoch=J2016 sets one "
+        "epoch for all rows."
     ),
 ]
 KeepOption = Annotated[
     list[str] | None, typer.Option(help="Column of the catalog to include in the results, such as a magnitude.")
 ]
-UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT of a column without a unit, as ra=deg.")]
+UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT for a column without a unit, such as ra=deg.")]
 FillOption = Annotated[
-    list[str] | None, typer.Option(help="ROLE=VALUE that replaces missing values, as priority=0 or visits=1.")
+    list[str] | None, typer.Option(help="ROLE=VALUE that replaces missing values, such as priority=0 or visits=1.")
 ]
-ParkedOption = Annotated[bool, typer.Option(help="Idle positioners with equal arms are parked, and are obstacles.")]
+ParkedOption = Annotated[bool, typer.Option(help="Idle positioners with equal arms are obstacles.")]
 OutputOption = Annotated[
     Path | None,
     typer.Option(help="Write the tile (.fits or .ecsv); only FITS files contain the outcomes of all targets."),
@@ -96,8 +103,8 @@ QualityOption = Annotated[
 MethodOption = Annotated[
     str,
     typer.Option(
-        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, one of an installed "
-        "package, or auto: the fastest one with an error estimate."
+        help="conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, a method of an installed "
+        "package, or auto, which is the fastest method with an error estimate."
     ),
 ]
 MapOption = Annotated[Path | None, typer.Option(help="Write the probability of each positioner (.fits or .ecsv).")]
@@ -108,7 +115,7 @@ RegionOption = Annotated[
     str | None,
     typer.Option(
         help="Region: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky. With a "
-        "catalog: its targets inside."
+        "catalog, only the targets inside the region are used."
     ),
 ]
 ExcludeOption = Annotated[
@@ -117,7 +124,9 @@ ExcludeOption = Annotated[
 ]
 CentersOption = Annotated[
     Path | None,
-    typer.Option(help="List of the only allowed centers: ra, dec, ... With --method given, all of them are used."),
+    typer.Option(
+        help="List of permitted centers, with columns ra, dec, ... With --method given, all of them are used."
+    ),
 ]
 DeclinationOption = Annotated[
     tuple[float, float] | None,
@@ -126,31 +135,35 @@ DeclinationOption = Annotated[
 RadiusOption = Annotated[
     float | None,
     typer.Option(
-        help="Radius of a tile (deg), instead of that of the instrument; fibers then reach any target of the tile."
+        help="Radius of a tile (deg), in place of the radius of the instrument. Fibers then reach any target of "
+        "the tile."
     ),
 ]
 TilingAllocatorOption = Annotated[
     str | None,
     typer.Option(
         help="Allocator that plans each tile, as in a survey: lamost, nearest, balanced, sdss, optimal, repair, "
-        "or one of an installed package. None: lamost, unless --fibers or --radius is given."
+        "or an allocator of an installed package. By default, lamost, unless --fibers or --radius is given."
     ),
 ]
 TilingPaOption = Annotated[
     float | None,
     typer.Option(
-        help="Position angle of +y (deg), from north toward east. None: that of --centers, or 0.", callback=check_angle
+        help="Position angle of +y (deg), from north toward east. By default, the value in --centers, or 0.",
+        callback=check_angle,
     ),
 ]
 TilingMethodOption = Annotated[
     str,
     typer.Option(
         help="hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one tile after "
-        "the other, as LAMOST), sdss (network flow), or given (those of --centers)."
+        "the other, as for LAMOST), sdss (network flow), or given (the tiles of --centers)."
     ),
 ]
-PassesOption = Annotated[int, typer.Option(help="Number of passes of coverings.")]
-CompletenessOption = Annotated[float | None, typer.Option(help="Stop at this fraction of the visits, 0 to 1.")]
+PassesOption = Annotated[int, typer.Option(help="Number of passes (hexagonal and spiral).")]
+CompletenessOption = Annotated[
+    float | None, typer.Option(help="Fraction of the visits, from 0 to 1, at which no more tiles are placed.")
+]
 FibersOption = Annotated[
     int | None,
     typer.Option(
@@ -168,18 +181,24 @@ SurveyCatalogArgument = Annotated[
     Path | None,
     typer.Argument(
         help="FITS, ECSV, CSV, VOTable or Parquet, a folder of HEALPix partitions (HATS), or example:anticenter, whose "
-        "stars come with the package. None: a synthetic Poisson "
-        "catalog, wider than a field."
+        "stars come with the package. By default, a synthetic Poisson catalog that is wider than a field."
     ),
 ]
 TilesOption = Annotated[
-    Path | None, typer.Option(help="List of tiles: ra, dec, pass, ... None: two hexagonal coverings of the catalog.")
+    Path | None,
+    typer.Option(
+        help="List of tiles, with columns ra, dec, pass, ... By default, two hexagonal coverings of the catalog."
+    ),
 ]
 VisitsOption = Annotated[
-    int | None, typer.Option(help="Number of visits of each target. None: that of the catalog, or one.", min=1)
+    int | None,
+    typer.Option(help="Number of visits of each target. By default, the number in the catalog, or 1.", min=1),
 ]
 SomePassesOption = Annotated[
-    list[int] | None, typer.Option("--pass", help="Pass of the tiling to plan; may be repeated, in this order.")
+    list[int] | None,
+    typer.Option(
+        "--pass", help="Pass of the tiling to plan. The option may be repeated; passes are planned in this order."
+    ),
 ]
 LostOption = Annotated[
     bool, typer.Option("--lost/--kept", help="Count a target as not observed if its positioner collides.")
@@ -187,14 +206,15 @@ LostOption = Annotated[
 OrderOption = Annotated[
     str,
     typer.Option(
-        help="color: pass after pass, with tiles that do not overlap in parallel; given: in the order of the list."
+        help="color: one pass after the other, in which tiles that do not overlap can be planned in parallel; "
+        "given: the order of the list."
     ),
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which each tile is written.")]
-ResumeOption = Annotated[bool, typer.Option(help="Continue the survey in the folder.")]
+ResumeOption = Annotated[bool, typer.Option(help="Continue the survey in --folder.")]
 WorkersOption = Annotated[int, typer.Option(help="Number of threads; the result does not depend on it.", min=1)]
 ProcessesOption = Annotated[bool, typer.Option("--processes", help="Use processes instead of threads.")]
-SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")]
+SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
     Path | None, typer.Option(help="Plot the tiles on the sky and the completeness (.png, .pdf or .svg).")
 ]
@@ -204,22 +224,29 @@ SurveyQualityOption = Annotated[
 ]
 DesignInstrumentOption = Annotated[
     str | None,
-    typer.Option(help="Preset or TOML file around which to scan; its values replace the defaults (None) below."),
+    typer.Option(help="Preset or TOML file around whose design to scan; its values replace the default values below."),
 ]
 SpreadOption = Annotated[
     float | None,
-    typer.Option(help="Fraction by which central arm, ratio and pitch vary around those of --instrument. None: 0.15."),
+    typer.Option(
+        help="Relative range of central arm, ratio and pitch around their values in --instrument. By default, 0.15."
+    ),
 ]
 CentralArmOption = Annotated[
-    str | None, typer.Option(help="Central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. None: 8.25.")
+    str | None,
+    typer.Option(help="Central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."),
 ]
 RatioOption = Annotated[
-    str | None, typer.Option(help="Eccentric over central arm, in the same forms. None: from 1 to 2.")
+    str | None,
+    typer.Option(help="Eccentric arm divided by central arm, in the same forms. By default, from 1 to 2."),
 ]
 PitchOption = Annotated[
-    str | None, typer.Option(help="Distance between neighboring centers (mm), in the same forms. None: from 24 to 34.")
+    str | None,
+    typer.Option(help="Distance between neighboring centers (mm), in the same forms. By default, from 24 to 34."),
 ]
-ClearanceOption = Annotated[str | None, typer.Option(help="Clearance of an arm (mm), in the same forms. None: 2.25.")]
+ClearanceOption = Annotated[
+    str | None, typer.Option(help="Clearance of an arm (mm), in the same forms. By default, 2.25.")
+]
 NDesignsOption = Annotated[
     int | None, typer.Option(help="Number of designs between LOW:HIGH, at Sobol points instead of a grid.")
 ]
@@ -232,17 +259,21 @@ EstimandOption = Annotated[
 DesignMethodOption = Annotated[
     str,
     typer.Option(
-        help="surrogate, quadrature, conditional, optimal, repair, or auto: the fastest one that is accurate enough."
+        help="surrogate, quadrature, conditional, optimal, repair, or auto, which is the fastest method that is "
+        "accurate enough."
     ),
 ]
-EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. None: 4.")]
-DensityOption = Annotated[float | None, typer.Option(help="Number of targets per mm^2 of the focal plane, instead.")]
+EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. By default, 4.")]
+DensityOption = Annotated[
+    float | None, typer.Option(help="Number of targets per mm^2, in place of --targets-per-positioner.")
+]
 SkiesOption = Annotated[int, typer.Option(help="Number of realizations to average over.")]
 DesignObjectiveOption = Annotated[
-    list[str] | None, typer.Option(help="COLUMN=max or COLUMN=min, given twice. None: coverage=max and loss=min.")
+    list[str] | None,
+    typer.Option(help="COLUMN=max or COLUMN=min; must be given twice. By default, coverage=max and loss=min."),
 ]
 DesignOutputOption = Annotated[Path | None, typer.Option(help="Write finished designs to this file (.fits or .ecsv).")]
-DesignResumeOption = Annotated[bool, typer.Option(help="Continue the scan in the output.")]
+DesignResumeOption = Annotated[bool, typer.Option(help="Continue the scan in --output.")]
 DesignPlotOption = Annotated[Path | None, typer.Option(help="Plot the front (.png, .pdf or .svg).")]
 
 PLAN_EXAMPLES = """\b

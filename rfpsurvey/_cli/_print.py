@@ -1,4 +1,4 @@
-"""The output of commands: printed text, and files that are written after the work."""
+"""The output of commands: printed text, and files with the results."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,11 +35,12 @@ MAP = (
 
 @contextmanager
 def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None) -> Iterator[None]:
-    """Write files (given as paths and contents) before the summary is printed, and print the file names after it.
+    """Write files before the summary is printed, and print the file names after the summary.
 
-    The reader of the printed output may close the pipe at any time, and no file must be lost. The content given for
-    ``output`` is a function that writes to a path. For ``plot`` and ``quality`` it is a function that makes a figure,
-    and for ``report`` it is a result with the options of its page.
+    The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
+    Each file is given as a path and a content. The content of ``output`` is a function that writes to a path. The
+    content of ``plot`` and ``quality`` is a function that makes a figure. The content of ``report`` is a result with
+    the options of its page.
     """
     written = []
     if output is not None and output[0] is not None:
@@ -119,7 +120,7 @@ def finish_comparison(table, output: Path | None, plot: Path | None, report: Pat
 def finish_estimate(
     estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write the map, plot and page of an estimate, as requested, and print the estimate with one value per line."""
+    """Write the map, the plot and the page of an estimate if requested, and print the estimate, one value per line."""
     plane = model.focal_plane
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
     table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
@@ -184,7 +185,7 @@ def print_summary(tile: "rs.Tile") -> None:
 
 
 def _print_objectives(tile: "rs.Tile") -> None:
-    """Print the numbers of fibers on classes of targets, the gap of the plan, and the unmet requirements."""
+    """Print the value of each objective, the gap of the plan, and the requirements that are not met."""
     summary = tile.summary
     for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())

@@ -1,4 +1,4 @@
-"""Functions of the command ``survey``: targets and tiles from files, workers, and a summary."""
+"""Functions of the command ``survey``, which read targets and tiles, start workers and print a summary."""
 
 import signal
 import sys
@@ -18,11 +18,11 @@ from rfpsurvey.tiling import warn_of_targets
 
 __all__ = ["run", "targets_of", "workers"]
 
-MANY = 0.05  # collision rate
+MANY = 0.05  # the collision rate above which a hint is printed
 
 
 def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep):
-    """Return the catalog of a file or of a folder of partitions, or a synthetic one that is wider than a field."""
+    """Return the catalog of a file or of a folder of partitions; by default, a synthetic catalog wider than a field."""
     if path is None:
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
@@ -32,7 +32,7 @@ def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, uni
 
 
 def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
-    """Return the tiles in a file or, without a file, tiles that cover the catalog twice."""
+    """Return the tiles in a file; if no file is given, return tiles that cover the catalog twice."""
     if path is not None:
         tiling = rs.Tiling.read(path)
         warn_of_targets(read_table(path), len(targets))
@@ -44,7 +44,7 @@ def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
 
 @contextmanager
 def workers(number: int, scheduler: str | None, *, processes: bool):
-    """Provide an executor of the requested kind, or None if tiles are to be planned in this thread."""
+    """Provide an executor of the requested kind, or None if all tiles are planned in this thread."""
     if scheduler is not None:
         try:
             from distributed import Client
@@ -69,7 +69,7 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
 
 
 def _set_up_worker() -> None:
-    """Ignore Ctrl-C in a worker; otherwise, the main process would wait forever for workers that Ctrl-C ended."""
+    """Ignore Ctrl-C in a worker process, because the main process would wait forever for workers that it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
 
@@ -78,7 +78,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print the summary of a survey, one value per line."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
-    if "model" in s:  # surveys of earlier versions do not contain this value
+    if "model" in s:  # surveys of earlier versions have no such value
         print(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")

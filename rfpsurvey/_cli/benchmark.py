@@ -19,7 +19,9 @@ _app.app.add_typer(benchmark, name="benchmark")
 @benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
-    method: Annotated[list[str] | None, typer.Option(help="Methods to compare; may be repeated. None: all.")] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Methods to compare; may be repeated. By default, all methods.")
+    ] = None,
     repeats: Annotated[int, typer.Option(help="Largest number of runs of each method.")] = 15,
     seed: Annotated[int, typer.Option(help="Seed of the random targets.")] = 0,
     plot: Annotated[

@@ -25,7 +25,7 @@ def probability(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Compare the time and the error of the methods of collision probability, and print the bias of densities."""
+    """Compare the time and the error of the methods for collision probabilities, and print the bias of each density."""
     output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
     table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())

@@ -20,22 +20,28 @@ from rfpsurvey.plot import draw_instruments
 @_app.app.command(epilog=_options.COMPARE_EXAMPLES)
 def compare(
     instruments: Annotated[
-        list[str] | None, typer.Argument(help="Names of presets, or paths of TOML files. None: all presets.")
+        list[str] | None, typer.Argument(help="Names of presets, or paths of TOML files. By default, all presets.")
     ] = None,
     catalog: Annotated[
         Path | None,
-        typer.Option(help="Catalog for all, a file or example:anticenter. None: synthetic Poisson targets."),
+        typer.Option(
+            help="Catalog for all instruments, a file or example:anticenter. By default, synthetic Poisson targets."
+        ),
     ] = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     epoch: _options.EpochOption = None,
-    targets: Annotated[float | None, typer.Option(help="Number of synthetic targets per positioner. None: 1.")] = None,
-    density: Annotated[float | None, typer.Option(help="Number of synthetic targets per deg2, instead.")] = None,
+    targets: Annotated[
+        float | None, typer.Option(help="Number of synthetic targets per positioner. By default, 1.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(help="Number of synthetic targets per deg2, in place of --targets.")
+    ] = None,
     realizations: Annotated[
-        int | None, typer.Option(help="Number of synthetic fields of each instrument. None: 4.")
+        int | None, typer.Option(help="Number of synthetic fields of each instrument. By default, 4.")
     ] = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Allocator; may be repeated. None: lamost and optimal.")
+        list[str] | None, typer.Option(help="Allocator; may be repeated. By default, lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
@@ -53,7 +59,7 @@ def compare(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Compare instruments: reach, fibers, collisions, and the targets lost to collisions."""
+    """Compare the reach, fibers and collisions of instruments, and the targets lost to collisions."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out

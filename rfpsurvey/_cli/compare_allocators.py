@@ -21,7 +21,7 @@ def compare_allocators(
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Allocator to compare; may be repeated. None: all.")
+        list[str] | None, typer.Option(help="Allocator to compare; may be repeated. By default, all allocators.")
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,

@@ -31,7 +31,7 @@ def design(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Scan designs of positioners, optionally around an instrument: coverage, losses to collisions, best designs."""
+    """Scan designs of positioners, optionally around that of an instrument, and find the best designs."""
     again = overwrite or resume
     _app.check_outputs(None, plot, report, overwrite=again)
     around = instrument is not None

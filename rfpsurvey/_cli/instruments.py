@@ -19,10 +19,12 @@ Examples:
 def instruments(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Names of presets, or paths of TOML files; several are compared. None: list all presets."),
+        typer.Argument(
+            help="Names of presets, or paths of TOML files; several are compared. By default, all presets are listed."
+        ),
     ] = None,
 ) -> None:
-    """List the instruments, describe one with the source of every value, or compare several."""
+    """List all instruments, describe one instrument with the source of every value, or compare several instruments."""
     models = [as_instrument(name) for name in names or ()]
     if not models:
         _print_list()
@@ -40,7 +42,7 @@ def _print_list() -> None:
 
 
 def _print_one(model: Instrument) -> None:
-    """Print the description of an instrument, facts derived from it, and the source of every value."""
+    """Print the description of an instrument, facts that are derived from it, and the source of every value."""
     notes = model.notes.strip()
     print(f"{model.name}: {model.title}" if model.title else model.name)
     print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
@@ -54,7 +56,7 @@ def _print_one(model: Instrument) -> None:
 
 
 def _print_columns(models: list[Instrument]) -> None:
-    """Print the facts of several instruments, with a column for each."""
+    """Print the facts of several instruments, with one column for each instrument."""
     columns = [fact_texts(model.facts()) for model in models]
     widths = [max(len(model.name), *map(len, texts.values())) for model, texts in zip(models, columns, strict=True)]
     rows = {"": [model.name for model in models]}

@@ -16,7 +16,9 @@ from rfpsurvey.probability import Precision, RandomTargets
 def probability(
     instrument: Annotated[str, typer.Argument(help="Name of a preset, or path of a TOML file.")] = "lamost",
     method: _options.MethodOption = "auto",
-    estimand: Annotated[str | None, typer.Option(help="For auto: allocated (default) or independent.")] = None,
+    estimand: Annotated[
+        str | None, typer.Option(help="allocated (the default) or independent, for the method auto.")
+    ] = None,
     precision: Annotated[float | None, typer.Option(help="Standard error to reach.")] = None,
     max_iterations: Annotated[
         int | None, typer.Option(help="Largest number of iterations, realizations or points.")
@@ -25,9 +27,11 @@ def probability(
         str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog, such as example:anticenter.")
     ] = "uniform",
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
-    target_radius: Annotated[float | None, typer.Option(help="Radius of the circle that contains them (mm).")] = None,
+    target_radius: Annotated[
+        float | None, typer.Option(help="Radius of the circle that contains the random targets (mm).")
+    ] = None,
     min_separation: Annotated[float | None, typer.Option(help="Minimum separation for poisson_disc (mm).")] = None,
-    allocator: Annotated[str, typer.Option(help="balanced, or another allocator.")] = "balanced",
+    allocator: Annotated[str, typer.Option(help="Allocator that assigns the targets.")] = "balanced",
     density: Annotated[
         str | None, typer.Option(help="Density of independent targets: uniform, shared or voronoi.")
     ] = None,
@@ -53,7 +57,7 @@ def probability(
 
 
 def _targets(name, number, radius, separation):
-    """Return random targets, or a catalog from a file."""
+    """Return random targets if ``name`` is a kind of random targets; otherwise, read a catalog."""
     targets = _app.read_targets(name)
     if isinstance(targets, str):
         return RandomTargets(targets, number, _app.to_mm(radius), _app.to_mm(separation))

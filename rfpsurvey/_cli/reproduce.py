@@ -12,17 +12,17 @@ from rfpsurvey._cli import _app, _options
 
 @_app.app.command(epilog=_options.REPRODUCE_EXAMPLES)
 def reproduce(
-    experiment: Annotated[
-        str, typer.Argument(help="small, large, poisson, fit, intervals, speed, or all of them.")
-    ] = "all",
+    experiment: Annotated[str, typer.Argument(help="small, large, poisson, fit, intervals, speed, or all.")] = "all",
     folder: Annotated[Path, typer.Option(help="Folder for tables, figures and claims.")] = Path("reproduction"),
-    quick: Annotated[bool, typer.Option("--quick", help="Use few designs and repeats, to test that it runs.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Number of threads; by default that of the cores.", min=1)] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Use few designs and repeats, for a short test.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Number of threads; by default, the number of cores.", min=1)
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with its claims."""
+    """Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with the paper."""
     _app.check_outputs(None, report=report, overwrite=overwrite)
     options = {"quick": quick, "workers": workers, "rng": seed, "overwrite": overwrite}
     claims = rs.reproduction.reproduce(experiment, folder, progress=sys.stderr.isatty(), **options)

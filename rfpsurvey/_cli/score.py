@@ -15,17 +15,22 @@ from rfpsurvey.tile import north_of_date
 def score(
     assignment: Annotated[Path, typer.Argument(help="Table: positioner (or hole) and position of each target.")],
     instrument: Annotated[
-        str | None, typer.Option(help="Preset, or the path of a TOML file. None: that of a tile of rfpsurvey.")
+        str | None,
+        typer.Option(help="Preset, or path of a TOML file. By default, the instrument in a tile of rfpsurvey."),
     ] = None,
-    center: Annotated[str | None, typer.Option(help="Field center, ICRS; else the table's racen, deccen.")] = None,
+    center: Annotated[
+        str | None, typer.Option(help="Field center, ICRS. By default, racen and deccen in the table.")
+    ] = None,
     pa: Annotated[
         float | None,
-        typer.Option(help="Position angle, deg; else the table's position_angle.", callback=_options.check_angle),
+        typer.Option(
+            help="Position angle, deg. By default, position_angle in the table.", callback=_options.check_angle
+        ),
     ] = None,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
-    positions: Annotated[str | None, typer.Option(help="focal_plane or sky, where the table has both.")] = None,
-    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE: select these rows.")] = None,
+    positions: Annotated[str | None, typer.Option(help="focal_plane or sky, for a table that has both.")] = None,
+    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE, which selects rows of the table.")] = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,

@@ -87,7 +87,7 @@ def _centers(path, declination, pa):
 
 
 def _options_of(allocator, require, sky_separation, time_limit, parked, *, given):
-    """Return the options of an allocation, or None for the defaults."""
+    """Return the options of an allocation, or None if all options have their default values."""
     asked = require is not None or sky_separation is not None or not parked
     if allocator is None and given and asked:
         raise rs.InputError("--fibers and --radius need an --allocator where an option of allocators is given")

@@ -1,16 +1,19 @@
-"""Allocators on reachable pairs in CSR form."""
+"""Allocators for reachable pairs of positioners and targets, which are stored in compressed rows (CSR)."""
 
 import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# No class comes after this one.
+# A number larger than the number of any class.
 MOST = 2**62
 
 
 @kernel
 def balanced(indptr, owner, r2, count, positioner_of_target):
-    """Add each target, in catalog order, to the shortest queue in reach; ties: the nearest, then the lowest index."""
+    """Add each target, in catalog order, to the shortest queue among the positioners that reach it.
+
+    If several queues are equally short, the nearest of these positioners is used, then the lowest index.
+    """
     count[:] = 0
     for t in range(indptr.size - 1):
         best = -1
@@ -55,10 +58,10 @@ def draw_configuration(indptr, queue, uniform, target_of_positioner):
 
 @kernel
 def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
-    """Sort the best targets of each positioner by class (rank 0 first), then distance, then catalog order.
+    """List the best targets of each positioner, sorted by class (rank 0 first), then distance, then catalog order.
 
-    The input lists the positioners that reach each target. Positioner i keeps at most ``start[i + 1] - start[i]``
-    targets, which are stored from ``start[i]`` on; ``count[i]`` is the number of targets that it keeps.
+    The input lists the positioners that reach each target. At most ``start[i + 1] - start[i]`` targets of positioner i
+    are stored, beginning at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
     """
     count[:] = 0
     for t in range(indptr.size - 1):
@@ -81,18 +84,19 @@ def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
 
 @kernel
 def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted, keep, shortened):
-    """Mark the best targets of each positioner and code, and some targets spread over the rest of the last class.
+    """Mark the best targets of each positioner and code, and some of the other targets of the last class.
 
-    The input lists the positioners that reach each target. A cell is a positioner i and a code, with the index
-    ``cell = i * n_codes + code``. Each cell keeps its best targets by rank, then distance, then catalog order, at most
-    ``start[cell + 1] - start[cell]`` of them. It also keeps ``n_spread`` of the remaining targets with the rank of the
-    last of these, at equal steps in the catalog. Positioner i always keeps the target ``wanted[i]``. ``shortened``
-    marks the cells from which some targets were left out. Returns the number of pairs that are kept.
+    The input lists the positioners that reach each target. Each combination of a positioner i and a code is a cell with
+    the index ``cell = i * n_codes + code``. The targets of a cell are sorted by rank, then distance, then catalog
+    order, and the first ``start[cell + 1] - start[cell]`` targets are kept. Of the remaining targets that have the same
+    rank as the last kept target, ``n_spread`` targets at equal steps in the catalog are also kept. The target
+    ``wanted[i]`` of positioner i is always kept. ``shortened`` marks the cells from which some targets were left out.
+    Returns the number of pairs that are kept.
     """
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
     end = start[:-1].copy()
-    # rank and distance of the last of the best targets of each cell that has the largest allowed number of them
+    # In cells that contain the largest allowed number of targets: rank and distance of the last of these targets.
     cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
     for t in range(indptr.size - 1):
         c = rank[t]
@@ -155,12 +159,12 @@ def nominate(
     target_of_positioner,
     positioner_of_target,
 ):
-    """Assign targets with the method of LAMOST, in rounds of nomination, class after class.
+    """Assign the targets of one class after the other, in rounds of nominations (the method of LAMOST).
 
-    Every free positioner nominates its nearest unassigned target of the class. A target that several positioners
-    nominate is assigned to the one with the fewest unassigned targets in reach, then the nearest, then the one with the
-    lowest index. ``free_reach`` must be the number of targets in reach of each positioner; the list of candidates may
-    contain fewer than these.
+    Every free positioner nominates its nearest unassigned target of the class. If several positioners nominate a
+    target, it is assigned to the positioner with the fewest unassigned targets in reach; ties are decided by the
+    distance, then by the index of the positioner. ``free_reach`` must be the number of targets in reach of each
+    positioner, also if the list of candidates does not contain all of these targets.
     """
     n = indptr.size - 1
     cursor[:] = indptr[:-1]
@@ -191,7 +195,7 @@ def nominate(
                 nominated = True
                 t = target[k]
                 other = nominee_of[t]
-                # a later positioner wins only if it is strictly better: ties go to the lowest index
+                # A tie is decided for the lowest index, because a later positioner must be strictly better.
                 if (
                     other < 0
                     or free_reach[i] < free_reach[other]
@@ -215,11 +219,12 @@ def nominate(
 
 @kernel
 def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
-    """Assign the closest pairs first, class after class, where candidates are sorted by class, then distance.
+    """Assign the closest pairs of the first class, then of the next class, and so on.
 
-    The method is deferred acceptance: each positioner proposes to its candidates in this order, and a target keeps the
-    nearest positioner that has proposed to it. The result is the same as assigning the closest pair of the first class,
-    then the closest remaining pair, and so on.
+    The candidates of each positioner must be sorted by class, then by distance. The method is deferred acceptance: each
+    positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has proposed to
+    it. The result is the same as if the closest pair of the first class is assigned, then the closest remaining pair,
+    and so on.
     """
     n = indptr.size - 1
     cursor = indptr[:-1].copy()
@@ -243,9 +248,9 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Assign to positioners, in the given order, their nearest free ``wanted`` targets, until there are enough.
+    """Assign each positioner, in the given order, its nearest free target that ``wanted`` marks, until ``need`` is met.
 
-    The previous targets of these positioners are released. Returns the number of targets that are still missing.
+    The previous targets of these positioners become free. Returns the number of targets that are still missing.
     """
     for i in order:
         if need <= 0:
@@ -268,14 +273,15 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
 
 @kernel
 def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
-    """Match each target, in the given order, for which there is an augmenting path; matched targets remain matched.
+    """Match each target, in the given order, for which there is an augmenting path.
 
-    No matching has better targets, compared lexicographically in the given order.
+    A matched target may change its positioner, but it remains matched. The result is therefore the best matching if
+    matchings are compared lexicographically in the given order of the targets.
     """
     n = target_of_positioner.size
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
-    # no augmenting path ever leads through the positioners that a search without success has reached: skip them
+    # If a search fails, no later augmenting path contains the positioners that it reached. They are skipped.
     closed = np.zeros(n, np.bool_)
     seen = np.full(n, -1, np.int64)
     came_from = np.empty(n, np.int64)

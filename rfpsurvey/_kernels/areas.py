@@ -9,7 +9,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the angle of the arc of radius r that lies inside a circle; d is the distance of their centers."""
+    """Return half the angle of the arc of a circle (radius ``r``) inside a second circle at the distance ``d``."""
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:
@@ -21,8 +21,8 @@ def half_angle(r, d, radius):
 def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
     """Return the fraction of positioner i's patrol area that at least one neighbor's patrol area also covers.
 
-    The patrol area is divided into rings of equal area. On a circle halfway through each ring, the arcs that lie in the
-    annuli of neighbors are computed exactly.
+    The patrol area is divided into rings of equal area. Each ring is represented by one circle in it. The arcs of this
+    circle that lie in the annuli of neighbors are computed exactly.
     """
     total = 0.0
     low2, high2 = inner[i] ** 2, outer[i] ** 2
@@ -37,7 +37,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
             if wide <= narrow:
                 continue
             direction = math.atan2(dy, dx)
-            for sign in (-1.0, 1.0):  # the arc extends to both sides of the direction of the circle's center
+            for sign in (-1.0, 1.0):  # the arc is symmetric about the direction of the circle's center
                 a = direction + sign * (wide if sign < 0.0 else narrow)
                 a -= 2.0 * math.pi * math.floor(a / (2.0 * math.pi))
                 b = a + wide - narrow
@@ -58,7 +58,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
 
 @kernel
 def covered_parts(indptr, neighbor, cx, cy, inner, outer, n_steps, out):
-    """Fill in the covered fraction of each patrol area."""
+    """Compute `covered` for all positioners."""
     size = 1
     for i in range(out.size):
         size = max(size, 4 * (indptr[i + 1] - indptr[i]))

@@ -1,7 +1,7 @@
-"""Kinematics of a two-arm positioner: from targets to elbows, and from elbows to colliding segments.
+"""Kinematics of a positioner with two arms: elbows from targets, and the segments that can collide from elbows.
 
-Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. Loops have no branches. Both allow
-the compiler to process several positioners at a time.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. With this
+layout and without branches, the compiler can process several positioners at a time.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Arms whose lengths differ by less than this (mm) are treated as equal; such a positioner reaches its center.
+# Two arms are treated as equal, so that the fiber reaches the center, if their lengths differ by less than this (mm).
 EQUAL_ARMS = 1e-9
 
 # Parts of an arm that can collide.
@@ -19,7 +19,7 @@ ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
 class Geometry(NamedTuple):
-    """Positions and arm lengths, on which poses depend, and the direction of the central arm in the parked pose."""
+    """Positions and arm lengths of all positioners, and the direction of the central arm in the parked pose."""
 
     cx: np.ndarray
     cy: np.ndarray
@@ -30,7 +30,7 @@ class Geometry(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Squared radii of the nearest and farthest tip that a positioner reaches, and whether it is usable."""
+    """Squared inner and outer radius of the patrol area of each positioner, and whether the positioner is usable."""
 
     low: np.ndarray
     high: np.ndarray
@@ -39,25 +39,24 @@ class Bounds(NamedTuple):
 
 @kernel
 def inner_difference(l1, l2):
-    """Return the signed difference of the arm lengths, 0 for equal arms."""
+    """Return the signed difference of the arm lengths; it is 0 if the arms are treated as equal."""
     difference = l1 - l2
     return 0.0 if abs(difference) < EQUAL_ARMS else difference
 
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the elbow (relative to the center), and the sine and cosine of phi times a common factor > 0.
+    """Return the elbow relative to the center, and the sine and cosine of phi, multiplied by one positive factor.
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose is
-    that of the nearest reachable point in the same direction. At r = 0, where no direction is defined, the direction
-    (home_x, home_y) of the parked central arm is used in its place; with equal arms, the central arm then has this
-    direction. NaN tips give NaN.
+    that of the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
+    the direction (home_x, home_y) of the parked central arm is used instead. If the tip is NaN, the result is NaN.
     """
     total = l1 + l2
     difference = inner_difference(l1, l2)
     inner = abs(difference)
     r2 = dx * dx + dy * dy
-    at_center = r2 < 1e-300  # the square of a shorter distance is not a normal number
+    at_center = r2 < 1e-300  # the square of a shorter distance is imprecise because of underflow
     r = math.sqrt(r2)
     inverse = 0.0 if at_center else 1.0 / r
     ux = home_x if at_center else dx * inverse
@@ -66,7 +65,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
     s = s if s < total else total
     folded = s < 1e-150
     half = 0.0 if folded else 0.5 / s
-    # 2 l1 l2 times the sine and cosine of phi, the sine without cancellation at either edge
+    # Sine and cosine of phi, multiplied by 2 l1 l2. This form of the sine is accurate at both edges of the annulus.
     sine = math.sqrt(((total - s) * (total + s)) * ((s - inner) * (s + inner)))
     cosine = s * s - l1 * l1 - l2 * l2
     along = l1 if folded else (s * s + difference * total) * half
@@ -76,7 +75,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Compute the joint angles of each positioner for its tip; ``tips`` has the shape (n, 2), and NaN gives NaN."""
+    """Compute the joint angles of each positioner from its tip; the shape of ``tips`` is (n, 2), and NaN gives NaN."""
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -98,7 +97,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Compute the elbow of each positioner for its tip; ``tips`` has the shape (n, 2), and NaN gives NaN."""
+    """Compute the elbow of each positioner from its tip; the shape of ``tips`` is (n, 2), and NaN gives NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
@@ -111,7 +110,7 @@ def place(tips, geometry, side, segments):
 
 @kernel
 def capsule_end(ex, ey, x, y, length, cosine, sine):
-    """Return the end of a segment that starts at the elbow, rotated counter-clockwise from the direction of the tip."""
+    """Return the end of a segment from the elbow, rotated counter-clockwise relative to the direction of the tip."""
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
     return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
@@ -119,7 +118,7 @@ def capsule_end(ex, ey, x, y, length, cosine, sine):
 
 @kernel
 def shape(segments, model, length, cosine, sine):
-    """Convert elbows and tips to colliding segments, in place."""
+    """Replace elbows and tips by the segments that can collide, in place."""
     if model == CAPSULE:
         ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
         for i in range(cosine.size):
@@ -131,7 +130,7 @@ def shape(segments, model, length, cosine, sine):
 
 @kernel
 def check(tips, geometry, bounds, assigned, far):
-    """Mark positioners with a tip, and those whose tip is out of reach; returns the number of tips out of reach."""
+    """Mark positioners with a tip (``assigned``) and with a tip out of reach (``far``); return the sum of ``far``."""
     n = 0
     cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):
@@ -146,7 +145,10 @@ def check(tips, geometry, bounds, assigned, far):
 
 @kernel
 def fill_idle(assigned, idle, segments):
-    """Copy the segments of idle arms (NaN for arms that are no obstacles) to positioners without a tip, in place."""
+    """Copy the segments of idle arms to the positioners without a tip, in place.
+
+    The segment of an idle arm that is not an obstacle is NaN.
+    """
     for row in range(4):
         own, other = segments[row], idle[row]
         for i in range(assigned.size):

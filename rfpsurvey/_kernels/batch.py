@@ -23,9 +23,9 @@ class CollisionSetup(NamedTuple):
     cosine: np.ndarray
     sine: np.ndarray
     idle: np.ndarray
-    """Elbow and tip of each positioner without a target, NaN if it is not an obstacle, shape (4, n)."""
+    """Elbow and tip of each arm in the idle state, shape (4, n); NaN if the idle arm is not an obstacle."""
     parked: np.ndarray
-    """Whether each positioner is counted if it has no target."""
+    """Whether each positioner is counted even if it has no target."""
     obstacle_pairs: np.ndarray
     obstacles: np.ndarray
     clearance: float
@@ -99,9 +99,10 @@ def count(setup, workspace, counts, times):
 
 @kernel
 def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
-    """Count the collisions of configurations of tips, shape (m, n, 2); returns the number of tips out of reach.
+    """Count the collisions of m configurations and return the number of tips out of reach.
 
-    ``side`` has a single row for all configurations, or one row for each configuration.
+    The shape of ``tips`` is (m, n, 2). ``side`` has a single row for all configurations, or one row for each
+    configuration.
     """
     far = 0
     for c in range(tips.shape[0]):
@@ -116,10 +117,11 @@ def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
 
 @kernel
 def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
-    """Count the collisions of m configurations with one entry of each queue, drawn by ``uniform``, shape (m, n).
+    """Count the collisions of m configurations, in each of which one pose is drawn from the queue of each positioner.
 
-    ``uniform`` contains numbers in [0, 1). ``entries`` are the segments of all queues, one after the other; ``idle``
-    are the segments of the positioners that have no queue.
+    ``uniform`` contains the random numbers of the draws, in [0, 1), with the shape (m, n). ``entries`` contains the
+    segments of all poses, one queue after the other. ``idle`` contains the segments of the positioners that have no
+    queue.
     """
     n = indptr.size - 1
     for i in range(n):

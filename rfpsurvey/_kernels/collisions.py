@@ -1,4 +1,4 @@
-"""Find arms closer than the minimum separation: a broad phase, then distances with a proven error limit.
+"""Find arms closer than the minimum separation, by a broad phase and then by distances with a proven error limit.
 
 Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1; the column of an absent arm is NaN.
 
@@ -14,11 +14,13 @@ import numpy as np
 from rfpsurvey._jit import kernel
 
 UNIT = 2.0**-53
-# The computed distance of a pair differs from the true one by at most this times S.
+# The error of the computed distance of a pair is at most this factor times S.
 DISTANCE_ERROR = 20.0 * UNIT
-# The sign of an orientation is certain where it exceeds this times the sum of the magnitudes of its two products.
+# The sign of an orientation is certain if its magnitude exceeds this factor times the sum of the magnitudes of its two
+# products.
 ORIENTATION_ERROR = 4.0 * UNIT
-# The broad phase may err by less than this times (largest coordinate + S): closer pairs are kept.
+# The error of the broad phase is less than this factor times (largest coordinate + S). Pairs within this margin are
+# kept.
 REJECT_ERROR = 64.0 * UNIT
 # Runs of neighbors shorter than this are not vectorized.
 SHORT_RUN = 8
@@ -33,20 +35,20 @@ class Limits(NamedTuple):
     near: float
     """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
-    """If a squared distance differs from separation^2 by no more than this, rounding could decide the comparison."""
+    """Largest difference of a squared distance from separation^2 at which rounding could change their comparison."""
 
 
 def limits(separation, length, extent):
-    """Return limits for segments no longer than ``length`` with ends within ``extent`` of the origin (mm)."""
-    size = 2.0 * length + separation  # S of a pair at the limit; pairs with a larger S are also farther from the limit
+    """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin."""
+    size = 2.0 * length + separation  # S of a pair at the minimum separation; pairs with a larger S are farther apart
     slack = REJECT_ERROR * (extent + size)
-    error = 1.2 * DISTANCE_ERROR * size  # this includes the rounding of separation^2 and of the comparison
+    error = 1.2 * DISTANCE_ERROR * size  # the factor 1.2 covers the rounding of separation^2 and of the comparison
     return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
 
 
 @kernel
 def point_segment_squared(px, py, ax, ay, bx, by):
-    """Return the squared distance from a point to a segment (which may have no length)."""
+    """Return the squared distance from a point to a segment; the length of the segment may be 0."""
     ux, uy = bx - ax, by - ay
     vx, vy = px - ax, py - ay
     length2 = ux * ux + uy * uy
@@ -59,7 +61,7 @@ def point_segment_squared(px, py, ax, ay, bx, by):
 
 @kernel
 def orientation(ax, ay, bx, by, px, py):
-    """Return on which side of the line a -> b the point p is: 1 left, -1 right, 0 if rounding could decide."""
+    """Return the side of the line from a to b on which p is: 1 is left, -1 is right, and 0 is uncertain."""
     left = (bx - ax) * (py - ay)
     right = (by - ay) * (px - ax)
     slack = ORIENTATION_ERROR * (abs(left) + abs(right))
@@ -68,7 +70,10 @@ def orientation(ax, ay, bx, by, px, py):
 
 @kernel
 def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Return the least squared distance from an end of a segment to the other one: their distance unless they cross."""
+    """Return the least squared distance from an end of one segment to the other segment.
+
+    This is the squared distance of the segments, unless they cross.
+    """
     return min(
         min(point_segment_squared(ax, ay, cx, cy, dx, dy), point_segment_squared(bx, by, cx, cy, dx, dy)),
         min(point_segment_squared(cx, cy, ax, ay, bx, by), point_segment_squared(dx, dy, ax, ay, bx, by)),
@@ -79,8 +84,8 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
     """Return the squared distance of the segments a-b and c-d; the error of its root is at most DISTANCE_ERROR * S.
 
-    The result is 0 if the segments certainly cross. If rounding could decide whether they cross, the least distance
-    from an end of one segment to the other segment is accurate enough.
+    The result is 0 if the segments certainly cross. If rounding makes this uncertain, the least distance from an end of
+    one segment to the other segment is accurate enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
         orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0
@@ -108,11 +113,12 @@ def pair_squared(segments, i, j):
 def apart(mx, my, ax, ay, bx, by, squared):
     """Return whether an axis separates two segments by more than the square root of ``squared``.
 
-    m is the vector between the midpoints, and a and b are half the vectors from end to end. The axes tested are m and
-    the normals of both segments. Along any axis, no point of a segment is farther from the midpoint than the projection
-    of the half vector. Normals of segments whose squared length could underflow are ignored.
+    The vector m connects the midpoints, and a and b are half the vectors from end to end. The axes tested are m and the
+    normals of both segments. In the projection on any axis, no point of a segment is farther from its midpoint than the
+    end of its half vector. The normal of a segment is ignored if the segment is so short that its squared length could
+    underflow.
     """
-    # no branches: a mispredicted one takes longer than the tests of all three axes
+    # There are no branches, because a mispredicted branch takes longer than the tests of all three axes.
     m2 = mx * mx + my * my
     along = max(m2 - abs(ax * mx + ay * my) - abs(bx * mx + by * my), 0.0)
     wide = abs(ax * by - ay * bx)
@@ -128,7 +134,7 @@ def apart(mx, my, ax, ay, bx, by, squared):
 
 @kernel
 def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
-    """Return the squared distance of a-b and c-d, or infinity if `apart` is true for them."""
+    """Return the squared distance of the segments a-b and c-d, or infinity if `apart` is true for them."""
     mx, my = 0.5 * ((cx + dx) - (ax + bx)), 0.5 * ((cy + dy) - (ay + by))
     if apart(mx, my, 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (dx - cx), 0.5 * (dy - cy), squared):
         return math.inf
@@ -147,7 +153,7 @@ def halve(segments, halves):
 
 @kernel
 def keep_near(halves, m, squared, first, second):
-    """Keep those of the first m pairs that `apart` does not exclude; returns their number."""
+    """Remove pairs for which `apart` is true from the first m pairs, and return the number of remaining pairs."""
     n = 0
     for k in range(m):
         i, j = first[k], second[k]
@@ -159,7 +165,7 @@ def keep_near(halves, m, squared, first, second):
 
 @kernel
 def near_pairs(halves, runs, limits, first, second):
-    """List pairs that may be closer than the minimum separation in ``first`` and ``second``; returns their number.
+    """List pairs that may be closer than the minimum separation in ``first`` and ``second``, and return their number.
 
     Each row (i, j, n) of ``runs`` stands for n pairs of neighbors: i and j, i + 1 and j + 1, and so on. Pairs of arms
     whose midpoints are too far apart, or that an axis separates, are left out.
@@ -187,7 +193,7 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs closer than the minimum separation, and pairs so near to it that rounding could decide (the band).
+    """List pairs closer than the minimum separation, and pairs within the band where rounding could change this.
 
     Returns the number of all these pairs, and the number of pairs within the band.
     """
@@ -205,9 +211,10 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, distance):
-    """List pairs (positioner, obstacle) where the arm is closer than ``clearance + slack`` to the edge of the circle.
+    """List pairs (positioner, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
 
-    Returns the number of pairs. ``distance`` receives the distance from each arm to the center of the circle.
+    Returns the number of pairs. The obstacles are circles; the distance from each arm to the center of the circle is
+    written to ``distance``.
     """
     n = 0
     for k in range(pairs.shape[0]):
@@ -223,10 +230,11 @@ def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, dista
 
 @kernel
 def nearest_arm(segments, halves, order, out):
-    """Compute the distance from each arm to the nearest other arm: NaN for absent arms, infinity without another arm.
+    """Compute the distance from each arm to the nearest other arm.
 
-    ``order`` sorts the arms that are present by the x of their midpoints; from each arm the search goes
-    left and right until the gap in x alone exceeds the best distance.
+    The distance is NaN for an absent arm, and infinity if there is no other arm. ``order`` sorts the arms that are
+    present by the x coordinate of their midpoints. The search for the nearest arm proceeds to both sides of each arm,
+    and ends when the difference in x alone exceeds the smallest distance found.
     """
     out[:] = np.nan
     longest = 0.0

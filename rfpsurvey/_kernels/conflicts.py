@@ -12,12 +12,12 @@ import numpy as np
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.collisions import keep_near, pair_squared
 
-# Candidate pairs that are tested together.
+# Number of candidate pairs that are tested together.
 BATCH = 2048
 
 
 class Options(NamedTuple):
-    """Candidates with their classes, costs and mutually exclusive pairs; the target of an idle arm is -1."""
+    """Candidates with their classes, costs and collisions; the target of an idle arm is -1."""
 
     start: np.ndarray
     own: np.ndarray
@@ -28,7 +28,7 @@ class Options(NamedTuple):
     """Preference among candidates of equal rank; lower costs are better."""
     key: np.ndarray
     as_good: np.ndarray
-    """``as_good[key[a], key[b]]`` is whether a is at least as good as b for all requirements."""
+    """``as_good[key[a], key[b]]`` states whether candidate a meets the requirements at least as well as candidate b."""
     t_indptr: np.ndarray
     t_candidate: np.ndarray
     """Candidates of all targets; those of target t begin at ``t_indptr[t]``."""
@@ -39,10 +39,10 @@ class Options(NamedTuple):
 
 @kernel
 def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, second, borderline):
-    """List pairs of colliding candidates of neighbors, beginning with neighbor pair ``p``.
+    """List the colliding candidates of each pair of neighboring positioners, beginning with the pair of index ``p``.
 
-    Returns the number of listed pairs, and the first neighbor pair for which there was no space in the lists.
-    ``borderline`` marks pairs that rounding could decide.
+    Returns the number of listed candidate pairs, and the index of the first pair of neighbors for which there was no
+    space in the lists. ``borderline`` marks the candidate pairs for which rounding errors could change the result.
     """
     n = 0
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
@@ -119,13 +119,13 @@ def adjacency(first, second, indptr, other):
 
 @kernel
 def clique_rows(edges, n_pairs, pair_start, row_start, column):
-    """Cover the conflicts of each pair of positioners with cliques, in each of which at most one candidate is in use.
+    """Cover the conflicts of each pair of positioners with cliques; at most one candidate of a clique can be in use.
 
-    ``edges`` are conflicts (a, b), sorted by the pair of positioners, then by a; those of pair p begin at
-    ``pair_start[p]``. A clique consists of candidates of one positioner, and of candidates of the other positioner that
-    all of these exclude. It begins with one candidate a and all candidates that a excludes; then every other candidate
-    of the positioner of a that excludes all of these is added. Returns the number of cliques. If ``column`` is empty,
-    only their sizes are computed.
+    ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
+    of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
+    the second positioner. A clique is made from one candidate a and all candidates that a excludes. Each other
+    candidate of the same positioner is added if it also excludes all of these. Returns the number of cliques. If
+    ``column`` is empty, only the sizes of the cliques are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0
@@ -137,7 +137,7 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
         for k in range(lo, hi):
             table[np.searchsorted(a, first[k]), np.searchsorted(b, second[k])] = True
         by_a, by_b = distinct_rows(table), distinct_rows(table.T)
-        turned = by_b.sum() < by_a.sum()  # the side with fewer distinct rows gives fewer cliques
+        turned = by_b.sum() < by_a.sum()  # the positioner with fewer distinct rows gives fewer cliques
         rows, columns = (b, a) if turned else (a, b)
         matrix = table.T.copy() if turned else table
         new = by_b if turned else by_a

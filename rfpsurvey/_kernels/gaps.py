@@ -1,4 +1,4 @@
-"""Blank sky: points within reach of each positioner that are at least a separation away from all targets."""
+"""Find blank sky: points in reach of each positioner that are not closer to any target than a given separation."""
 
 import math
 
@@ -8,7 +8,10 @@ from rfpsurvey._kernels.reach import cell_of
 
 @kernel
 def bin_points(x, y, x0, y0, size, nx, ny, start, order):
-    """Sort points into cells: ``order[start[c]:start[c + 1]]`` lists cell c; points outside the grid are omitted."""
+    """Sort points into grid cells; points outside the grid are omitted.
+
+    The indices of the points in cell c are ``order[start[c]:start[c + 1]]``.
+    """
     start[:] = 0
     right, top = x0 + nx * size, y0 + ny * size
     for step in range(2):
@@ -21,7 +24,7 @@ def bin_points(x, y, x0, y0, size, nx, ny, start, order):
                     start[c] -= 1
                     order[start[c]] = k
         if step == 0:
-            # ends of the cells; the second pass fills each cell from its end
+            # ``start`` now becomes the end of each cell, because the second pass fills each cell from its end
             for c in range(nx * ny):
                 start[c + 1] += start[c]
             for c in range(nx * ny):
@@ -42,10 +45,10 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """List up to ``most`` clear points of each positioner in ``own``; returns the total number of points.
+    """List up to ``most`` blank points of each positioner in ``own``, and return the total number of points.
 
-    ``fraction`` lists which fractions of the patrol area lie inside the circles through the tested points. Successive
-    points are rotated by the golden angle about the center.
+    Each tested point lies on a circle that contains a fraction of the patrol area; these fractions are in ``fraction``.
+    Successive points are rotated by the golden angle about the center.
     """
     x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))

@@ -1,6 +1,6 @@
-"""Collisions of many configurations on a GPU; this module is imported on request only.
+"""Collisions of many configurations on a GPU. This module is imported only if a GPU is requested.
 
-Poses and the pair test are those of the processor: the same scalar functions, compiled for the device. Each thread
+The poses and the test of a pair use the same scalar functions as on the processor, compiled for the GPU. Each thread
 tests one positioner of one configuration against all its neighbors, including those with lower indices, so that it can
 determine whether the positioner collides without waiting for other threads.
 """
@@ -24,7 +24,7 @@ from rfpsurvey._kernels.collisions import near_squared, point_segment_squared
 __all__ = ["THREADS", "count", "list_pairs", "pose_tips"]
 
 THREADS = 128
-"""Threads of a block."""
+"""Number of threads per block."""
 
 
 @cuda.jit
@@ -58,10 +58,10 @@ def pose_tips(tips, geometry, side, home_x, home_y, idle, model, length, angles,
 def count(
     tips, segments, indptr, neighbor, reject2, limit, band, parked, circle_indptr, circles, clearance, counts, times
 ):
-    """Count the collisions of each configuration, and how often each positioner collides.
+    """Count the collisions of each configuration, and the configurations in which each positioner collides.
 
-    ``indptr`` and ``neighbor`` list all neighbors of each positioner; ``circle_indptr`` and ``circles`` list the
-    obstacles (x, y, radius) that it can touch.
+    ``indptr`` and ``neighbor`` list all neighbors of each positioner. ``circle_indptr`` and ``circles`` list the
+    obstacles (x, y, radius) that each positioner can touch.
     """
     c, i = cuda.blockIdx.y, cuda.grid(1)
     inside = i < parked.size

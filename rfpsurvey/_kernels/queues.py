@@ -1,8 +1,8 @@
 """Collision probabilities of positioners that each have a queue of possible poses.
 
-One entry of each queue is in use, with a probability proportional to its weight, independent of all other queues.
-For a given entry of a positioner, collisions with different neighbors are independent, and the probability of no
-collision is a product over the neighbors.
+The poses in a queue are called its entries. One entry of each queue is in use, with a probability proportional to its
+weight, independent of all other queues. For a given entry of a positioner, collisions with different neighbors are
+therefore independent, and the probability of no collision is a product over the neighbors.
 """
 
 import math
@@ -14,12 +14,12 @@ from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
 from rfpsurvey._kernels.collisions import halve, keep_near, pair_squared, point_segment_squared
 
-# Candidate pairs that are tested together.
+# Number of pairs of entries that are tested together.
 BATCH = 2048
 
 
 class Entries(NamedTuple):
-    """Entries of all queues (of positioner i: ``start[i]:stop[i]``), and arrays to write to."""
+    """Entries of all queues, and arrays to write to; the entries of positioner i are ``start[i]:stop[i]``."""
 
     start: np.ndarray
     stop: np.ndarray
@@ -29,11 +29,11 @@ class Entries(NamedTuple):
     total: np.ndarray
     """Sum of the weights of each queue."""
     free: np.ndarray
-    """Probability that each entry is without a collision."""
+    """Probability that an entry does not collide, given that it is in use."""
     hit: np.ndarray
-    """Weight of the entries of one neighbor that collide with each entry; zero between calls."""
+    """Sum of the weights of one neighbor's entries that collide with each entry; reset to zero for each neighbor."""
     ahead: np.ndarray
-    """Farthest point of each entry along the line between two centers."""
+    """Coordinate of the extreme point of each entry along the line between the centers of two positioners."""
 
 
 @kernel
@@ -58,10 +58,10 @@ def place_queues(x, y, indptr, queue, geometry, side, model, length, cosine, sin
 
 @kernel
 def prepare_entries(indptr, idle, entries):
-    """Set the start and end of each queue, and all fields that follow from the segments and weights.
+    """Set the start and end of each queue, and compute the fields that depend on the segments and weights.
 
-    ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. A
-    positioner without a queue has one entry if its idle arm is an obstacle, and otherwise no entry.
+    ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. If a
+    positioner has no targets in its queue, its idle arm is its only entry, provided that idle arms are obstacles.
     """
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):
@@ -83,11 +83,12 @@ def prepare_entries(indptr, idle, entries):
 
 @kernel
 def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entries, probability, pair_probability):
-    """Compute the collision probability of each positioner (NaN without a queue) and of each pair.
+    """Compute the collision probability of each positioner and of each pair of positioners.
 
-    The gap between two entries along the line between the two centers is a lower limit of their distance. Entries for
-    which this gap is too large for all entries of the other positioner are skipped. This is a single function, because
-    passing the arrays to another function takes longer than testing short queues.
+    The probability of a positioner without entries is NaN. Entries are first compared in the projection on the line
+    between the centers of the two positioners: their separation along this line is a lower limit of their distance. An
+    entry that is too far from all entries of the other positioner along this line is skipped. All of this is in one
+    function, because passing the arrays to a second function takes longer than testing short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead

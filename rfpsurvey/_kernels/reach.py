@@ -1,17 +1,18 @@
-"""Find pairs of positioners and targets within reach, with a grid of cells and a test of each annulus."""
+"""Find pairs of positioners and targets within reach, by a grid of cells and then by a test of each annulus."""
 
 import math
 
 from rfpsurvey._jit import kernel
 
 OUTSIDE, INSIDE, BORDERLINE = 0, 1, 2
-# The relative error of r^2 - R^2 as computed below is less than 5 units of rounding (2^-53); 16 leaves a margin.
+# The relative error of r^2 - R^2 as computed below is less than 5 rounding units of 2^-53. The factor 16 leaves a
+# margin.
 BAND = 16 * 2.0**-53
 
 
 @kernel
 def cell_of(value, origin, size, n):
-    """Return the index of the grid cell of a coordinate, clipped to the grid."""
+    """Return the row or column of the grid that contains a coordinate, clipped to the grid."""
     return min(max(math.floor((value - origin) / size), 0), n - 1)
 
 
@@ -45,7 +46,7 @@ def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def annulus(r2, inner, outer):
-    """Return INSIDE or OUTSIDE for a squared radius and a closed annulus, or BORDERLINE if rounding could decide."""
+    """Return whether a squared radius is INSIDE or OUTSIDE a closed annulus, or BORDERLINE if this is uncertain."""
     outer2 = outer * outer
     inner2 = inner * inner
     possible = (r2 <= outer2 * (1.0 + BAND)) & (r2 >= inner2 * (1.0 - BAND))
@@ -59,15 +60,15 @@ def reachable_pairs(
 ):
     """List the pairs within reach in ascending order of the target, then of the positioner.
 
-    Returns the number of pairs; if it exceeds the size of ``owner``, the additional pairs are not stored. ``accepts``
-    and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
+    Returns the number of pairs. If ``owner`` is too short for all pairs, the last pairs are counted but not stored.
+    ``accepts`` and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
     """
     n = 0
     right, top = x0 + nx * size, y0 + ny * size
     for t in range(tx.size):
         indptr[t] = n
         x, y = tx[t], ty[t]
-        if not (x0 <= x <= right and y0 <= y <= top):  # this is also true for NaN
+        if not (x0 <= x <= right and y0 <= y <= top):  # a coordinate that is NaN is also excluded here
             continue
         cell = cell_of(y, y0, size, ny) * nx + cell_of(x, x0, size, nx)
         for k in range(start[cell], start[cell + 1]):
@@ -78,14 +79,14 @@ def reachable_pairs(
             place = annulus(d2, inner[i], outer[i])
             if n < owner.size:
                 owner[n], r2[n], code[n] = i, d2, place
-            n += (place != OUTSIDE) & (accepts[t] & offers[i] != 0)  # no branch, because it would be mispredicted
+            n += (place != OUTSIDE) & (accepts[t] & offers[i] != 0)  # a branch would often be mispredicted
     indptr[tx.size] = n
     return n
 
 
 @kernel
 def take_pairs(indptr, owner, r2, keep, out_indptr, out_owner, out_r2):
-    """Copy the pairs marked in ``keep``."""
+    """Copy the pairs that ``keep`` marks."""
     n = 0
     for t in range(indptr.size - 1):
         out_indptr[t] = n
@@ -98,7 +99,7 @@ def take_pairs(indptr, owner, r2, keep, out_indptr, out_owner, out_r2):
 
 @kernel
 def transpose(indptr, owner, n_owners, out_indptr, out_target, out_source):
-    """Sort pairs by positioner instead of by target; ``out_source`` is the position of each pair in the input."""
+    """Sort pairs by positioner instead of by target; ``out_source`` is the index of each pair in the input."""
     out_indptr[:] = 0
     for k in range(owner.size):
         out_indptr[owner[k] + 1] += 1

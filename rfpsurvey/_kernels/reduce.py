@@ -1,4 +1,4 @@
-"""Remove candidates that an optimal plan does not need, and assign the last candidate of a positioner.
+"""Remove candidates that an optimal plan does not need, and use a candidate if it is the last of its positioner.
 
 A candidate excludes all candidates with which its arm would collide, and all candidates of the same target.
 """
@@ -26,7 +26,7 @@ def dominates(a, b, i, alive, options, mark):
 
 @kernel
 def enqueue(i, waiting, queue, tail):
-    """Append a positioner to the queue unless the queue already contains it; returns the end of the queue."""
+    """Append a positioner to the queue unless the queue already contains it, and return the end of the queue."""
     if not waiting[i]:
         waiting[i] = True
         queue[tail % queue.size] = i
@@ -38,9 +38,9 @@ def enqueue(i, waiting, queue, tail):
 def reduce_candidates(options, alive):
     """Set ``alive`` to False for the candidates that an optimal plan does not need.
 
-    A candidate b is not needed if another candidate a of its positioner is at least as good and excludes nothing that
-    b does not exclude. If only one candidate of a positioner is left, it is in use, and all candidates that it excludes
-    are removed.
+    A candidate b is not needed if another candidate a of its positioner is at least as good, and if b excludes all
+    candidates that a excludes. If only one candidate of a positioner is left, it is in use, and all candidates that it
+    excludes are removed.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
@@ -88,7 +88,7 @@ def reduce_candidates(options, alive):
                         alive[c] = False
                         removed[n_removed] = c
                         n_removed += 1
-        # repeat for positioners that lost a candidate, and for those with a candidate that a removed one excluded
+        # Repeat the test for each positioner with a candidate that was removed or that a removed candidate excluded.
         for m in range(n_removed):
             c = removed[m]
             tail = enqueue(own[c], waiting, queue, tail)

@@ -1,4 +1,4 @@
-"""Slow methods of testing pairs of arms, for comparison."""
+"""Slow or approximate tests of pairs of arms, for comparison with the default method."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from rfpsurvey._kernels.collisions import endpoints_squared, pair_squared, segme
 
 @kernel
 def sampled_squared(segments, i, j, n):
-    """Return the least squared distance between n points on one arm and n points on the other, ends included."""
+    """Return the least squared distance between n points on one arm and n points on another arm, ends included."""
     ax, ay, cx, cy = segments[0, i], segments[1, i], segments[0, j], segments[1, j]
     ux, uy = (segments[2, i] - ax) / (n - 1), (segments[3, i] - ay) / (n - 1)
     vx, vy = (segments[2, j] - cx) / (n - 1), (segments[3, j] - cy) / (n - 1)
@@ -30,7 +30,7 @@ def sampled(segments, first, second, n, squared):
 
 @kernel
 def endpoints(segments, first, second, squared):
-    """Compute squared distances of all pairs only from the four ends of the segments; crossings are missed."""
+    """Compute the squared distances of all pairs from the four ends of the segments, without a test for crossings."""
     for k in range(first.size):
         a, b = segments[:, first[k]], segments[:, second[k]]
         squared[k] = endpoints_squared(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
@@ -38,17 +38,17 @@ def endpoints(segments, first, second, squared):
 
 @kernel
 def all_pairs(segments, first, second, squared):
-    """Compute squared distances of all pairs, without a broad phase."""
+    """Compute the squared distances of all pairs, without a broad phase."""
     for k in range(first.size):
         squared[k] = pair_squared(segments, first[k], second[k])
 
 
 @kernel
 def swept(poses, moving, first, second, squared):
-    """Compute the least squared distance between two arms over all pairs of poses on their paths, whatever their times.
+    """Compute the least squared distance between two arms over all pairs of poses, one on the path of each arm.
 
-    ``poses`` has the shape (steps, 4, n); the last pose is at the target. For arms that do not move, only the last pose
-    is used.
+    The two poses need not occur at the same time. The shape of ``poses`` is (steps, 4, n), and the last pose is at the
+    target. For arms that do not move, only the last pose is used.
     """
     last = poses.shape[0] - 1
     for k in range(first.size):

@@ -1,4 +1,4 @@
-"""Local moves that remove collisions: another target, the other elbow, an exchange with a neighbor, or no target."""
+"""Local moves that remove collisions: a new target, the other elbow, a move of one blocking arm, or no target."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def put(i, c, options, chosen, blocked, holder):
-    """Assign candidate c (-1: no candidate) to positioner i, and update ``chosen``, ``blocked`` and ``holder``.
+    """Assign candidate c (none if c = -1) to positioner i, and update ``chosen``, ``blocked`` and ``holder``.
 
     ``blocked`` is the number of candidates in use that collide with each candidate, and ``holder`` is the positioner of
     each target.
@@ -36,7 +36,10 @@ def put_all(plan, options, chosen, blocked, holder):
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Return the best unblocked candidate of i that is at least as good as candidate ``least``, or -1 if none is."""
+    """Return the best unblocked candidate of positioner i that is at least as good as candidate ``least``.
+
+    Returns -1 if there is no such candidate.
+    """
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -51,7 +54,7 @@ def best_free(i, least, options, chosen, blocked, holder):
 
 @kernel
 def sole_blocker(c, i, options, chosen, holder):
-    """Return the only positioner that blocks candidate c of i; -1 if no positioner blocks it, -2 if several do."""
+    """Return the positioner that blocks candidate c of positioner i: -1 if there is none, -2 if there are several."""
     blocker = -1
     if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
         blocker = holder[options.target[c]]
@@ -67,10 +70,11 @@ def sole_blocker(c, i, options, chosen, holder):
 
 @kernel
 def displace(i, floor, better, options, chosen, blocked, holder):
-    """Assign i a candidate at least as good as ``floor`` that one positioner blocks, by a move of that positioner.
+    """Assign positioner i a candidate that exactly one other positioner blocks, and move that other positioner.
 
-    That positioner must have another candidate at least as good as the one that it gives up. With ``better=1``, the new
-    candidate of i must be of a more important class. Returns whether such a move was made.
+    The new candidate of i must be at least as good as the candidate ``floor``; with ``better=1``, it must also be of a
+    more important class. The other positioner receives a candidate at least as good as its present one. Returns whether
+    the positioners were moved.
     """
     rank, key, as_good = options.rank, options.key, options.as_good
     mine = chosen[i]
@@ -96,7 +100,7 @@ def displace(i, floor, better, options, chosen, blocked, holder):
 
 @kernel
 def give_up_target(i, options, chosen, blocked, holder, fixed):
-    """Assign the best unblocked candidate to positioner i; if there is none, assign its idle arm and set ``fixed``."""
+    """Assign positioner i its best unblocked candidate; if there is none, assign its idle arm and set ``fixed``."""
     idle = options.start[i + 1] - 1
     c = best_free(i, idle, options, chosen, blocked, holder)
     if c < 0:
@@ -107,7 +111,7 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 
 @kernel
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
-    """Assign candidates of a group to positioners in the given order, if possible, until there are enough.
+    """Assign candidates of one group to positioners in the given order, until ``need`` of them are assigned.
 
     ``held[g]`` marks the candidates of group g. ``count[g]`` is the number of candidates of group g in use, and
     ``most[g]`` is the largest number allowed.
@@ -134,10 +138,10 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 @kernel
 def repair(options, order, chosen, blocked, holder, most_rounds):
-    """Remove the collisions of a plan, in place; then assign better targets, also to idle positioners.
+    """Remove the collisions of a plan, in place; then assign better targets to positioners, also to idle positioners.
 
-    ``order`` lists the positioners in the order in which they are moved. Returns the number of positioners that were
-    moved to a candidate as good as before, and the number of positioners that lost their target.
+    ``order`` lists the positioners in the order in which they are moved. Returns the number of positioners that
+    received a candidate as good as the previous one, and the number of positioners that lost their target.
     """
     start, rank = options.start, options.rank
     n = order.size
@@ -154,7 +158,7 @@ def repair(options, order, chosen, blocked, holder, most_rounds):
         elif displace(i, chosen[i], 0, options, chosen, blocked, holder):
             moved += 1
     while True:
-        # begin with the positioner that collides with the largest number of others
+        # Begin with the positioner that collides with the largest number of other arms.
         worst = -1
         for i in order:
             if not fixed[i] and blocked[chosen[i]] > 0 and (worst < 0 or blocked[chosen[i]] > blocked[chosen[worst]]):

@@ -14,7 +14,7 @@ from rfpsurvey._kernels.reach import cell_of, reachable_pairs
 
 
 class Sky(NamedTuple):
-    """A circle in which targets are uniform, and their minimum separation."""
+    """A circle with uniformly distributed targets, and the minimum separation of the targets."""
 
     x: float
     y: float
@@ -23,7 +23,7 @@ class Sky(NamedTuple):
 
 
 class Positioners(NamedTuple):
-    """Data on which reach and poses depend: positions, elbows, the grid of cells, segments of idle arms."""
+    """The data of all positioners that determine reach and poses, including the grid of cells and the idle arms."""
 
     geometry: Geometry
     side: np.ndarray
@@ -49,7 +49,7 @@ class Realization(NamedTuple):
     queues: np.ndarray
     queue: np.ndarray
     cells: np.ndarray
-    """The grid of `scatter_apart`, (2, n)."""
+    """Grid that `scatter_apart` uses, shape (2, n)."""
 
 
 @kernel
@@ -64,11 +64,11 @@ def scatter(rng, sky, x, y):
 
 @kernel
 def scatter_apart(rng, sky, cells, x, y):
-    """Draw points at least the separation apart by random sequential addition; returns the number of points placed.
+    """Draw points with at least the minimum separation, by random sequential addition; return their number.
 
-    Points up to twice the separation beyond the circle are drawn too, since without neighbors there the density would
-    be larger at its edge. ``cells`` is a grid so fine that each cell contains at most one point; empty cells are
-    NaN. The function ends early if 10,000 points in a row are too close to other points.
+    Points are also drawn outside the circle, up to twice the separation from its edge; otherwise the density would be
+    too large at the edge. ``cells`` is a grid so fine that each cell contains at most one point; empty cells are NaN.
+    The function ends early if 10,000 points in a row are too close to other points.
     """
     n = int(math.sqrt(cells.shape[1]))
     wide = sky.radius + 2.0 * sky.separation
@@ -133,14 +133,14 @@ def realize(rng, number, sky, positioners, realization):
 
 @kernel
 def thin(rng, most, indptr, queue):
-    """Keep at most ``most`` entries of each queue, drawn uniformly; in place."""
+    """Reduce each queue to at most ``most`` entries, which are drawn uniformly; in place."""
     n = begin = 0
     for i in range(indptr.size - 1):
         stop = indptr[i + 1]
         size = stop - begin
         for k in range(min(size, most)):
             pick = begin + k
-            if size > most:  # otherwise all entries remain, in their order
+            if size > most:  # a shorter queue keeps all entries in their order
                 pick += min(int(rng.random() * (size - k)), size - k - 1)
             queue[pick], queue[n] = queue[begin + k], queue[pick]
             n += 1
@@ -150,7 +150,7 @@ def thin(rng, most, indptr, queue):
 
 @kernel
 def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
-    """Count the collisions of one configuration per realization; add 1 to ``counted`` for each counted positioner."""
+    """Count the collisions of one configuration per realization, and add each counted positioner to ``counted``."""
     n = positioners.side.size
     uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
     for c in range(numbers.size):
@@ -171,11 +171,11 @@ def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace
 
 @kernel
 def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_probability, sums, times, counted):
-    """Write the expected collisions of one realization to ``sums``, and add those per positioner to ``times``.
+    """Write the expected collisions of one realization to ``sums``, and add their number per positioner to ``times``.
 
-    The elements of ``sums`` are numbers: expected colliding positioners, counted positioners, expected colliding
-    assigned positioners, assigned positioners, and expected colliding pairs. 1 is added to ``counted`` for each counted
-    positioner.
+    The elements of ``sums`` are the expected number of colliding positioners, the number of counted positioners, the
+    expected number of colliding assigned positioners, the number of assigned positioners, and the expected number of
+    colliding pairs. For each counted positioner, 1 is added to ``counted``.
     """
     expect(
         pairs,
@@ -254,7 +254,7 @@ def queue_and_expect(
 
 @kernel
 def expect_given(indptr, pairs, positioners, setup, entries, probability, pair_probability, sums, times, counted):
-    """Compute the expected collisions from all entries of given queues; their segments are in ``entries``."""
+    """Compute the expected collisions of given queues from all their entries, whose segments are in ``entries``."""
     prepare_entries(indptr, positioners.idle, entries)
     sum_realization(
         indptr, pairs, positioners.geometry, setup, entries, probability, pair_probability, sums, times, counted

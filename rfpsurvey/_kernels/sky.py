@@ -6,15 +6,18 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Forms of a radial map r(theta); p is the odd polynomial sum c_k t^(2k+1).
+# Forms of a radial map r(theta), in which p(t) is the odd polynomial with terms c_k t^(2k+1).
 THETA, TAN_THETA, SINE = 0, 1, 2
-# Directions closer than this to 90 degrees from the center (or beyond) have no image.
+# Directions have no image if the cosine of their angle from the center is not larger than this.
 HORIZON = 1e-15
 
 
 @kernel
 def project(vectors, basis, focal_length, out):
-    """Project unit vectors gnomonically (NaN without an image); ``basis`` has the rows +x, +y and center."""
+    """Project unit vectors gnomonically; the rows of ``basis`` are the directions +x, +y and the center.
+
+    The result is NaN for directions that have no image.
+    """
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]
@@ -25,7 +28,7 @@ def project(vectors, basis, focal_length, out):
 
 @kernel
 def unproject(xy, basis, focal_length, out):
-    """Compute the unit vectors of points, the inverse of `project`."""
+    """Compute the unit vectors of points on the focal plane; this is the inverse of `project`."""
     for i in range(xy.shape[0]):
         x, y = xy[i, 0] / focal_length, xy[i, 1] / focal_length
         norm = 1.0 / math.sqrt(1.0 + x * x + y * y)
@@ -61,7 +64,7 @@ def radius_and_slope(theta, form, coefficients, argument, inner, output):
 
 @kernel
 def radii(theta, form, coefficients, argument, inner, output, limit, out):
-    """Compute the radius of each field angle; NaN beyond ``limit``."""
+    """Compute the radius of each field angle; it is NaN for angles larger than ``limit``."""
     for i in range(theta.size):
         r = radius_and_slope(theta[i], form, coefficients, argument, inner, output)[0]
         out[i] = r if 0.0 <= theta[i] <= limit else np.nan
@@ -69,7 +72,7 @@ def radii(theta, form, coefficients, argument, inner, output, limit, out):
 
 @kernel
 def invert_radius(r, form, coefficients, argument, inner, output, limit):
-    """Return the field angle at radius ``r``, by Newton's method within a shrinking interval; NaN outside the map."""
+    """Return the field angle at radius ``r`` (NaN outside the map), by Newton's method within a shrinking interval."""
     low, high = 0.0, limit
     edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
     if not 0.0 <= r <= edge:
@@ -92,14 +95,14 @@ def invert_radius(r, form, coefficients, argument, inner, output, limit):
 
 @kernel
 def angles(r, form, coefficients, argument, inner, output, limit, out):
-    """Compute the field angle of each radius; NaN outside the map."""
+    """Compute the field angle of each radius; it is NaN for radii outside the map."""
     for i in range(r.size):
         out[i] = invert_radius(r[i], form, coefficients, argument, inner, output, limit)
 
 
 @kernel
 def project_radial(vectors, basis, form, coefficients, argument, inner, output, limit, out):
-    """Project unit vectors by a radial map; directions without an image (beyond ``limit``) become NaN."""
+    """Project unit vectors by a radial map; the result is NaN for field angles larger than ``limit``."""
     cosine_limit = math.cos(limit) - 1e-12
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
@@ -119,7 +122,7 @@ def project_radial(vectors, basis, form, coefficients, argument, inner, output, 
 
 @kernel
 def unproject_radial(xy, basis, form, coefficients, argument, inner, output, limit, out):
-    """Compute the unit vectors of points, the inverse of `project_radial`."""
+    """Compute the unit vectors of points on the focal plane; this is the inverse of `project_radial`."""
     for i in range(xy.shape[0]):
         r = math.hypot(xy[i, 0], xy[i, 1])
         theta = invert_radius(r, form, coefficients, argument, inner, output, limit)
@@ -130,7 +133,7 @@ def unproject_radial(xy, basis, form, coefficients, argument, inner, output, lim
 
 @kernel
 def within(vectors, center, half_chord_squared, out):
-    """Mark the directions whose squared half chord to ``center`` is at most the given value."""
+    """Mark the directions for which the square of half the chord to ``center`` is at most the given value."""
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
         out[i] = 0.25 * (a * a + b * b + c * c) <= half_chord_squared

@@ -1,4 +1,4 @@
-"""Find directions near a center with an index of declination zones.
+"""Find directions near a given direction, with an index of declination zones.
 
 The directions are sorted by ``zone + right ascension / 2 pi``. In each zone that a circle touches, the directions that
 can be inside the circle form one run of the index, or two runs if the circle contains right ascension 0. If the circle
@@ -11,13 +11,13 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Largest rounding error of the ends of a run, as a fraction of the circle of right ascension.
+# Largest rounding error of the ends of a run, as a fraction of 360 deg of right ascension.
 SLACK = 1e-12
 
 
 @kernel
 def make_keys(vectors, n_zones, key):
-    """Compute the key of each direction."""
+    """Compute the value ``zone + right ascension / 2 pi`` by which the directions are sorted."""
     for i in range(vectors.shape[0]):
         phase = math.atan2(vectors[i, 1], vectors[i, 0]) / (2.0 * math.pi)
         phase += phase < 0.0
@@ -28,7 +28,7 @@ def make_keys(vectors, n_zones, key):
 
 @kernel
 def list_runs(key, n_zones, center, radius, runs):
-    """List the runs of the index that cover a circle, as rows (first, last + 1), and return their number."""
+    """List the runs of the index that contain a circle, as rows (first, last + 1), and return the number of runs."""
     dec = math.atan2(center[2], math.hypot(center[0], center[1]))
     phase = math.atan2(center[1], center[0]) / (2.0 * math.pi)
     low, high = dec - radius - 1e-9, dec + radius + 1e-9
@@ -59,10 +59,11 @@ def list_runs(key, n_zones, center, radius, runs):
 
 @kernel
 def find_near(vectors, key, n_zones, center, radius, limit, left, out):
-    """List the directions with ``left`` above 0 whose squared half chord to the center is at most ``limit``.
+    """List the directions near a center for which ``left`` is larger than 0.
 
-    Their positions in the index are written to ``out``. Returns their number, even if ``out`` is too short for all of
-    them.
+    A direction is near if the square of half the chord to the center is at most ``limit``. The positions of these
+    directions in the index are written to ``out``. Returns the number of these directions, even if ``out`` is too short
+    for all of them.
     """
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     n = 0
@@ -94,11 +95,11 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
 
 @kernel
 def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
-    """Assign numbers to directions so that no two near each other have the same number, in the order of their rows.
+    """Assign numbers to directions, in the order of their rows; directions near each other have different numbers.
 
-    Only earlier directions near a direction matter. Its number is one more than the largest of their numbers; or, with
-    ``smallest``, the smallest number that no such direction of the same group has. ``order`` contains the row of each
-    position in the index.
+    The number of a direction depends only on the directions near it in earlier rows. It is one more than the largest of
+    their numbers. With ``smallest``, it is the smallest number that does not occur among those of the same group.
+    ``order`` contains the row of each position in the index.
     """
     n = order.size
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)

@@ -1,11 +1,11 @@
 """Read tables and documents from files, within limits of size; errors are single sentences."""
 
 from rfpsurvey._readers._documents import parse_json, read_toml
-from rfpsurvey._readers._fits import read_fits_bytes
+from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
 from rfpsurvey._readers._header import is_number
 from rfpsurvey._readers._limits import content_of, sentence
 from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
-from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, suffix_of, to_path
+from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, read_tables, suffix_of, to_path
 
 __all__ = [
     "FORMATS",
@@ -15,8 +15,10 @@ __all__ = [
     "is_number",
     "parse_json",
     "read_fits_bytes",
+    "read_fits_units",
     "read_parquet",
     "read_table",
+    "read_tables",
     "read_toml",
     "sentence",
     "suffix_of",

@@ -12,7 +12,7 @@ from astropy.table import QTable
 from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["META_KEY", "read_fits", "read_fits_bytes"]
+__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
 
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
@@ -41,6 +41,27 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
     return table
 
 
+def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
+    """Return the keywords of the first header of a FITS file, and all tables of the file, in which text is bytes.
+
+    The meta of each table has the keywords of its header.
+    """
+    from astropy.io import fits
+
+    with open_content(path) as file:
+        numbers = _find_tables(file, path)
+        file.seek(0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # as in _read
+            with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
+                header = dict(units[0].header)
+                found = [_table_of(units[at]) for at in numbers]
+    for table, n_rows in found:
+        if len(table) != n_rows:
+            raise InputError(f"{path}: each table must have the rows of its header ({n_rows}), got {len(table)}")
+    return header, [table for table, _ in found]
+
+
 def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
     """Return the table of a header-data unit, and the number of rows that its header states."""
     from astropy.io import fits
@@ -49,9 +70,11 @@ def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ignore warnings about cards and units; units are checked later
         with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
-            unit = units[at]
-            table = QTable.read(unit, format="fits", mask_invalid=False)
-            return table, unit.header["NAXIS2"]
+            return _table_of(units[at])
+
+
+def _table_of(unit) -> tuple[QTable, int]:
+    return QTable.read(unit, format="fits", mask_invalid=False), unit.header["NAXIS2"]
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
@@ -73,6 +96,42 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
         raise
     except Exception as error:  # astropy can raise any exception
         raise InputError(f"{name} cannot be read as fits: {sentence(error)}") from error
+
+
+def read_fits_units(path: Path) -> dict:
+    """Return all tables of a FITS file by name as (header, rows), and the primary header as ``None: (header, None)``.
+
+    Rows are structured arrays in the byte order of the machine, with text without trailing blanks.
+    """
+    from astropy.io import fits
+
+    found = {}
+    with open_content(path) as file:
+        numbers = _find_tables(file, path)
+        file.seek(0)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                with fits.open(file, memmap=False, character_as_bytes=False) as units:
+                    found[None] = units[0].header.copy(), None
+                    for number in numbers:
+                        unit = units[number]
+                        names = unit.columns.names
+                        columns = [_native(np.asarray(unit.data[name])) for name in names]
+                        dtype = [(name, c.dtype, c.shape[1:]) for name, c in zip(names, columns, strict=True)]
+                        rows = np.empty(len(unit.data), dtype)
+                        for name, column in zip(names, columns, strict=True):
+                            rows[name] = column
+                        found[unit.name] = unit.header.copy(), rows
+        except Exception as error:  # astropy can raise any exception
+            raise InputError(f"{path} cannot be read as fits: {sentence(error)}") from error
+    return found
+
+
+def _native(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind == "U":
+        return np.char.rstrip(values).astype(str)
+    return values.astype(values.dtype.newbyteorder("="))
 
 
 def _find_tables(file: BinaryIO, path: object) -> list[int]:

@@ -8,12 +8,12 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._readers._documents import check_size, parse_json
-from rfpsurvey._readers._fits import META_KEY, read_fits
+from rfpsurvey._readers._fits import META_KEY, read_all_fits, read_fits
 from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey._readers._parquet import read_parquet
 from rfpsurvey.errors import InputError, refusal
 
-__all__ = ["FORMATS", "META_KEY", "read_table", "suffix_of", "to_path"]
+__all__ = ["FORMATS", "META_KEY", "read_table", "read_tables", "suffix_of", "to_path"]
 
 FORMATS = {
     ".fits": "fits",
@@ -47,6 +47,7 @@ READERS = {
     "votable": _read_votable,
     "parquet": read_parquet,
 }
+STRUCTURE = ("SIMPLE", "BITPIX", "NAXIS", "EXTEND", "CHECKSUM", "DATASUM", "COMMENT", "HISTORY")
 ZIPPED = (".gz", ".bz2", ".xz")
 
 
@@ -93,6 +94,38 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
     if META_KEY in table.meta:
         table.meta = parse_json(table.meta[META_KEY], f"{path}: the header card {META_KEY}")
     return table
+
+
+def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
+    """Return the keywords of the first header of a FITS file, and all of its tables.
+
+    Keywords that describe the structure of the file are left out. The ``meta`` of each table contains the keywords of
+    its header, with its name as ``EXTNAME``.
+    """
+    path = to_path(path)
+    if not _is_file(path):
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    try:
+        header, tables = read_all_fits(path)
+        for table in tables:
+            for name in table.colnames:
+                _make_text(table, name, path)
+            table.meta = _keywords(table.meta)
+            check_size(table.meta, path)
+    except InputError:
+        raise
+    except Exception as error:  # the readers can raise any exception
+        raise InputError(f"{path} cannot be read as fits: {sentence(error)}") from error
+    return _keywords(header), tables
+
+
+def _keywords(header: dict) -> dict:
+    """Return keywords with a single value, without those that describe the structure of a file."""
+    return {
+        name: value
+        for name, value in header.items()
+        if name and name not in STRUCTURE and isinstance(value, str | int | float | bool)
+    }
 
 
 def _is_file(path: Path) -> bool:

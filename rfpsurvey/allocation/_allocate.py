@@ -1,4 +1,4 @@
-"""Assign targets to positioners: the public function, and a version of it for plain arrays."""
+"""Functions that assign targets to positioners: `allocate`, and `assign` for arrays without units."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,14 +43,14 @@ def allocate(
 
     The purpose of an allocation is to observe science targets. Standards and sky positions are assigned to meet
     requirements; ``sdss``, ``optimal`` and ``repair`` also assign them to positioners that would otherwise be idle.
-    Only ``optimal`` and ``repair`` take collisions into account; their allocations contain none.
+    Only ``optimal`` and ``repair`` avoid collisions.
 
     Parameters
     ----------
     focal_plane : FocalPlane
         The positioners.
     xy : Quantity, shape (n_targets, 2)
-        Targets on the focal plane, in catalog order; NaN is out of reach.
+        Positions of the targets on the focal plane, in catalog order. A target at NaN is out of reach.
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, or only the allocator; see `AllocationOptions`.
     priority : array_like of float, shape (n_targets,), optional
@@ -62,32 +62,33 @@ def allocate(
     category : array_like of str, shape (n_targets,), optional
         Names that requirements refer to, such as ``sky_boss``.
     required : array_like of int, shape (k,), optional
-        Rows of the targets that take precedence over all others. `AllocationOptions` has the same parameter, with
-        identifiers in place of rows.
+        Rows of the targets that take precedence over all other targets. `AllocationOptions` has the same parameter,
+        with identifiers in place of rows.
     forbidden : array_like of int, shape (k, 2), optional
         Pairs of rows (positioner, target) that must not be assigned to each other.
     avoid : Quantity, shape (k, 2), optional
         Further points that sky positions must be at least ``sky_separation`` away from, such as stars that are not
         targets.
     rng : int, Generator or None, optional
-        Seed or generator of the random draw of ``balanced``; with None, each call draws differently.
+        Seed or generator for ``balanced``, which draws targets at random. With None, each call gives a different
+        result.
 
     Returns
     -------
     Allocation
-        The allocation. The same input gives the same allocation, unless the time limit ends a search early.
+        The allocation. If the input is the same, the allocation is the same, unless the time limit ends a search.
 
     Raises
     ------
     InputError
-        If a name is unknown, a shape is wrong, a unit is missing, a number is out of range, ``start`` belongs to
-        other targets or to another focal plane, or an allocator of another package fails or returns an invalid
+        If a name is unknown, a shape is wrong, a unit is missing, a number is out of range, ``start`` was made for
+        other targets or for another focal plane, or an allocator of another package fails or returns an invalid
         allocation.
 
     Warns
     -----
     RfpsurveyWarning
-        If ``sky_separation`` is given but no requirement asks for sky.
+        If ``sky_separation`` is given but no requirement counts sky positions.
 
     Examples
     --------
@@ -132,7 +133,7 @@ def assign(
     avoid: np.ndarray = NO_POINTS,
     tell: Callable[[float, str], None] | None = None,
 ) -> Allocation:
-    """Assign targets in mm to positioners; the columns come from a catalog and are not checked again.
+    """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
     During long searches, ``tell`` is called with the completed fraction and the current stage.
     """
@@ -194,7 +195,7 @@ def _priorities(priority, n):
 
 
 def _classes(priority, n):
-    """Return the priorities, largest first, and the class of each target; class 0 is the most important."""
+    """Return the distinct priorities, largest first, and the class of each target; class 0 is the most important."""
     if priority is None:
         return (0.0,), np.zeros(n, dtype=np.int64)
     classes, rank = np.unique(-priority, return_inverse=True)
@@ -202,7 +203,7 @@ def _classes(priority, n):
 
 
 def _squeeze(classes, rank, science):
-    """Renumber the classes of science targets without gaps; all other targets form the class after them."""
+    """Renumber the classes, so that only classes with science targets remain; all other targets form the last class."""
     used, new = np.unique(rank[science], return_inverse=True)
     squeezed = np.full(len(rank), len(used), dtype=np.int64)
     squeezed[science] = new.reshape(-1)
@@ -236,7 +237,7 @@ def _marked(required, n):
 
 
 def _allowed(reach: Reach, forbidden, n) -> Reach:
-    """Return the reachable pairs without the forbidden ones."""
+    """Remove the forbidden pairs from the reachable pairs."""
     if forbidden is None:
         return reach
     try:
@@ -285,7 +286,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
     rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
-    new = np.full(len(problem.xy) + 1, -1)  # the last entry is for positioners without a target
+    new = np.full(len(problem.xy) + 1, -1)  # the last element is for positioners without a target
     new[rows] = np.arange(len(rows))
     points = problem.xy[rows]
     levels = answer.levels

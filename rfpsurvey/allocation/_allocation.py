@@ -1,4 +1,4 @@
-"""The class of allocations."""
+"""The class `Allocation`."""
 
 from dataclasses import dataclass
 
@@ -24,8 +24,8 @@ class Allocation:
     allocator : str
         Name of the allocator that made the allocation.
     target_of_positioner : ndarray of int, shape (n_positioners,)
-        Row of the target of each positioner, -1 if it has no target. Rows from ``n_given`` on are sky positions that
-        were found in gaps between the targets.
+        Row of the target of each positioner, -1 if it has no target. Rows with the number ``n_given`` or larger are sky
+        positions that were found in gaps between the targets.
     positioner_of_target : ndarray of int, shape (n_targets,)
         Row of the positioner of each target, -1 if no positioner observes it.
     handedness : ndarray of str, shape (n_positioners,)
@@ -50,9 +50,9 @@ class Allocation:
         For ``balanced``: ``indptr`` and targets of all queues, from which the configuration was drawn.
     levels : tuple of Level
         Name, value and bound of each objective, in strict order of precedence. The bound is an upper limit for all
-        plans with the same values of the earlier objectives; it is NaN if nothing is proven.
+        plans with the same values of the earlier objectives; it is NaN if no upper limit is known.
     unmet : tuple of Shortfall
-        Requirements that are not met; ``str`` turns each into a sentence.
+        Requirements that are not met; ``str`` converts each of them to a sentence.
     meta : dict
         Information on how the solution was found.
 
@@ -102,13 +102,14 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """Upper bound of the objective over all plans with this plan's proven values; NaN if nothing is proven."""
-        # the bound of an unproven class includes all earlier classes: use the largest gap, not the sum of the gaps
+        """Upper bound of the objective over all plans with this plan's proven values; NaN if no bound is known."""
+        # The bound of an unproven class includes all earlier classes. Therefore, the largest difference is used, not
+        # the sum.
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property
     def gap(self) -> float:
-        """Relative difference between bound and objective: 0 for a proven optimum, NaN if nothing is proven.
+        """Relative difference between bound and objective: 0 for a proven optimum, NaN if no bound is known.
 
         The bound of ``repair`` ignores collisions. Its gap is therefore an upper limit of the fraction of targets that
         are lost to collisions.

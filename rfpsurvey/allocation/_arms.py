@@ -1,4 +1,4 @@
-"""Poses of the arms that belong to candidates."""
+"""Poses of the arms for given targets."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ __all__ = ["place_segments"]
 def place_segments(
     problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the colliding segments, shape (4, n), of positioners (by row) at targets.
+    """Return the segments that can collide, shape (4, n), of positioners (given as rows) at their targets.
 
-    ``idle`` lists the rows that are idle arms, one row for each positioner; the target of these rows is -1.
+    ``idle`` lists the indices of idle arms in ``own``, one for each positioner; their target is -1.
     """
     columns = problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

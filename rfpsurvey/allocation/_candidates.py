@@ -1,4 +1,4 @@
-"""Candidates: the possible targets and elbows of each positioner, and the pairs that exclude each other."""
+"""Candidates, which are the possible targets and elbows of each positioner, and pairs of candidates that collide."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ ROOM = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates with their conflicts; the last candidate of each positioner is its idle arm."""
+    """Candidates and their collisions; the last candidate of each positioner is its idle arm."""
 
     problem: AllocationProblem
     options: conflicts.Options
@@ -35,7 +35,7 @@ class Candidates:
         return len(self.side)
 
     def where(self, keep: np.ndarray) -> "Candidates":
-        """Return the candidates marked in ``keep``."""
+        """Return the candidates that ``keep`` marks."""
         o, new = self.options, np.cumsum(keep) - 1
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
         pairs = new[self.pairs[:, keep[self.pairs].all(axis=0)]]
@@ -43,9 +43,10 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates whose best plan is at least as good as any plan, even one that uses omitted candidates.
+        """Return candidates with fewer collisions; the best plan of these candidates is an upper bound for all plans.
 
-        The conflicts of candidates that represent omitted candidates are removed.
+        The collisions of candidates that represent omitted candidates are removed. The bound is therefore also valid
+        for plans that use omitted candidates.
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
@@ -63,8 +64,8 @@ def find_candidates(
 ) -> Candidates:
     """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
-    Without ``collide``, arms may pass through each other, and each target has only one elbow. The targets in
-    ``keep_target``, shape (n_positioners,), are always kept.
+    Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains a target for
+    each positioner that is always kept.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -78,7 +79,7 @@ def find_candidates(
     at_home[idle] = True
     segments = place_segments(problem, own, target, side, idle)
     pairs = _conflicts(plane, start, segments)
-    # collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan
+    # Collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan.
     pairs = pairs[:, ~at_home[pairs].all(axis=0)]
     found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
     touch = _touches_obstacle(plane, start, segments) & ~at_home
@@ -86,7 +87,7 @@ def find_candidates(
 
 
 def _assemble(problem, preselection, start, own, target, side, cost, pairs):
-    """Return candidates with all the data that follow from their columns."""
+    """Return candidates with the data that are derived from the given columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
     held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
@@ -99,7 +100,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
 
 
 def _list(problem, reach, both):
-    """Return the reachable targets of each positioner with their elbows, and its idle arm."""
+    """Return the columns of the candidates: reachable targets with each elbow, and the idle arm of each positioner."""
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
@@ -113,7 +114,7 @@ def _list(problem, reach, both):
     watched = np.full(n, -1) if problem.watched is None else problem.watched
     columns = (own, np.arange(n)), (target, watched), (side, plane.arrays.sides(plane.arrays.xy)), (r2, np.zeros(n))
     own, target, side, r2 = (np.concatenate(parts) for parts in columns)
-    order = np.argsort(own, kind="stable")  # the idle arms come last
+    order = np.argsort(own, kind="stable")  # the idle arm of each positioner is its last candidate
     start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=n))])
     return start, own[order], target[order], side[order], r2[order]
 
@@ -154,7 +155,7 @@ def _conflicts(plane, start, segments):
 
 
 def _keys(problem, target, held):
-    """Group candidates that requirements count alike, and find groups that can replace a group without a loss."""
+    """Group candidates that the same requirements count, and find which groups are at least as good as other groups."""
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)
@@ -171,7 +172,7 @@ def _keys(problem, target, held):
 
 
 def _by_target(target, n):
-    """Return the candidates of each target, one row per target."""
+    """Return the candidates of each target, in compressed rows."""
     rows = np.flatnonzero(target >= 0)
     rows = rows[np.argsort(target[rows], kind="stable")]
     return np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=n))]), rows

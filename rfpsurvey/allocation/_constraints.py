@@ -1,4 +1,4 @@
-"""Constraints of an allocation that are stated on the sky: required identifiers, and circles that no arm may cover."""
+"""Constraints of an allocation: identifiers of required targets, and circles on the sky that no arm may cover."""
 
 import hashlib
 
@@ -10,12 +10,12 @@ from rfpsurvey.region import Region
 
 __all__ = ["as_keep_out", "as_required", "brief", "circle_text", "recorded"]
 
-# Results list at most this many identifiers or circles; for longer lists, they contain the number and a digest.
+# Results contain lists of up to this many identifiers or circles; a longer list is recorded as a number and a digest.
 MOST_LISTED = 1000
 
 
 def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
-    """Return the distinct identifiers of required targets, all integers or all text, in the given order."""
+    """Return the distinct identifiers of required targets in the given order; all are integers or all are text."""
     if required is None or np.size(required) == 0:
         return ()
     names = to_labels(np.atleast_1d(required), "required")
@@ -48,13 +48,13 @@ def circle_text(region: Region) -> str:
 
 
 def recorded(texts: list[str]) -> list[str]:
-    """Return the identifiers or circles in the form recorded in results: a complete list, or a number and a digest."""
+    """Return the identifiers or circles as results record them: the complete list, or its length and a digest."""
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]
 
 
 def brief(values: tuple, most: int = 5) -> str:
-    """Return the first values and the number of all values as text."""
+    """Return text with the first values and the number of all values."""
     listed = ", ".join(str(value) for value in values[:most])
     return f"{listed} ({len(values)} in all)"

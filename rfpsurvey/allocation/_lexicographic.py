@@ -1,4 +1,4 @@
-"""Optimize objectives in strict order: the optimum of each is proven before the next one is considered."""
+"""Optimize objectives in strict order: each optimum is proven before the next objective is optimized."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -9,18 +9,19 @@ from rfpsurvey.allocation._milp import Program
 
 __all__ = ["Solution", "pursue"]
 
-# Objectives are combined as long as the product of their sizes is below this, so that rounding has no effect.
+# Successive objectives are combined into one while the product of their sizes is below this, so that rounding has no
+# effect.
 LARGEST = 1e6
-# Steepness of the weights, and number of proven objectives that are added to the goal of the next objective.
+# Ratio of successive weights, and number of proven objectives that are added to the goal of the next objective.
 STEEP, N_STEEP = 8.0, 4
-# Programs with more variables than this are large: some proven objectives are then part of the goal.
+# In programs with more variables than this, some proven objectives are part of the goal.
 LARGE = 500
-# For objectives that cannot be proven in time: the fraction of the time, the least weight, and the allowed gap.
+# Settings for objectives that cannot be proven in time: fraction of the time, smallest weight, and allowed gap.
 FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 
 
 class Solution(NamedTuple):
-    """The chosen candidate of each positioner of a part, and the value and bound of each objective."""
+    """The plan for one part: the chosen candidate of each positioner, and the value and bound of each objective."""
 
     chosen: np.ndarray | None
     """Candidates in use; None if no plan was found within the time limit."""
@@ -42,23 +43,23 @@ class _Pursuit:
         x = program.variables(first)
         self.x = x if program.holds(x) else None
         self.values = program.reaches(x)
-        self.solved: list[float] = []  # values of the first objectives
+        self.solved: list[float] = []  # proven values, beginning with the first objective
 
     def upper(self, values):
         """Return the upper bound of each objective, given the values of the objectives before it."""
         if self.limit is None:
             return self.high
-        # no plan has more targets of the first classes than the best matching
+        # No plan has more targets of the first classes than the best matching.
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
         if self.program.problem.any_required:
-            # the matching is optimal if the plan equals it in all earlier objectives
+            # The matching gives an upper limit of an objective if the plan equals it in all earlier objectives.
             known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
             most = np.where(known, most, np.inf)
         return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
-        """Return the best variables for a goal, and its bound; a linear program is tried first if it can suffice."""
+        """Return the best variables for a goal, and its bound; try a linear program first unless ``integral``."""
         x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
         self.n_programs += 1
         if not self.integral and x is not None:
@@ -69,13 +70,13 @@ class _Pursuit:
         return x, bound
 
     def take(self, x):
-        """Keep the variables if they are better than the best so far."""
+        """Store the variables if they are better than the stored variables."""
         values = self.program.reaches(x)
         if self.x is None or tuple(values) > tuple(self.values):
             self.x, self.values = x, values
 
     def next_pack(self, k, largest):
-        """Return how many objectives, beginning with number k, can be combined into one, and their weights."""
+        """Return the number of objectives from objective k on that can be combined into one, and their weights."""
         sizes, product = [], 1.0
         for objective in self.program.objectives[k:]:
             product *= objective.high - objective.low + 1.0
@@ -85,7 +86,7 @@ class _Pursuit:
         return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
 
     def prove(self, k, deadline):
-        """Solve objective k and those combined with it; return how many are then proven, and a bound of objective k."""
+        """Solve objective k and those combined with it; return how many are proven, and a bound of objective k."""
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
@@ -93,7 +94,8 @@ class _Pursuit:
             if n:
                 self.solved += self.values[k : k + n].tolist()
                 return n, self.values[k]
-        # proven objectives become constraints, or terms of the goal in large programs, which constraints make very slow
+        # Proven objectives become constraints. These would make large programs very slow; there, they are terms of the
+        # goal.
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
         goal = program.goal(k, weights)
@@ -119,25 +121,25 @@ class _Pursuit:
         return 0, np.inf
 
     def fill(self, k, deadline):
-        """Improve the objectives from number k on, which could not be proven, approximately in their order."""
+        """Improve objective k and all later objectives, which could not be proven, approximately in their order."""
         worth = np.maximum(STEEP ** -np.arange(len(self.program.objectives) - k, dtype=float), FLATTEST)
         x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
         if x is not None:
             self.take(x)
 
     def is_kept(self, values):
-        """Return whether a plan keeps all proven values."""
+        """Return whether a plan with the given values has all proven values."""
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 
 def pursue(
     program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None
 ) -> Solution:
-    """Return the best plan, or the best one found before the deadline; start from ``first`` if it is feasible.
+    """Return the best plan that is found before the deadline; the search starts from ``first`` if it is feasible.
 
     ``limit``, if given, contains the values of the objectives for a matching whose arms may collide. With
-    ``squared_cost``, the cost is minimized last, among all best plans. ``tell``, if given, is called with the number of
-    proven objectives and the total number of objectives.
+    ``squared_cost``, the plan with the lowest cost among all best plans is returned. ``tell``, if given, is called with
+    the number of proven objectives and the total number of objectives.
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0

@@ -20,14 +20,14 @@ def match(candidates: Candidates) -> np.ndarray:
     if problem.any_required:
         classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    able = np.flatnonzero(np.diff(options.t_indptr))  # only a few targets per positioner if the field is crowded
+    able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, only a few targets per positioner
     order = able[np.argsort(classes[able], kind="stable")]
     rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
     return target_of
 
 
 def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
-    """Return the candidate of each positioner for given targets and elbows, -1 if there is none."""
+    """Return the candidate of each positioner for given targets and elbows, or -1 if there is no such candidate."""
     options = candidates.options
     fits = (options.target >= 0) & (options.target == target_of[options.own])
     if side is not None:
@@ -39,7 +39,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 
 
 def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
-    """Return a plan that exceeds no maximum: the least important targets are dropped."""
+    """Remove the least important targets from a plan, so that it exceeds no maximum of a requirement."""
     target_of = target_of.copy()
     if problem.watched is not None:
         target_of = np.where(problem.watched >= 0, problem.watched, target_of)
@@ -49,7 +49,7 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
             continue
         own = np.flatnonzero(target_of >= 0)
         own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
-        # the sky positions of stuck fibers cannot be dropped
+        # The sky positions that stuck fibers observe cannot be removed.
         own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane.arrays.usable[own]))]
         extra = own[most:]
         target_of[extra[problem.focal_plane.arrays.usable[extra]]] = -1
@@ -57,10 +57,11 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
 
 
 def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Return a plan without collisions, with the numbers of moved positioners and of positioners without their target.
+    """Return a plan without collisions, the number of moved positioners, and the number of lost targets.
 
-    Moved positioners have another candidate that is as good; the others lost their target. The last candidate of each
-    positioner must be its idle arm, which replaces a missing candidate (-1).
+    A moved positioner has a new candidate that is as good as its previous one. If no such candidate exists, the target
+    is lost. The last candidate of each positioner must be its idle arm; it is used for positioners without a candidate
+    (-1).
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
@@ -69,7 +70,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
 
     def order():
-        """Return positioners: first those that no requirement counts and those with the least important targets."""
+        """Return the order of moves: first positioners that no requirement counts, then the least important targets."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = moves.repair(options, order(), now, *state, ROUNDS)
@@ -91,7 +92,7 @@ def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
 
 
 def _stand(candidates, chosen):
-    """Return the candidates in use, how many of them block each candidate, and the positioner of each target."""
+    """Return the candidates in use, how many of these block each candidate, and the positioner of each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)

@@ -27,7 +27,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign the closest pairs first, class after class."""
+    """Assign the targets of one class after the other; in each class, assign the closest pairs first."""
     reach, rank, _ = _in_order(problem)
     indptr, target, r2, _ = _best(problem, reach, rank)
     m = len(problem.rank)
@@ -37,7 +37,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
-    """Let positioners nominate their nearest targets, class after class; then fill the requirements."""
+    """Assign the targets of one class after the other by nominations of positioners; then fill the requirements."""
     reach, rank, n_ranks = _in_order(problem)
     indptr, target, r2, in_reach = _best(problem, reach, rank)
     n, m = reach.n_positioners, len(problem.rank)
@@ -50,12 +50,12 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets by network flow, class after class; then minimize the squared distances."""
+    """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances."""
     return decide(problem, collide=False, integral=False, squared_cost=True)
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets, class after class, such that no arms collide."""
+    """Maximize the number of targets, one class after the other, such that no arms collide."""
     return decide(problem, collide=True)
 
 
@@ -68,7 +68,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     first = pick(candidates, trim(problem, before), side)
     chosen, moved, dropped = repair_collisions(candidates, first)
     options, had = candidates.options, before >= 0
-    dropped += int((had & (first < 0)).sum())  # positioners whose arms touch obstacles, or that exceed a maximum
+    dropped += int((had & (first < 0)).sum())  # removed because of an obstacle or a maximum
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
     levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
@@ -87,7 +87,7 @@ METHODS = {
 
 
 def _bounded(problem, target_of, blind):
-    """Return the levels of a plan, with bounds, where known, from a plan whose arms may pass through each other."""
+    """Return the levels of a plan; bounds, if known, are the values of a plan whose arms may collide."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():
@@ -97,7 +97,7 @@ def _bounded(problem, target_of, blind):
 
 
 def _in_order(problem):
-    """Return the pairs to assign class after class, the class of each target, and the number of classes.
+    """Return the pairs that may be assigned, the class of each target, and the number of classes.
 
     Required targets of any kind form a class before all others.
     """
@@ -108,11 +108,10 @@ def _in_order(problem):
 
 
 def _best(problem, reach, rank):
-    """Return the candidates of each positioner, sorted by class, then distance, and the number of targets in reach.
+    """Return the candidates of each positioner, sorted by class, then distance, and its number of targets in reach.
 
-    Only positioners that share a target with a positioner can take its candidates, at most one candidate each. With k
-    such positioners, a positioner therefore always ends with one of its first k + 1 candidates, and its further
-    candidates are omitted.
+    If k other positioners reach targets of a positioner, they can observe at most k of its candidates. One of its first
+    k + 1 candidates is therefore always available, and its further candidates are omitted.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
@@ -130,7 +129,7 @@ def _with_watched(problem, target_of):
 
 
 def _fill_quotas(problem, target_of, owner_of):
-    """Fill the requirements in place: first by idle positioners, then by those with the least important targets."""
+    """Fill the requirements in place, first with idle positioners, then with positioners of unimportant targets."""
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used

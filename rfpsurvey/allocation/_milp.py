@@ -1,4 +1,4 @@
-"""The integer program of positioners with undecided candidates: its variables, constraints and objectives."""
+"""The integer program for positioners with several candidates: its variables, constraints and objectives."""
 
 from time import perf_counter
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from rfpsurvey.allocation._candidates import Candidates
 
 __all__ = ["Objective", "Program"]
 
-# The presolve of HiGHS ignores the time limit. It takes about this many seconds times (entries of the matrix)^2 /
-# variables, as measured on dense programs, and is skipped if that exceeds this fraction of the time limit.
+# The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
+# measured on dense programs. It is skipped if this time exceeds the fraction PRESOLVE_PART of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 
 
@@ -21,7 +21,7 @@ class Objective(NamedTuple):
 
     low: float
     high: float
-    """Least and largest possible value."""
+    """Smallest and largest possible value."""
     is_class: bool = False
     """Whether the objective is the number of targets of a priority class."""
 
@@ -29,9 +29,9 @@ class Objective(NamedTuple):
 class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
-    ``others`` are the candidates in use outside the program, which also count for the requirements. ``edges`` are the
-    conflicts among ``rows``, shape (2, m). There is a variable for each candidate, which is 1 if it is in use, and a
-    variable for each requirement, which is the number of missing fibers.
+    ``others`` are candidates of other positioners that are already in use; they also count for the requirements.
+    ``edges`` are the collisions between ``rows``, shape (2, m). The variable of a candidate is 1 if the candidate is in
+    use. The variable of a requirement is its number of missing fibers.
     """
 
     def __init__(self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray):
@@ -68,7 +68,7 @@ class Program:
         return np.round(self.matrix @ x)
 
     def goal(self, first: int, weights: np.ndarray) -> np.ndarray:
-        """Return the coefficients of a weighted sum of objectives, from the first one on."""
+        """Return the coefficients of a weighted sum of successive objectives, beginning with objective ``first``."""
         return self.matrix[first : first + len(weights)].T @ weights
 
     def holds(self, x: np.ndarray) -> bool:
@@ -77,10 +77,11 @@ class Program:
         total = matrix @ x
         return bool((total >= low - 1e-6).all() and (total <= high + 1e-6).all())
 
-    def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, keep=(), gap: float = 0.0):
-        """Return the variables that maximize a goal (None without a solution in time), and the upper bound of the goal.
+    def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, gap: float, keep=()):
+        """Return the variables that maximize a goal, and the upper bound of the goal.
 
-        ``keep`` contains minimum values of the first objectives; ``gap`` is the relative error allowed.
+        The variables are None if no solution is found before the deadline. ``keep`` contains minimum values of the
+        first objectives; ``gap`` is the relative error allowed.
         """
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -91,7 +92,7 @@ class Program:
         if len(keep):
             matrix = vstack([matrix, self.matrix[: len(keep)]], format="csr")
             low, high = np.append(low, keep), np.append(high, np.full(len(keep), np.inf))
-        # HiGHS accepts 32-bit indices only
+        # HiGHS only accepts 32-bit indices.
         short = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
         matrix = csr_array((matrix.data, *short), shape=matrix.shape)
         most = np.append(np.ones(len(self.candidate)), np.full(len(self.short), np.inf))
@@ -108,14 +109,14 @@ class Program:
         return (found.x, -found.fun) if found.status == 0 else (None, np.inf)
 
     def _may_presolve(self, matrix) -> bool:
-        """Return whether the presolve is fast enough, independent of the speed of the machine."""
+        """Return whether the presolve is fast enough, from an estimate that is the same on all computers."""
         seconds = PRESOLVE_SECONDS * matrix.nnz**2 / self.n
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
         """Add constraints whose coefficients are all 1, with their bounds.
 
-        ``row`` is the index of the constraint of each coefficient among the added constraints, starting at 0.
+        For each coefficient, ``row`` is the index of its constraint, counted from the first added constraint.
         """
         n = len(high)
         self._parts.append(csr_array((np.ones(len(column)), (row, column)), shape=(n, self.n)))
@@ -123,7 +124,7 @@ class Program:
         self._high.append(np.broadcast_to(high, n))
 
     def _positioners(self):
-        """Add the constraints that one candidate of each positioner is in use."""
+        """Add the constraints that exactly one candidate of each positioner is in use."""
         _, row = np.unique(self.own, return_inverse=True)
         self._add(row, np.arange(len(self.candidate)), 1.0, np.ones(int(row.max(initial=-1)) + 1))
 
@@ -136,7 +137,7 @@ class Program:
         self._add(row, real[shared], -np.inf, np.ones(int(row.max(initial=-1)) + 1))
 
     def _cliques(self, edges):
-        """Add the constraints that no two arms collide; two arms on the same target conflict like any other pair."""
+        """Add the constraints that no two arms collide; two arms at the same target also exclude each other."""
         if edges.shape[1] == 0:
             return
         options = self.candidates.options
@@ -157,7 +158,7 @@ class Program:
         self._add(row, self.index[column], -np.inf, np.ones(n))
 
     def _twins(self):
-        """Return pairs of candidates of different positioners for the same target."""
+        """Return the pairs of candidates that have the same target but different positioners."""
         options = self.candidates.options
         rows = self.candidate[np.argsort(self.target, kind="stable")]
         rows = rows[options.target[rows] >= 0]
@@ -172,7 +173,7 @@ class Program:
             step += 1
 
     def _requirements(self, others):
-        """Add the constraints of the requirements: a plan may be below a minimum, but must not exceed a maximum."""
+        """Add the constraints of the requirements: a minimum may be missed, but a maximum must not be exceeded."""
         held = self.candidates.held
         for g, group in enumerate(self.problem.groups):
             column = np.flatnonzero(held[g, self.candidate])
@@ -184,7 +185,7 @@ class Program:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
     def _objectives(self):
-        """Return the objectives in strict order, with the coefficients of their variables, and their limits."""
+        """Return the coefficients and the limits of the objectives, in order of precedence."""
         problem, n_classes = self.problem, len(self.problem.classes)
         rank = self.candidates.options.rank[self.candidate]
         columns, worth, objectives = [], [], []

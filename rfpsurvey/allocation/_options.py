@@ -1,4 +1,4 @@
-"""The options of an allocation, which are the same for plans of tiles, surveys, tilings and comparisons."""
+"""The options of an allocation, which plans of tiles, surveys, tilings and comparisons share."""
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -35,14 +35,14 @@ ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
 GROUP = "rfpsurvey.allocators"
 """Entry-point group by which packages add allocators."""
-# A representation lists at most this many values of one option.
+# ``repr`` shows at most this many values of one option.
 MOST_SHOWN = 20
 
 
 @check_keywords
 @dataclass(frozen=True)
 class AllocationOptions:
-    """Options of an allocation: the allocator, and the constraints and requirements that each plan must meet.
+    """Options of an allocation: the allocator, and the constraints and requirements of each plan.
 
     Functions that accept these options as ``allocator`` also accept the name of an allocator or a function; all other
     options then have their default values.
@@ -50,50 +50,52 @@ class AllocationOptions:
     Parameters
     ----------
     allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
-        ``balanced``: science targets are added, in catalog order, to the queue of a positioner in reach: the one with
-        the shortest queue, then the nearest, then the lowest row. One target of each queue, drawn uniformly, is
-        observed. Priorities are ignored. ``nearest``: class after class, pairs of positioner and target are assigned
-        in the order of their distance. ``lamost``: class after class, beginning with the highest priority, every free
-        positioner nominates its nearest unassigned target of the class, until no positioner can nominate one. A
-        target nominated by several positioners is assigned to the one with the fewest unassigned targets (of any
-        class) in reach, then the nearest, then the lowest row. The requirements are then filled one after the other:
-        first by idle positioners, then by positioners that give up the least important targets. ``sdss``: network
-        flow that maximizes the number of targets, class after class, and then minimizes the sum of squared distances
-        from the centers; arms may collide. ``optimal``: the largest number of targets, class after class, such that
-        no arm with a target collides with another arm or an obstacle, with a proof. Idle arms that are obstacles
-        (parked equal-arm units with ``parked_obstacles``, disabled and stuck units) count as other arms. Collisions
-        of two idle arms, or of an idle arm with an obstacle, remain. ``repair``: the plan ``start``, with its
-        collisions removed by local moves. Any other name is that of an allocator of an installed package. A function
-        is called with an `~rfpsurvey.allocation.AllocationProblem`.
+        Targets with the same priority form a class, and all allocators except ``balanced`` assign the class of the
+        highest priority first. ``balanced``: each science target, in catalog order, is added to the queue of a
+        positioner that reaches it: the positioner with the shortest queue, then the nearest, then the lowest row. One
+        target of each queue is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each class, pairs
+        of a positioner and a target are assigned in the order of their distance. ``lamost``: in each class, every free
+        positioner nominates its nearest unassigned target, until no nominations are possible. If several positioners
+        nominate a target, it is assigned to the positioner with the fewest unassigned targets (of any class) in reach,
+        then the nearest, then the lowest row. The requirements are then filled one after the other: first by idle
+        positioners, then by positioners that give up the least important targets. ``sdss``: network flow maximizes the
+        number of targets, one class after the other, and then minimizes the sum of squared distances from the centers;
+        arms may collide. ``optimal``: the number of targets is maximized, one class after the other, such that no arm
+        with a target collides with a different arm or an obstacle; the optimum is proven. Such an arm also avoids idle
+        arms that are obstacles: parked positioners with equal arms (with ``parked_obstacles``), and disabled and stuck
+        positioners. Collisions of two idle arms, or of an idle arm with an obstacle, remain. ``repair``: local moves
+        remove the collisions of the plan ``start``. Any other name is that of an allocator of an installed package. A
+        function is called with an `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
         Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
-        ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets.
-        They are met as far as possible; minima that are not met are reported. ``balanced`` and ``nearest`` do not
-        consider requirements, and only report those that are not met.
+        ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
+        are met as far as possible; minima that are not met are reported. ``balanced`` and ``nearest`` ignore
+        requirements, but report requirements that are not met.
     sky_separation : Quantity, optional
-        Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is
-        known, an angle. Positions at least this far from all targets then also serve as sky, including positions
-        that stuck positioners observe. Such positions are only searched for if a requirement asks for ``sky``.
+        Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is known,
+        an angle. If given, the package also finds sky positions at least this far from all targets, including positions
+        that stuck positioners observe. It does so only if a requirement counts ``sky``.
     objective : {"priority", "count"}, optional
-        ``priority``: maximize the number of targets class after class. ``count``: maximize the number of all science
-        targets first, then class after class (``sdss``, ``optimal``).
+        ``priority``: maximize the number of targets, one class after the other. ``count``: maximize the number of all
+        science targets first, then of one class after the other. Only ``sdss`` and ``optimal`` use this option.
     time_limit : Quantity, optional
-        Time after which ``sdss`` and ``optimal`` return the best plan found so far, with its gap; 60 s by default.
-        The limit also applies to the search for ``start``.
+        Time after which ``sdss`` and ``optimal`` return the best plan that they have found, with its gap; 60 s by
+        default. The limit also applies if one of them makes the plan ``start``.
     start : Allocation or str, optional
         Plan from which ``repair`` starts, or the name of the allocator that makes it (not ``repair``). Allocators of
-        other packages can use it too.
+        other packages can also use this plan.
     parked_obstacles : bool, optional
         Whether idle positioners with equal arms are obstacles.
     required : array_like of int or str, optional
-        Identifiers of targets, of science or any other kind, that take precedence over all others. ``nearest`` and
-        ``lamost`` assign them as a class before all other classes; ``sdss`` and ``optimal`` assign as many as
-        possible; ``repair`` assigns those for which its moves find a positioner; ``balanced`` does not distinguish
-        them. Required targets without a fiber are reported. `allocate` accepts rows of targets instead.
+        Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
+        assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as
+        possible; ``repair`` assigns those for which its moves find a positioner; ``balanced`` ignores this option.
+        Required targets without a fiber are reported. `allocate` has a parameter of the same name, with rows in place
+        of identifiers.
     keep_out : Region or list of Region, optional
         Circles on the sky, made by `Region.cap`, that no arm may cover, such as those around bright stars. In each
-        field, the circles that an arm can touch are obstacles: ``optimal`` and ``repair`` avoid them; for other
-        allocators, the arms that cover them are counted as collisions. On the focal plane, an obstacle contains the
+        field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other
+        allocators, an arm that covers a circle is counted as a collision. On the focal plane, an obstacle contains the
         whole image of its circle, even if the center of the circle is outside the field.
 
     Raises
@@ -188,7 +190,7 @@ class AllocationOptions:
         return float(self.time_limit.to_value(u.s))
 
     def for_instrument(self, instrument: object) -> "AllocationOptions":
-        """Return the options for an instrument: its requirements, the separation as a length, unused options reset.
+        """Return the options for an instrument, with its requirements and with the separation as a length.
 
         Parameters
         ----------
@@ -198,13 +200,14 @@ class AllocationOptions:
         Returns
         -------
         AllocationOptions
-            Options that `allocate` accepts and that a result records.
+            Options that `allocate` accepts and that a result records. Options that the allocator does not use have
+            their default values.
 
         Raises
         ------
         InputError
-            If the options contain requirements of the instrument, an angle, identifiers or circles on the sky, and no
-            instrument is given.
+            If no instrument is given, and the options contain the requirements of the instrument, an angle,
+            identifiers, or circles on the sky.
         """
         requirements, separation = self.requirements, self.sky_separation
         if instrument is None and (self._of_instrument or _is_angle(separation)):
@@ -230,7 +233,7 @@ class AllocationOptions:
             separation = (separation * instrument.plate_scale).to(u.mm)
         built_in = self.name in ALLOCATORS
         unused = {}
-        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # ``repair`` may start with these
+        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # ``repair`` can call the others
             unused["time_limit"] = 60 * u.s
         if built_in and self.allocator != "repair":
             unused["start"] = AllocationOptions.start
@@ -238,7 +241,7 @@ class AllocationOptions:
 
     @property
     def record(self) -> dict:
-        """The options as text and numbers that can be written to a file."""
+        """The options as text and numbers, as they are written to files."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
         requirements = self.requirements
         return {
@@ -255,7 +258,7 @@ class AllocationOptions:
 
 
 def as_options(given: object) -> AllocationOptions:
-    """Return the given options, or the default options with the given allocator."""
+    """Return the given options; if only an allocator is given, return the default options with this allocator."""
     return given if isinstance(given, AllocationOptions) else AllocationOptions(given)
 
 
@@ -266,7 +269,7 @@ def check_allocator(given: object, known=ALLOCATORS, what: str = "allocator") ->
 
 
 def _shown(value: object) -> str:
-    """Return the text of a value; of a long list, only the first values."""
+    """Return the text of a value; for a long list, the text contains only the first values."""
     return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
 
 

@@ -1,4 +1,4 @@
-"""Find allocators (built in, from other packages, or functions), and check the answers of those not built in."""
+"""Find allocators, and check the answers of allocators that are not built in."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,14 +19,14 @@ ELBOWS = ("right", "left")
 
 
 def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function of an allocator: built in, from another package, or the given function itself."""
+    """Return the function of an allocator, which is given as a function or as a name (built in or of a package)."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given]
     return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
 
 
 def packages(options: AllocationOptions) -> dict[str, str]:
-    """Return names and versions of the packages that provide an allocator and the plan from which it may start."""
+    """Return names and versions of the packages that provide the allocator and the initial plan of ``repair``."""
     found, own = {}, name_of(options.allocator)
     for name in (options.allocator, options.start) if own == "repair" or own not in METHODS else ():
         if isinstance(name, str) and name not in METHODS:
@@ -44,7 +44,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
         target_of, elbows = _checked(problem, answer.target_of_positioner), answer.handedness
         if elbows is not None:
             elbows = _elbows(problem, target_of, elbows)
-        if problem.watched is not None:  # sky positions that stuck fibers observe
+        if problem.watched is not None:  # the positions of blank sky that stuck fibers observe
             target_of = np.where(problem.watched >= 0, problem.watched, target_of)
         _check_claims(problem, target_of, answer)
     meta = {**(answer.meta or {}), **({"software": plugin.software} if plugin.package else {})}
@@ -52,7 +52,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
 
 
 def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: AllocationAnswer) -> None:
-    """Raise an error for levels that differ from those of the plan, or queues with targets out of reach."""
+    """Raise an error if levels are not those of the plan, or if queues contain targets out of reach."""
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}
@@ -80,7 +80,7 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
     if len(strange):
         raise InputError(f"targets must be rows from 0 to {n_targets - 1}, or -1 for none, got {strange[0]}")
     target_of = target_of.astype(np.int64)
-    if problem.watched is not None:  # an answer based on `start` includes the sky positions of stuck positioners
+    if problem.watched is not None:  # answers based on `start` contain the sky positions that stuck fibers observe
         target_of[(problem.watched >= 0) & (target_of == problem.watched)] = -1
     own = np.flatnonzero(target_of >= 0)
     used, counts = np.unique(target_of[own], return_counts=True)
@@ -122,7 +122,7 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
 
 
 def _plain(given: object) -> np.ndarray:
-    """Return an array from an optional column; None becomes an array without columns."""
+    """Convert the column of an answer to an array; if this is impossible, return an empty array with two dimensions."""
     try:
         return to_plain(given)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Omit candidates of positioners that reach far more targets than any plan can use."""
+"""Omit candidates of positioners that reach far more targets than a plan can use."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from rfpsurvey.focal_plane import Reach
 
 __all__ = ["Preselection", "preselect", "replaceable"]
 
-# Least numbers of targets that each positioner keeps: best targets, and further ones spread over the rest of the class.
+# Each positioner keeps at least N_BEST of its best targets, and N_SPREAD further targets of the last class of these.
 N_BEST, N_SPREAD = 64, 64
 # Number of reachable pairs for which arm poses are computed at the same time.
 BATCH = 1 << 18
@@ -23,29 +23,29 @@ class Preselection(NamedTuple):
 
     reach: Reach
     code: np.ndarray
-    """Code of each target; targets with the same code count for the same requirements."""
+    """Code of each target; the same requirements count all targets with the same code."""
     shortened: np.ndarray
-    """Whether pairs of a positioner (by row) and a code were omitted, shape (n_positioners, n_codes)."""
+    """Whether targets of a positioner and a code were omitted, shape (n_positioners, n_codes)."""
     n_left_out: int
 
 
 def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
-    """Return a subset of the reachable pairs that suffices for a plan.
+    """Return a subset of the reachable pairs that is sufficient for a plan.
 
-    Each other positioner can take at most one target from a positioner. If k others share targets with a positioner,
-    at least one of its best k + 1 targets of each code is therefore always free. This makes the preselection exact if
-    arms may pass through each other. With collisions, the best plan of the kept pairs may be worse than the best plan
-    of all pairs; `replaceable` is used to bound the difference.
+    If k other positioners reach targets of a positioner, they can observe at most k of its targets. At least one of its
+    best k + 1 targets of each code is therefore always free, and the preselection is exact if arms may collide. If arms
+    must not collide, the best plan of the kept pairs may be worse than the best plan of all pairs; `replaceable` is
+    used to find an upper limit of the difference.
 
     Parameters
     ----------
     problem : AllocationProblem
         The allocation.
     collide : bool
-        Whether collisions are forbidden. If so, more targets are kept, and targets whose arms touch an obstacle are
-        not counted.
+        Whether collisions are forbidden. If so, more targets are kept, and targets at which the arm touches an obstacle
+        are omitted.
     keep_target : ndarray of int, shape (n_positioners,), optional
-        Target that is always kept for each positioner, -1 if there is no such target.
+        Target of each positioner that is always kept, or -1 if there is no such target.
     """
     plane, reach = problem.focal_plane, problem.pairs
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
@@ -69,9 +69,9 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
     """Mark the candidates that represent omitted candidates.
 
-    An omitted target is no better than the kept targets of its positioner and code. One of the last ``n_rivals + 1``
-    of these kept targets is always free. If these last targets, and all targets of their class or a later class,
-    collided with nothing, a plan could replace any omitted target by one of them without a loss.
+    An omitted target is no better than the kept targets of its positioner and code. One of the last ``n_rivals + 1`` of
+    these kept targets is always free. Suppose that these last targets, and all targets of their class or of a later
+    class, cannot collide. A plan could then replace any omitted target by one of them, and would be at least as good.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
     n_rivals : ndarray of int, shape (n_positioners,)
         Number of other positioners that can share a target with each positioner.
     n_elbows : int
-        Number of candidates that one target can have at a positioner.
+        Number of candidates that one positioner can have for one target.
 
     Returns
     -------
     ndarray of bool, shape (n,)
-        The candidates.
+        Whether each candidate represents omitted candidates.
     """
     shortened = preselection.shortened
     n_codes = shortened.shape[1]
@@ -106,7 +106,7 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 
 
 def _codes(problem):
-    """Return a code for each target and the number of codes; targets that requirements count alike share a code."""
+    """Return a code for each target and the number of codes; the same requirements count all targets with one code."""
     columns, seen = [], set()
     for group in problem.groups:
         if group.requirement not in seen:
@@ -116,7 +116,7 @@ def _codes(problem):
         columns.append(problem.is_required)
     plane = problem.focal_plane
     several = plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
-    if problem.several_fiber_types and several:  # the fiber type decides on the spectrograph
+    if problem.several_fiber_types and several:  # the spectrograph depends on the fiber type
         columns.append(np.unique(problem.fiber_type, return_inverse=True)[1].reshape(-1))
     code, n = np.zeros(len(problem.xy), dtype=np.int64), 1
     for column in columns:
@@ -126,7 +126,7 @@ def _codes(problem):
 
 
 def _without_obstacles(problem, reach, crowded):
-    """Return the pairs with at least one elbow that touches no obstacle; only ``crowded`` positioners are tested."""
+    """Omit pairs for which the arm touches an obstacle with every elbow; only ``crowded`` positioners are tested."""
     plane = problem.focal_plane
     pairs = plane.arrays.obstacle_pairs
     pairs = pairs[crowded[pairs[:, 0]]]

@@ -27,7 +27,7 @@ class Level(NamedTuple):
     value : float
         Value of the objective in the plan; larger is better.
     bound : float
-        Upper bound of the value over all plans with the same values of the earlier levels; NaN if nothing is proven.
+        Upper bound of the value over all plans with the same values of the earlier levels; NaN if no bound is known.
 
     Examples
     --------
@@ -45,7 +45,7 @@ class Level(NamedTuple):
 
 
 class TargetColumns(NamedTuple):
-    """Columns of the targets, each of shape (n_targets,); a column that is not given is None."""
+    """Columns with one value per target, shape (n_targets,); a column that is not given is None."""
 
     priority: np.ndarray | None = None
     kind: np.ndarray | None = None
@@ -55,19 +55,18 @@ class TargetColumns(NamedTuple):
 
 
 class AllocationAnswer(NamedTuple):
-    """The answer of an allocator; built-in allocators and those of other packages return the same type.
+    """The answer of an allocator, which has the same type for built-in allocators and for those of other packages.
 
     Parameters
     ----------
     target_of_positioner : ndarray of int, shape (n_positioners,)
         Row of the target of each positioner, -1 if it has no target.
     handedness : ndarray of str, shape (n_positioners,), optional
-        Handedness of each arm, "right" or "left". None stands for the default handedness of each positioner.
+        Handedness of each arm, "right" or "left". If it is None, each positioner has its default handedness.
     queues : tuple of ndarray, optional
-        ``indptr`` and targets of the queues of all positioners, if the answer was drawn from them.
+        ``indptr`` and targets of the queues of all positioners, if the targets were drawn from queues.
     levels : list of Level, optional
-        Value and bound of each objective. With None, the package computes the values, and no bound is
-        proven.
+        Value and bound of each objective. If it is None, the package computes the values, and the bounds are NaN.
     meta : dict, optional
         Information on how the answer was found.
 
@@ -106,9 +105,9 @@ class AllocationProblem:
         fibers.
     pairs : Reach
         Pairs of a positioner and a target that may be assigned to each other. Reach, joint limits, fiber types,
-        disabled units and forbidden pairs have all been taken into account.
+        disabled positioners and forbidden pairs have been taken into account.
     rank : ndarray of int, shape (n_targets,)
-        Class of each target; 0 is the most important. All targets that are not science targets have the largest number.
+        Class of each target; 0 is the most important. Targets that are not science targets are in the last class.
     classes : tuple of float
         Priority of each class, the largest first.
     kind : ndarray of str, shape (n_targets,), optional
@@ -122,13 +121,14 @@ class AllocationProblem:
     options : AllocationOptions, optional
         Requirements, objective, time limit and the other options of the plan.
     rng : numpy.random.Generator, optional
-        Random number generator. Allocators must use no other generator, so that plans are reproducible.
+        Random number generator. Plans are reproducible only if allocators use no other generator.
     start : callable, optional
         ``problem.start()`` returns the answer given by the option ``start``, by default the answer of ``lamost``.
     watched : ndarray of int, shape (n_positioners,), optional
-        Row of the sky position that the fiber of each stuck positioner observes, -1 if there is none.
+        Row of the sky position that each stuck positioner observes; -1 for other positioners and if the fiber observes
+        no sky.
     tell : callable, optional
-        Function that a long search may call with the completed fraction and the name of the current stage.
+        Function that an allocator may call during a long search, with the completed fraction and the name of the stage.
 
     Examples
     --------
@@ -167,7 +167,7 @@ class AllocationProblem:
         usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
         for name in ("xy", "rank", *usual):
             value = getattr(self, name)
-            # a column that is not given repeats one value without using memory
+            # the default column repeats one value and uses no memory
             value = np.broadcast_to(np.array(usual[name]), n) if value is None else locked(value)
             object.__setattr__(self, name, value)
 
@@ -181,17 +181,17 @@ class AllocationProblem:
 
     @cached_property
     def priority(self) -> np.ndarray:
-        """Priority of each target; larger is more important. NaN for targets that are not science targets."""
+        """Priority of each target; larger values are more important. Targets that are not science targets have NaN."""
         return locked(np.append(self.classes, np.nan)[self.rank])
 
     @property
     def requirements(self) -> tuple[Requirement, ...]:
-        """The requirements of the plan; those that it does not meet are reported."""
+        """The requirements of the plan."""
         return self.options.requirements
 
     @property
     def objective(self) -> str:
-        """Objective of the plan: ``priority`` (class after class) or ``count`` (number of science targets first)."""
+        """Objective: ``priority`` (one class after the other) or ``count`` (the number of science targets first)."""
         return self.options.objective
 
     @property
@@ -221,7 +221,7 @@ class AllocationProblem:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """The targets and fibers that each requirement counts; a requirement per spectrograph has a group for each."""
+        """One group of targets and fibers for each requirement, or for each requirement and spectrograph."""
         found = []
         for one in self.requirements:
             if _holds(self.category, one.what):
@@ -237,7 +237,7 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the classes of targets; the class of no target (-1) is the last one.
+        """Return the classes of targets; a row of -1 (no target) has a class after all other classes.
 
         Parameters
         ----------
@@ -251,12 +251,12 @@ class AllocationProblem:
         """
         found = np.full(np.shape(target), len(self.classes) + 1, dtype=np.int64)
         real = np.asarray(target) >= 0
-        found[real] = self.rank[target[real]]  # avoids a copy of the ranks of all targets
+        found[real] = self.rank[target[real]]  # this avoids a copy of the ranks of all targets
         return found
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target requires, -1 for any type; the last entry (-1) is for no target."""
+        """Index of the fiber type that each target requires; -1 means any type. The last element is for no target."""
         index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
@@ -291,7 +291,7 @@ class AllocationProblem:
         Returns
         -------
         ndarray of int, shape (k,)
-            Spectrographs.
+            Spectrograph of each pair.
         """
         table = self.focal_plane.spectrograph
         return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
@@ -302,7 +302,7 @@ class AllocationProblem:
         Parameters
         ----------
         targets : ndarray of bool, shape (n_targets,)
-            Whether to keep each target.
+            Whether to keep the pairs of each target.
 
         Returns
         -------
@@ -317,7 +317,7 @@ class AllocationProblem:
         Parameters
         ----------
         target_of : ndarray of int, shape (n_positioners,)
-            Target of each positioner, -1 for none.
+            Target of each positioner, or -1 if it has no target.
 
         Returns
         -------
@@ -341,7 +341,7 @@ class AllocationProblem:
         return levels
 
     def _counts(self, target_of: np.ndarray) -> list[int]:
-        """Return, for each group, the number of fibers of a plan that it counts."""
+        """Return the number of fibers of a plan that each group counts."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
@@ -352,12 +352,12 @@ class AllocationProblem:
         Parameters
         ----------
         target_of : ndarray of int, shape (n_positioners,)
-            Target of each positioner, -1 for none.
+            Target of each positioner, or -1 if it has no target.
 
         Returns
         -------
         list of Shortfall
-            The requirements with the numbers of fibers that are missing or too many.
+            The requirements that are not met, with the required and actual numbers of targets.
         """
         found = []
         for group, n in zip(self.groups, self._counts(target_of), strict=True):
@@ -375,7 +375,7 @@ class AllocationProblem:
         return found
 
     def _hint(self, group: Group, possible: int) -> str:
-        """Return a hint at the cause: a name that no target has, or a minimum that exceeds the number of fibers."""
+        """Return a hint at the cause of a shortfall: an unknown name, or a minimum above the number of fibers."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
@@ -383,7 +383,7 @@ class AllocationProblem:
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:
-        """Return the number of targets of a group that are in reach of fibers that the group counts."""
+        """Return the number of targets of a group that are in reach of the fibers of the group."""
         own, target = self.pairs.owner, self.pairs.target
         held = group.holds(target, self.spectrograph_of(own, target))
         n = len(np.unique(target[held]))
@@ -394,5 +394,5 @@ class AllocationProblem:
 
 
 def _holds(column: np.ndarray, word: str) -> bool:
-    """Return whether a column contains a word; a column that repeats one value is tested once."""
+    """Return whether a column contains a word; if the column repeats one value, only this value is tested."""
     return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

@@ -1,4 +1,4 @@
-"""Requirements: numbers of targets of a kind or category that a plan must contain, per tile or per spectrograph."""
+"""Requirements for the number of targets of a kind or category, per tile or per spectrograph."""
 
 import re
 from collections.abc import Iterable
@@ -22,17 +22,17 @@ MOST = 10**9
 class Requirement:
     """A minimum and a maximum number of observed targets of one kind or category.
 
-    The minimum is met as far as possible, and takes precedence over science targets. ``sdss``, ``optimal`` and
-    ``repair`` do not exceed the maximum; the other allocators ignore maxima, and exceeded maxima are only reported.
+    The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
+    ``repair`` do not exceed the maximum. The other allocators ignore it, and results then report that it is exceeded.
 
     Parameters
     ----------
     what : str
         A category of targets, such as ``sky_boss``, or a kind: ``science``, ``standard`` or ``sky``.
     minimum : int, optional
-        Smallest number of such targets.
+        Smallest required number of these targets.
     maximum : int, optional
-        Largest number of such targets.
+        Largest allowed number of these targets.
     per : {"tile", "spectrograph"}, optional
         Whether the numbers apply to the whole tile or to each spectrograph.
     fiber_type : str, optional
@@ -93,7 +93,7 @@ class Requirement:
         Raises
         ------
         InputError
-            If the text has another form or contains invalid numbers or names.
+            If the text does not have one of these forms, or if a number or name is not valid.
         """
         found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
@@ -121,17 +121,17 @@ class Shortfall:
     Parameters
     ----------
     requirement : Requirement or None
-        The requirement; None for required targets.
+        The requirement; None if required targets are missing.
     spectrograph : int or None
-        Spectrograph, for requirements that apply to each spectrograph.
+        Spectrograph, if the requirement applies to each spectrograph.
     wanted : int
-        Minimum number or, if ``found`` exceeds it, maximum number of such targets.
+        Required number of targets; the maximum if the plan contains too many targets.
     found : int
-        Number of such targets in the plan.
+        Number of targets in the plan that the requirement counts.
     possible : int
-        Number of such targets in reach of positioners that can observe them.
+        Number of targets that the requirement counts and that are in reach of positioners that can observe them.
     hint : str, optional
-        A similar name that was possibly meant, or the reason why there are no such targets.
+        A similar name that the user may have intended, or the reason why there are no targets.
     """
 
     requirement: Requirement | None
@@ -143,7 +143,7 @@ class Shortfall:
 
     @property
     def what(self) -> str:
-        """Text that states how many of which targets are missing or too many."""
+        """Description of the targets, such as ``sky targets for BOSS``."""
         if self.requirement is None:
             return "required targets"
         fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
@@ -161,7 +161,7 @@ class Shortfall:
 
 
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
-    """Return a sentence for each requirement that is not met."""
+    """Return one sentence for each requirement that is not met."""
     by_requirement: dict = {}
     for one in shortfalls:
         by_requirement.setdefault((one.requirement, one.wanted > one.found), []).append(one)
@@ -194,22 +194,22 @@ class Group:
     """Whether the requirement counts each target, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Mark the pairs of a target (-1 for no target) and a spectrograph that the requirement counts."""
+        """Return whether the requirement counts each pair of a target (-1: no target) and a spectrograph."""
         inside = np.append(self.targets, False)[target]
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 
 
 def hint_of_name(what: str, names: Iterable[str]) -> str:
-    """Return a hint for a name that is neither a kind of targets nor one of ``names``, the existing categories."""
+    """Return a hint for an unknown name: a similar name among the kinds of targets and the categories ``names``."""
     names = {*KINDS, *names} - {""}
     if what in names:
         return ""
-    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # the plural "skies" is not close enough to "sky"
+    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # "skies" alone is not similar enough to "sky"
     return close_to(what, names) or close_to(singular, names)
 
 
 def as_requirements(given: object) -> tuple[Requirement, ...]:
-    """Convert one or several requirements, or their texts, to a tuple of requirements."""
+    """Convert one or several requirements, given as objects or text, to a tuple of requirements."""
     if given is None:
         return ()
     given = [given] if isinstance(given, str | Requirement) else given

@@ -1,4 +1,4 @@
-"""Proven plans: drop candidates that an optimal plan does not need, split the rest into parts, and solve each part."""
+"""Find proven plans: remove unnecessary candidates, split the rest into independent parts, and solve each part."""
 
 from functools import partial
 from time import perf_counter
@@ -17,7 +17,7 @@ from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["decide"]
 
-# Parts are solved together up to this number of positioners, because each call of the solver takes time.
+# Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
 # Fraction of the time that is reserved for the bound on plans with omitted candidates.
 FOR_BOUND = 0.3
@@ -26,12 +26,12 @@ FOR_BOUND = 0.3
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan with its proof; with ``collide``, arms must not collide."""
+    """Return the best plan with proven bounds; with ``collide``, arms must not collide."""
     deadline = perf_counter() + problem.time_limit
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
     n_left_out = everything.preselection.n_left_out
-    # reserve time for the bound on plans with omitted candidates
+    # Some time is reserved for the bound on plans with omitted candidates.
     halt = deadline - FOR_BOUND * (deadline - perf_counter()) if collide and n_left_out else deadline
     used, found = _search(everything, halt, collide=collide, **options)
     target_of = used.options.target[found.chosen]
@@ -49,13 +49,13 @@ def decide(
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
-    """Return the best plan of the candidates, and the candidates that the search considered."""
+    """Return the candidates that the search used, and the best plan that it found."""
     problem = everything.problem
     alive = np.ones(len(everything), dtype=bool)
     reduce.reduce_candidates(everything.options, alive)
     used = everything.where(alive)
     blind = pick(used, match(used))
-    # without an idle arm among the candidates, the result may not be a plan
+    # If the idle arm of a positioner is not among the candidates, this is not always a valid plan.
     start = _plan(used, blind, collide)
     found = _solve(used, blind, start, deadline, integral=integral, squared_cost=squared_cost)
     if not found.complete:
@@ -67,7 +67,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
 
 
 def _plan(candidates, chosen, collide):
-    """Return an initial plan without collisions, in which the idle arm (the last candidate) replaces no target (-1)."""
+    """Return an initial plan, without collisions if ``collide``; positioners without a target use their idle arm."""
     if collide:
         return repair_collisions(candidates, chosen)[0]
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
@@ -75,7 +75,7 @@ def _plan(candidates, chosen, collide):
 
 class _Found(NamedTuple):
     chosen: np.ndarray
-    """Candidate in use of each positioner; -1 if there was no time to find one."""
+    """Candidate in use of each positioner; -1 if no candidate was found in time."""
     values: np.ndarray
     bounds: np.ndarray
     complete: bool
@@ -85,7 +85,7 @@ class _Found(NamedTuple):
 def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Found:
     """Solve the parts one after the other.
 
-    ``blind`` contains the candidate of each positioner in a matching whose arms may collide, -1 if it has no target.
+    ``blind`` contains the candidate of each positioner in a matching whose arms may collide, or -1 for no target.
     """
     problem, options = candidates.problem, candidates.options
     n_left = np.diff(options.start)
@@ -93,7 +93,7 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
     known = chosen[chosen >= 0]
     levels = problem.values(np.where(chosen < 0, -1, options.target[chosen]))
     values = bounds = np.array(list(levels.values()))
-    # a part with requirements includes the counts of the parts that are already solved
+    # The requirements of a part also count the targets of the parts that are already solved.
     adds = np.array([name != "requirements" for name in levels])
     n_parts = n_programs = 0
     integers, complete = False, True
@@ -121,13 +121,13 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
 
 
 def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
-    """Report the current part of a search, and the current objective of this part."""
+    """Report the current part of a search and the objective that is being solved."""
     of_parts = f"part {part + 1} of {n_parts}, " if n_parts > 1 else ""
     tell((part + level / n_levels) / n_parts, f"{of_parts}class {level + 1} of {n_levels}")
 
 
 def _bounds(problem, everything, names, values, bounds):
-    """Return the upper bounds of the levels: as proven up to the first level that is below its bound.
+    """Return the upper bounds of the levels; they are proven up to the first level that is below its bound.
 
     The bounds of the later levels follow from a matching whose arms may collide: no plan has more targets of the first
     classes, or of all classes, than this matching.
@@ -135,7 +135,7 @@ def _bounds(problem, everything, names, values, bounds):
     first = int(np.flatnonzero(values < bounds)[0]) if (values < bounds).any() else len(names)
     target_of = match(everything)
     counts = np.bincount(problem.rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)
-    if problem.any_required:  # the matching gave required targets precedence over the classes
+    if problem.any_required:  # the matching did not assign targets by their class alone
         counts = np.bincount(problem.rank[np.diff(problem.pairs.indptr) > 0], minlength=len(counts))
     most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
     offset = len(names) - len(problem.classes) - (not problem.science.all())  # position of the first class
@@ -151,7 +151,7 @@ def _bounds(problem, everything, names, values, bounds):
 
 
 def _parts(candidates, rows):
-    """Split undecided candidates into independent parts, each with its conflicts."""
+    """Split undecided candidates into independent parts, and return the candidates and the collisions of each part."""
     from scipy.sparse.csgraph import connected_components
 
     options, problem = candidates.options, candidates.problem
@@ -169,9 +169,9 @@ def _parts(candidates, rows):
     same = same[:, options.target[same[0]] == options.target[same[1]]]
     first, second = options.own[np.concatenate([edges, same], axis=1)]
     n = len(options.start) - 1
-    ends = first.astype(np.int32), second.astype(np.int32)  # older versions accept only this type
+    ends = first.astype(np.int32), second.astype(np.int32)  # older versions of SciPy only accept 32-bit integers
     _, label = connected_components(coo_array((np.ones(len(first)), ends), shape=(n, n)), directed=False)
-    # combine parts of a few positioners each in the order of their labels
+    # Small parts are combined in the order of their labels.
     members = np.unique(options.own[rows])
     names, size = np.unique(label[members], return_counts=True)
     batch = np.zeros(n, dtype=np.int64)

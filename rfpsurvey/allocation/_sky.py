@@ -11,12 +11,12 @@ from rfpsurvey.focal_plane import Reach
 
 __all__ = ["with_sky"]
 
-# Number of points per positioner that are tested, and largest number of blank points that are kept.
+# Number of points that are tested for each positioner, and largest number of blank points that are kept of these.
 N_TRIALS, N_KEPT = 64, 4
 
 
 class Sky(NamedTuple):
-    """Blank positions; each is for one positioner and one fiber type."""
+    """Blank positions, each for one positioner and one fiber type."""
 
     own: np.ndarray
     points: np.ndarray
@@ -30,7 +30,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
-    # a van der Corput sequence, in which the first k points are spread evenly for every k
+    # A van der Corput sequence: for every k, the first k points are spread evenly.
     k = np.arange(N_TRIALS)
     fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
     parts = []
@@ -60,7 +60,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         if not columns.joints_free:
             keep = columns.joints_allow(own, spots, columns.sides(spots, own))
             own, spots = own[keep], spots[keep]
-        # the position of a stuck fiber is known for the first fiber type of its positioner only
+        # The position of a stuck fiber is known only for the first fiber type of its positioner.
         fixed = np.flatnonzero(plane.arrays.is_stuck & ((name == "") | (plane.arrays.first_type == name)))
         seen = plane.arrays.idle(False).segments[2:, fixed].T
         clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
@@ -76,7 +76,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
 
 
 def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
-    """Add sky positions in gaps between the targets and other points (mm), where a requirement asks for sky."""
+    """Add sky positions in gaps between targets and other points (mm), if a requirement counts sky positions."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem
@@ -105,7 +105,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
         "fiber_type": None,
     }
     if problem.category.strides != (0,):
-        # use the category "sky" where it exists, otherwise the kind
+        # The category of the positions is "sky" only if targets have this category; otherwise, only the kind is "sky".
         name = "sky" if np.any(problem.category == "sky") else ""
         columns["category"] = np.concatenate([problem.category, np.full(k, name)])
     if problem.any_required:
@@ -116,7 +116,7 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
 
 
 def _bin(plane, x, y, separation):
-    """Sort targets into cells; return the grid as (x0, y0, size, nx, ny, start, order)."""
+    """Sort targets into grid cells; return the grid as (x0, y0, size, nx, ny, start, order)."""
     margin = plane.arrays.largest_radius[:, None] + separation
     low, high = (plane.arrays.xy - margin).min(axis=0), (plane.arrays.xy + margin).max(axis=0)
     size = max(separation, float(np.sqrt(np.prod(high - low) / max(len(x), 1))), float((high - low).max()) / 4096)

@@ -1,4 +1,4 @@
-"""A catalog as plain arrays."""
+"""A catalog as arrays without units."""
 
 from functools import cached_property
 
@@ -16,7 +16,7 @@ __all__ = ["CatalogArrays"]
 
 
 class CatalogArrays:
-    """The positions of a catalog as read-only plain arrays, computed on first use and kept.
+    """The columns of a catalog as read-only arrays without units, which are computed on first use and then kept.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ class CatalogArrays:
     repeated_ids : bool
         Whether two targets have the same identifier.
     extra : dict
-        Values of the further columns, without their units, by their names in results; a column ``ra`` becomes
-        ``target_ra``.
+        Values of the columns ``extra``, without their units, by their names in results; for example, a column ``ra``
+        becomes ``target_ra``.
     extra_units : dict
-        Units of the further columns as text; empty text if a column has no unit.
+        Units of the columns ``extra`` as text, which is empty for a column without a unit.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class CatalogArrays:
     """
 
     def __init__(self, catalog):
-        # keep no reference to the catalog, which refers to this object, so that its memory is freed at once
+        # There is no reference to the catalog, because a circular reference would delay the release of its memory.
         self._coord, self._id, self._epoch = catalog.coord, catalog.id, catalog.epoch
         names = [] if catalog.extra is None else catalog.extra.colnames
         columns = {result_name(name): catalog.extra[name] for name in names}
@@ -74,7 +74,7 @@ class CatalogArrays:
 
     def rows_near(self, center: SkyCoord, radius_rad: float, time: object) -> np.ndarray:
         """Return the rows of the targets that can be inside a circle at another epoch."""
-        # slightly more than the distance, because the positions are compared in double precision
+        # The radius is slightly enlarged to allow for rounding.
         return self.rows_within(center, radius_rad + self.farthest_rad(time) * (1 + 1e-9) + 1e-12)
 
     def farthest_rad(self, time: object) -> float:

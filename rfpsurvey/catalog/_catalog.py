@@ -1,4 +1,4 @@
-"""The catalog of targets."""
+"""The class `Catalog`."""
 
 import os
 from collections.abc import Mapping
@@ -32,34 +32,34 @@ _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
 class Catalog:
     """Targets on the sky, one per row, with priorities and other columns that allocators use.
 
-    Rows whose coordinates are masked or not finite are dropped with a warning, and ``n_dropped`` counts them. Columns
-    that are not given stay None and use no memory. Distances and radial velocities are not kept.
+    Rows whose coordinates are masked or not finite are removed with a warning, and ``n_dropped`` is the number of these
+    rows. Columns that are not given are None and use no memory. Distances and radial velocities are not kept.
 
     Parameters
     ----------
     coord : SkyCoord, shape (n,)
-        Positions in any frame, with proper motions, where known, as differentials of the coordinates.
+        Positions in any frame. Proper motions, if known, are given as differentials of the coordinates.
     id : array_like, shape (n,), optional
         Identifiers, integers or text; the row numbers by default.
     priority : array_like of float, shape (n,), optional
-        Priority of each target; larger is more important. None: all targets are equally important.
+        Priority of each target; larger values are more important. By default, all targets are equally important.
     kind : array_like of str, shape (n,), optional
-        Kind of each target: ``science``, ``standard`` or ``sky``. None: all are science targets.
+        Kind of each target: ``science``, ``standard`` or ``sky``. By default, all targets are science targets.
     category : array_like of str, shape (n,), optional
         Category of each target, any text, such as ``sky_boss``.
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each target requires; ``""`` means any type.
     visits : array_like of int, shape (n,), optional
-        Number of times that a survey is to observe each target, 0 to 255. None: once.
+        Number of times that a survey observes each target, 0 to 255; by default 1.
     epoch : Time, optional
         Epoch of the positions, scalar or shape (n,); by default ``coord.obstime``.
     meta : dict, optional
         Information on the origin of the catalog.
     n_dropped : int, optional
-        Number of rows that were dropped before because their coordinates are not finite.
+        Number of rows that have already been removed because their coordinates are not finite.
     extra : dict or Table, optional
-        Further columns of results, such as magnitudes: numbers, text or booleans by name, with or without units.
-        Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
+        Further columns that results include, such as magnitudes. Columns contain numbers, text or booleans, with or
+        without units. Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class Catalog:
         return len(self.coord)
 
     def __getstate__(self):
-        # a copy that is sent to another process computes the plain arrays again
+        # Another process computes the arrays again, so that they are not copied.
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __getitem__(self, index):
@@ -170,7 +170,7 @@ class Catalog:
 
     @cached_property
     def arrays(self) -> CatalogArrays:
-        """The catalog as read-only plain arrays (``CatalogArrays``), computed once for all tiles."""
+        """The catalog as read-only arrays without units (``CatalogArrays``), which are computed once for all tiles."""
         return CatalogArrays(self)
 
     @property
@@ -202,21 +202,22 @@ class Catalog:
             ``priority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized. A DataFrame of
             pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
-            Role to column name, for columns with other names, for example ``{"id": "star"}``. ``{"priority":
-            "-rank"}`` reverses the sign, for lists in which smaller numbers are more important.
+            Column name for each role, for columns with other names, for example ``{"id": "star"}``. A minus, as in
+            ``{"priority": "-rank"}``, reverses the sign of a column in which smaller numbers are more important.
         units : dict, optional
-            Role to unit, for columns without a unit, for example ``{"ra": "hourangle", "dec": "deg"}``. If no column
-            of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr. A warning is
-            issued, except for DataFrames, which cannot have units. ``meta["assumed_units"]`` lists the columns.
+            Unit for each role, for columns without a unit, for example ``{"ra": "hourangle", "dec": "deg"}``. If no
+            column of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr, with a
+            warning. There is no warning for DataFrames, which cannot have units. ``meta["assumed_units"]`` lists the
+            columns with an assumed unit.
         frame : str, optional
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
-            Role to the value that replaces missing ones (masked or NaN), for ``priority``, ``visits``, ``kind``,
-            ``category`` and ``fiber_type``, as in ``{"priority": 0}``. A ``-`` in ``columns`` does not change the sign
-            of this value.
+            Value for each role that replaces missing values (masked or NaN), as in ``{"priority": 0}``. The roles can
+            be ``priority``, ``visits``, ``kind``, ``category`` and ``fiber_type``. A minus in ``columns`` does not
+            change the sign of this value.
         keep : list of str, optional
-            Names of further columns to include in results, see ``extra``.
+            Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
 
         Returns
         -------
@@ -261,13 +262,13 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        Without units, as in CSV and some Parquet files, degrees and mas / yr are assumed unless ``units`` specifies
-        others. CSV files may use semicolons, tabs or vertical bars instead of commas.
+        If a file has no units (as in CSV and some Parquet files), degrees and mas / yr are assumed, unless ``units``
+        specifies different units. CSV files may use semicolons, tabs or vertical bars instead of commas.
 
         Parameters
         ----------
         path : str or path-like
-            Path of the file, whose extension (before ``.gz``) determines the format, or ``example:anticenter``.
+            Path of the file, or ``example:anticenter``. The extension (before ``.gz``) determines the format.
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional
@@ -342,10 +343,10 @@ class Catalog:
         return "s" in self.coord.data.differentials
 
     def at_epoch(self, time: Time | str | float) -> "Catalog":
-        """Return the catalog with the positions of the targets at another epoch.
+        """Return a catalog with the positions of the targets at the given epoch.
 
-        Targets move along straight lines in space; parallaxes and radial velocities are ignored. Targets with no
-        proper motion, or with only one component of it, keep their positions.
+        Targets move along straight lines in space; parallaxes and radial velocities are ignored. Targets that lack one
+        or both components of the proper motion keep their positions.
 
         Parameters
         ----------

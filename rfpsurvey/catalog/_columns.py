@@ -12,7 +12,7 @@ from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
 
-# For each role: names of columns (case is ignored; in order of preference), and the first part of the UCD.
+# Names of columns for each role, in order of preference (case is ignored), and the first part of the UCD.
 ROLES = {
     "ra": (
         "ra ra_icrs raj2000 ra_j2000 _raj2000 radeg ra_deg target_ra _ra alpha alpha_j2000 right_ascension",
@@ -68,15 +68,15 @@ class Finder:
 
     table: Table
     columns: dict = field(default_factory=dict)
-    """Role to column name, in place of the common names; a leading minus reverses the sign of numbers."""
+    """Column name for each role, in place of the common names; a leading minus reverses the sign of numbers."""
     units: dict = field(default_factory=dict)
-    """Role to unit, for columns without a unit."""
+    """Unit for each role, for columns without a unit."""
     assume_units: bool = False
-    """Whether a missing unit is assumed to be the usual one (for formats that cannot have units)."""
+    """Whether columns without a unit are assumed to have the usual unit (for formats that cannot contain units)."""
     fill: dict = field(default_factory=dict)
-    """Role to the value that replaces missing values."""
+    """Value for each role that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
-    """Role to unit, for the columns whose unit was assumed so far."""
+    """Unit for each role for which the usual unit has been assumed."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
@@ -95,11 +95,11 @@ class Finder:
             check_choice(role, UNITS, "column role with a unit")
 
     def name_of(self, role: str) -> str | None:
-        """Return the name of the column with this role, or None."""
+        """Return the name of the column with this role, or None if no column has it."""
         if role in self.columns:
             name = self.columns[role].removeprefix("-")
             if name not in self.table.colnames:
-                raise InputError(f"there is no column {name!r} (wanted as {role}); {self.listing()}")
+                raise InputError(f"there is no column {name!r} for {role}; {self.listing()}")
             return name
         lower = {c.lower(): c for c in reversed(self.table.colnames)}
         names, ucd = ROLES[role]
@@ -115,7 +115,7 @@ class Finder:
         return None
 
     def unit_of(self, role: str) -> u.UnitBase | None:
-        """Return the unit of the column with this role, from the table or as given; None if it has no unit."""
+        """Return the unit of the column with this role, from the table or from ``units``; None if there is no unit."""
         name = self.name_of(role)
         own = getattr(self.table[name], "unit", None)
         own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else _unit(own, role)
@@ -130,7 +130,7 @@ class Finder:
         return own or given
 
     def quantity(self, role: str) -> u.Quantity | None:
-        """Return the column as a Quantity in the usual unit of its role, masked values as NaN."""
+        """Return the column as a Quantity in the usual unit of its role; masked values become NaN."""
         name = self.name_of(role)
         if name is None:
             return None
@@ -145,14 +145,14 @@ class Finder:
             unit = self.assumed[role] = UNITS[role]
         try:
             values = u.Quantity(values, unit).to(UNITS[role])
-        except (TypeError, ValueError):  # units that cannot be converted or are unknown
+        except (TypeError, ValueError):  # the unit is unknown or cannot be converted
             raise InputError(
                 f"column {name!r} ({role}) must have a unit convertible to {UNITS[role]}, got {unit}"
             ) from None
         return self._bounded(role, values) if role in ("pmra", "pmdec") else values
 
     def _bounded(self, role: str, motion: u.Quantity) -> u.Quantity:
-        """Return proper motions with NaN in place of infinity; raise an error if any is out of range."""
+        """Return proper motions with NaN in place of infinity; raise an error if a value is out of range."""
         motion = np.where(np.isfinite(motion), motion, np.nan)
         fast = np.abs(motion) > MOST_MOTION
         if fast.any():
@@ -191,7 +191,7 @@ class Finder:
             raise InputError(f"column {name!r} ({role}) must have one value per row, got {sizes} values per row")
 
     def texts(self, role: str) -> np.ndarray:
-        """Return the column as text, empty where a value is missing."""
+        """Return the column as text; missing values become empty text."""
         texts = self.labels(role)
         return np.where(np.isin(np.char.lower(texts), NOTHING), "", texts)
 
@@ -246,7 +246,7 @@ class Finder:
 
 
 def _unit(given: object, role: str) -> u.UnitBase:
-    """Return a unit from a unit or from text, such as ``Degrees``; for right ascensions, hours are hour angles."""
+    """Convert text such as ``Degrees`` to a unit; for right ascensions, hours are hour angles."""
     unit = u.Unit(given, parse_strict="silent")
     if isinstance(unit, u.UnrecognizedUnit):
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")

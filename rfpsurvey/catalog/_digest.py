@@ -1,4 +1,4 @@
-"""Digest of columns in Parquet files, without decoding them."""
+"""Digest of columns in Parquet files, from their stored bytes."""
 
 from pathlib import Path
 

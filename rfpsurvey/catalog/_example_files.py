@@ -10,7 +10,7 @@ __all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name"]
 
 PREFIX = "example:"
 EXAMPLES = {"anticenter": "tycho2_anticenter_r8.ecsv"}
-# data/wheel.py writes the first folder when a wheel is built; the second folder is in the source tree
+# The first folder is in the wheel, where data/wheel.py writes it. The second folder is in the source tree.
 _PLACES = ((Path(__file__).parent / "examples", ".bz2"), (Path(__file__).parents[2] / "data", ".gz"))
 
 

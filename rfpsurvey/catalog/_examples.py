@@ -9,7 +9,7 @@ __all__ = ["example_catalog"]
 
 @check_keywords
 def example_catalog(name: str = "anticenter") -> Catalog:
-    """Return a catalog of real stars that comes with the package.
+    """Return one of the catalogs of real stars that come with the package.
 
     ``Catalog.read("example:anticenter")`` reads the same stars with other options, and commands accept
     ``example:anticenter`` in place of a file.
@@ -24,7 +24,7 @@ def example_catalog(name: str = "anticenter") -> Catalog:
     -------
     Catalog
         The stars, with positions and proper motions at the epoch J2000 and with the magnitudes ``bt_mag`` and
-        ``vt_mag`` in ``extra``; ``meta`` holds the source, the selection, the license and the caveats.
+        ``vt_mag`` in ``extra``; ``meta`` contains the source, the selection, the license and the limitations.
 
     Raises
     ------

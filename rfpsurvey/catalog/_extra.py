@@ -1,4 +1,4 @@
-"""Columns of a catalog that allocators do not read, but that results include."""
+"""Further columns of a catalog, which results include and allocators do not read."""
 
 from collections.abc import Mapping
 
@@ -25,7 +25,7 @@ KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
 def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
-    """Return the columns of a table that are named in ``keep`` but not in ``others``; None if there are none."""
+    """Return the columns of a table that are in ``keep`` but not in ``others``, or None if no column remains."""
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):
@@ -39,7 +39,7 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
 
 
 def extra_columns(columns: object, n: int) -> QTable | None:
-    """Return columns as plain numbers, quantities, booleans or text, with one value for each of n targets.
+    """Convert columns to numbers, quantities, booleans or text, with one value for each of n targets.
 
     Missing numbers become NaN, and missing text becomes empty.
     """
@@ -55,7 +55,7 @@ def extra_columns(columns: object, n: int) -> QTable | None:
 
 
 def result_name(name: str) -> str:
-    """Return the name of a column in results; it is unique without regard to case, as FITS requires."""
+    """Return the name of a column in results; names differ by more than case, as FITS requires."""
     while name.lower() in RESERVED:
         name = f"target_{name}"
     return name
@@ -91,7 +91,7 @@ def _plain(column, name):
 
 
 def _of_objects(values, missing, name):
-    """Return text or numbers from objects, such as columns of pandas."""
+    """Convert objects, as in columns of pandas, to text or numbers."""
     missing = missing | np.array([v is None or v is np.ma.masked or v != v for v in values.tolist()], dtype=bool)
     known = values[~missing].tolist()
     if all(isinstance(v, str) for v in known):

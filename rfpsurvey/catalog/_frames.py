@@ -1,4 +1,4 @@
-"""Tables of other packages: DataFrames of pandas and Polars, Arrow tables, structured arrays of NumPy."""
+"""Convert tables of other packages: DataFrames of pandas and Polars, Arrow tables, and structured arrays of NumPy."""
 
 import numpy as np
 from astropy.table import Table
@@ -16,10 +16,10 @@ def is_table(given: object) -> bool:
 
 
 def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
-    """Return the object as an astropy table, and whether tables of its type cannot have units.
+    """Convert an object to an astropy table, and return whether objects of its type cannot have units.
 
-    The index of a DataFrame is kept as columns if it has names. Otherwise it becomes ``id`` if no column has this role
-    and ``index_as_id`` is true.
+    If the index of a DataFrame has names, it becomes columns with these names. Otherwise it becomes the column ``id``
+    if ``index_as_id`` is true and no column has this role.
     """
     if isinstance(given, Table):
         return given, False
@@ -35,7 +35,7 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
             return table_of_arrow(given), not (given.schema.metadata or {}).get(b"table_meta_yaml")
     except InputError:
         raise
-    except Exception as error:  # the packages can raise any exception
+    except Exception as error:  # other packages can raise any exception
         raise InputError(f"{short(given)} cannot be used as a table: {error}") from error
     raise InputTypeError(f"table must be an astropy Table or QTable, or a DataFrame, got {short(given)}")
 
@@ -53,7 +53,7 @@ def _is_arrow(given) -> bool:
 
 
 def _has_type(given, package: str, name: str) -> bool:
-    """Return whether an object has a certain type of a package, which need not be installed."""
+    """Return whether an object has the given type of a package; the package need not be installed."""
     return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
 
 

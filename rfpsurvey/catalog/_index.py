@@ -1,4 +1,4 @@
-"""Directions sorted on the sky, so that those inside a field are found without testing all others."""
+"""An index of directions on the sky, which finds the directions inside a field without testing all directions."""
 
 from functools import cached_property
 
@@ -8,7 +8,7 @@ from rfpsurvey._kernels import zones
 
 __all__ = ["SkyIndex", "half_chord_squared"]
 
-# Largest number of zones, and the mean number of directions in a square whose height is that of an average zone.
+# Largest number of zones, and mean number of directions in a square with the height of a zone.
 MOST_ZONES = 1800
 PER_SQUARE = 25.0
 
@@ -16,7 +16,7 @@ PER_SQUARE = 25.0
 class SkyIndex:
     """Unit vectors sorted by zones of declination.
 
-    Values of a direction are addressed by its *position* in the sorted list; ``order`` holds the row of each position.
+    The index of a direction in the sorted list is called its *position*; ``order`` contains the row of each position.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class SkyIndex:
         self.n_zones = int(np.clip(np.sqrt(max(n, 1) / PER_SQUARE), 1, MOST_ZONES))
         key = np.empty(n)
         zones.make_keys(vectors, self.n_zones, key)
-        # int32 if it suffices, since the list takes a considerable part of the memory of a large catalog
+        # The type is int32 if possible, because the list is a considerable part of the memory of a large catalog.
         self.order = np.argsort(key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
         self.key = key[self.order]
         self.vectors = vectors[self.order]
@@ -51,7 +51,7 @@ class SkyIndex:
         radius_rad : float
             Angular radius.
         left : ndarray, shape (n,), optional
-            Values by position; directions with the value 0 are omitted.
+            Value of each position; directions with the value 0 are omitted.
 
         Returns
         -------
@@ -69,7 +69,7 @@ class SkyIndex:
             size = n
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, weight: np.ndarray) -> np.ndarray:
-        """Return the sum of the weights (by position) inside circles about centers, shape (m,)."""
+        """Return the sum of the weights of the directions in circles about centers, shape (m,)."""
         out = np.empty(len(centers))
         limit = half_chord_squared(radius_rad)
         centers = np.ascontiguousarray(centers)
@@ -78,5 +78,5 @@ class SkyIndex:
 
 
 def half_chord_squared(radius_rad: float) -> float:
-    """Return the squared half chord of an angle, slightly enlarged to allow for rounding."""
+    """Return the square of half the chord of an angle, slightly enlarged to allow for rounding."""
     return np.sin(0.5 * min(radius_rad, np.pi)) ** 2 * (1 + 1e-15)

@@ -10,7 +10,7 @@ __all__ = ["move", "move_coordinates"]
 
 
 def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
-    """Return coordinates (ICRS) after some years; those without a complete proper motion do not change."""
+    """Return coordinates (ICRS) after some years; targets without a complete proper motion do not move."""
     icrs = coord.icrs
     lon, lat = icrs.ra.rad, icrs.dec.rad
     motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
@@ -25,7 +25,8 @@ def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
 def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:
     """Return the positions and proper motions of stars after some years.
 
-    Unit vectors are moved, so that the poles need no special treatment. A star that does not move keeps its position.
+    The motion is computed with unit vectors, so that the poles need no special treatment. A star that does not move
+    keeps its position.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray
 
 
 def _axes(lon, lat):
-    """Return unit vectors to positions, to the east and to the north, shape (n, 3) each."""
+    """Return unit vectors of the positions, of east and of north at these positions, shape (n, 3) each."""
     zero = np.zeros_like(lon)
     place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     east = np.column_stack([-np.sin(lon), np.cos(lon), zero])

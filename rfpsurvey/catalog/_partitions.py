@@ -1,4 +1,4 @@
-"""Catalogs in many Parquet files, one for each HEALPix pixel (HATS); files are read as required."""
+"""Catalogs in the HATS layout, with one Parquet file for each HEALPix pixel; files are read when they are needed."""
 
 import os
 from dataclasses import dataclass, field
@@ -36,7 +36,7 @@ class PartitionedCatalog:
     Parameters
     ----------
     folder : str or path-like
-        Folder that contains files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
+        Folder with files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
     columns, units : dict, optional
         As in `Catalog.from_table`; positions are in degrees unless specified otherwise.
     frame : str, optional
@@ -46,16 +46,14 @@ class PartitionedCatalog:
     keep : list of str, optional
         As in `Catalog.from_table`.
     kept_rows : int, optional
-        Largest number of rows that a survey keeps in memory, from recently read partitions; a row has about 60 bytes.
+        Largest number of rows of recently read partitions that a survey keeps in memory; a row uses about 60 bytes.
 
     Raises
     ------
     InputError
-        If pyarrow or a column is missing, the folder contains no such files, pixels overlap, or a file cannot be read.
+        If pyarrow or a column is missing, the folder contains no partitions, pixels overlap, or a file cannot be read.
 
-    See Also
-    --------
-    partition_catalog : Write a catalog to such a folder.
+    See Also -------- partition_catalog : Write a catalog in this layout.
 
     Examples
     --------
@@ -124,7 +122,7 @@ class PartitionedCatalog:
         return {"folder": self.folder.name, "n_partitions": len(self.parts.files)}
 
     def read(self) -> Catalog:
-        """Return the whole catalog, with rows in the order of the partitions; it must fit into memory.
+        """Return the whole catalog, which must fit into memory, with the rows in the order of the partitions.
 
         Returns
         -------
@@ -216,7 +214,7 @@ def partition_catalog(
 
 
 def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Catalog:
-    """Return a catalog from a catalog, coordinates, a table, a DataFrame or all partitions."""
+    """Convert a catalog, coordinates, a table, a DataFrame or all partitions to a catalog."""
     if isinstance(catalog, PartitionedCatalog):
         return catalog.read()
     if isinstance(catalog, str | os.PathLike):
@@ -231,7 +229,7 @@ def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Cata
 
 
 def _joined(columns: list) -> np.ndarray:
-    """Return the concatenated values of columns, masked where a column is masked."""
+    """Concatenate columns; masked values remain masked."""
     masked = any(isinstance(column, MaskedColumn) for column in columns)
     kinds = {column.dtype.kind == "U" for column in columns}
     if len(kinds) > 1:
@@ -244,7 +242,7 @@ def _mean_rows(vectors, order) -> float:
 
 
 def _properties(folder: Path) -> dict[str, str]:
-    """Return the names of the coordinate columns and the number of rows from the properties of a HATS catalog."""
+    """Read the names of the coordinate columns and the number of rows from the properties of a HATS catalog."""
     found = {}
     for name in PROPERTIES:
         path = folder / name

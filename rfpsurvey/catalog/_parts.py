@@ -62,11 +62,11 @@ class Partitions:
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
 
     def refuse_overlaps(self) -> None:
-        """Raise an error if a pixel lies inside another one, since its targets would occur twice."""
+        """Raise an error if a pixel lies inside another pixel, because its targets could then occur twice."""
         orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self.files], strict=True))
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
-        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # several files for one pixel
+        same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # one pixel may have several files
         bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
         if len(bad):
             one, other = (self.files[k] for k in (bad[0], bad[0] + 1))
@@ -108,7 +108,7 @@ class Partitions:
 
     @cached_property
     def circles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Circles around the partitions: unit vectors of the centers, and radii (radians)."""
+        """A circle around each partition: unit vector of the center and radius (radians)."""
         vectors = np.array([_healpix.centers(2**order, [pixel])[0] for order, pixel, _ in self.files])
         return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self.files])
 
@@ -119,7 +119,7 @@ class Partitions:
         return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
 
     def part(self, k: int) -> Catalog:
-        """Return the targets of a partition; without identifiers, they have their row numbers in the catalog."""
+        """Return the targets of a partition; if there are no identifiers, they are the row numbers in the catalog."""
         path = self.files[k][2]
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])
@@ -151,7 +151,7 @@ class Partitions:
         return table
 
     def digest(self) -> str:
-        """Return a digest of the files, computed from the stored bytes of the columns that are read."""
+        """Return a digest of the stored bytes of the columns that are read."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
         about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
         found = hashlib.sha256(repr(about).encode())
@@ -166,7 +166,7 @@ class Partitions:
         return find.name_of("id") is None
 
     def to_catalog(self, table: Table, path: Path) -> Catalog:
-        """Return the targets of a table; error messages name the file."""
+        """Convert a table to a catalog; error messages contain the name of the file."""
         try:
             asked = self.catalog
             return Catalog._from_table(
@@ -177,7 +177,7 @@ class Partitions:
 
 
 def read_or_name(path: Path, read):
-    """Call a function that reads a file; raise an error that names the file if it fails."""
+    """Call a function that reads a file; if it fails, raise an error with the name of the file."""
     try:
         return read()
     except Exception as error:  # pyarrow can raise any exception

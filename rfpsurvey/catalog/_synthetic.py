@@ -1,4 +1,4 @@
-"""Synthetic catalogs: random points in a circle on the sphere, uniform in area."""
+"""Synthetic catalogs of random points in a circle on the sky."""
 
 from numbers import Number
 
@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
 __all__ = ["synthetic_catalog"]
 
-MOST = 1e9  # largest number of targets; more would exceed the memory
+MOST = 1e9  # largest number of targets, because larger catalogs would not fit into memory
 
 
 @check_keywords
@@ -34,19 +34,19 @@ def synthetic_catalog(
     Parameters
     ----------
     kind : {"uniform", "poisson", "poisson_disc", "clustered"}
-        ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, in which the number
-        of points is also random. ``poisson_disc``: points no closer than ``min_separation``, by random sequential
-        addition; without ``n_targets`` and ``density``, points are added until fewer than one trial in a thousand is
-        accepted. ``clustered``: a Thomas process of clusters with a Gaussian profile, whose centers and members are
-        Poisson distributed.
+        ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, in which the number of
+        points is also random. ``poisson_disc``: random sequential addition of points that are at least
+        ``min_separation`` apart. If neither ``n_targets`` nor ``density`` is given, points are added until fewer than
+        one trial in a thousand is accepted. ``clustered``: a Thomas process of clusters with a Gaussian profile, whose
+        centers and members are Poisson distributed.
     center : SkyCoord or str
         Center of the circle; text is read as in `plan_tile`.
     radius : Quantity
         Angular radius of the circle, at most 180 deg.
     n_targets : int, optional
-        Number of targets (the expected number for ``poisson`` and ``clustered``).
+        Number of targets; for ``poisson`` and ``clustered``, expected number of targets.
     density : Quantity, optional
-        Number of targets per solid angle, instead of ``n_targets``.
+        Number of targets per solid angle, as an alternative to ``n_targets``.
     min_separation : Quantity, optional
         Smallest angular distance between two targets (``poisson_disc``).
     cluster_size : float, optional
@@ -54,7 +54,7 @@ def synthetic_catalog(
     cluster_scale : Quantity, optional
         Angular standard deviation of a cluster along each axis (``clustered``).
     rng : int, Generator or None, optional
-        Seed or random number generator; with None, each call makes a different catalog.
+        Seed or random number generator. With None, each call makes a different catalog.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def synthetic_catalog(
 
 
 def _expected_number(kind, cap, n_targets, density):
-    """Return the requested number of targets, or None if as many as fit are requested."""
+    """Return the expected number of targets, or None if the circle is to be filled."""
     if n_targets is not None and density is not None:
         raise InputError("give n_targets or density, not both")
     if density is not None:
@@ -121,7 +121,7 @@ def _area(cap):
 
 def _points(rng, cap, n):
     """Return independent uniform points around +z."""
-    # sin^2(theta / 2) is uniform over a cap
+    # sin^2(theta / 2) of uniform points in a circle is uniform
     half = np.sin(cap / 2) * np.sqrt(rng.random(n))
     azimuth = 2 * np.pi * rng.random(n)
     sine = 2 * half * np.sqrt(1 - half**2)
@@ -143,7 +143,8 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     chord = 2 * np.sin(separation / 2)
     wanted = np.inf if expected is None else round(expected)
     points = np.empty((0, 3))
-    # trials per round: the ratio of the areas of the cap and of a disc; random addition jams at 0.547 of the area
+    # The number of trials per round is the ratio of the areas of the circle and of a disc. Random sequential addition
+    # can cover at most about 0.547 of the area.
     batch = int(min(max(_area(cap) / (np.pi * (separation / 2) ** 2), 4096), 200_000))
     enough = batch / 1000 if expected is None else 0
     idle = 0
@@ -164,7 +165,7 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
 
 
 def _thin(points, chord):
-    """Drop every point closer than ``chord`` to an earlier point that is kept."""
+    """Remove each point that is closer than ``chord`` to an earlier point that is kept."""
     alive = np.ones(len(points), dtype=bool)
     if len(points):
         pairs = cKDTree(points).query_pairs(chord, output_type="ndarray")
@@ -180,13 +181,14 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
     if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
         raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
-    # clusters centered outside the circle contribute members to it; a margin of 6 sigma omits 1e-8 of these
+    # Clusters with centers outside the circle also have members inside. A margin of 6 sigma omits a fraction of 1e-8 of
+    # these.
     wide = min(cap + 6 * sigma, np.pi)
     parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))
     parents = np.repeat(parents, rng.poisson(cluster_size, len(parents)), axis=0)
     distance = sigma * np.sqrt(-2 * np.log1p(-rng.random(len(parents))))
     azimuth = 2 * np.pi * rng.random(len(parents))
-    # the azimuth is uniform, so that any direction perpendicular to the parent can be its origin
+    # The azimuth is uniform and can therefore be measured from any direction perpendicular to the cluster center.
     helper = np.where(np.abs(parents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     across = np.cross(parents, helper)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -198,7 +200,7 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
 
 
 def _basis(center):
-    """Return a basis (ICRS) with rows: two directions perpendicular to the center, and the center."""
+    """Return a basis (ICRS) whose rows are two directions perpendicular to the center, and the center."""
     z = to_vectors(center)[0]
     helper = np.eye(3)[np.argmin(np.abs(z))]
     x = np.cross(helper, z)

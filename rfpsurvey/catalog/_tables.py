@@ -19,10 +19,10 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
-    """Return the arguments of a Catalog from a table.
+    """Return the arguments of `Catalog` for a table.
 
-    With ``assume_units``, missing units are assumed without a warning. Otherwise, they are assumed only if no column of
-    the table has a unit, with a warning.
+    With ``assume_units``, the usual units are used for columns without a unit. Otherwise, they are used only if no
+    column of the table has a unit, and a warning is issued.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -65,7 +65,7 @@ def _ids(find: Finder) -> np.ndarray | None:
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns named in ``keep``, except those that results always have; None if there are none."""
+    """Return the columns in ``keep``, except columns that results always have; None if there are no such columns."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -73,7 +73,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of columns that results always have under the same name, with the same values."""
+    """Return the names of the columns that results always contain with the same name and values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -121,10 +121,10 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
 
 
 def _check_frame(frame: str) -> None:
-    """Raise an error for a frame that depends on an observer or a time, such as altaz."""
+    """Raise an error if a frame depends on an observer or a time, such as altaz."""
     try:
         SkyCoord(0 * u.deg, 0 * u.deg, frame=frame).transform_to("icrs")
-    except Exception as error:  # frames can raise any exception
+    except Exception as error:  # a frame can raise any exception
         raise InputError(
             f"frame must be one that has a fixed relation to ICRS, such as icrs, fk5 or galactic, got {frame!r}"
         ) from error
@@ -161,7 +161,7 @@ def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
 
 
 def _motion(find: Finder, *, equatorial: bool) -> dict:
-    """Return the proper motions of a table, if it has them, as arguments of SkyCoord."""
+    """Return the proper motions of a table, if there are any, as arguments of SkyCoord."""
     names = [find.name_of(role) for role in ("pmra", "pmdec")]
     if names == [None, None]:
         return {}
@@ -174,7 +174,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
 
 
 def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
-    """Return the epoch from a column or from the metadata of the table; None if no target has a proper motion."""
+    """Return the epoch from a column or from the metadata of the table, or None if it has no usable epoch."""
     name = find.name_of("epoch")
     if name is None:
         meta = {str(k).lower(): v for k, v in find.table.meta.items()}
@@ -209,7 +209,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:
-    """Return the kinds that follow from categories such as sky_boss or standard_apogee."""
+    """Return the kinds of targets with categories such as sky_boss or standard_apogee."""
     lower = np.char.lower(category)
     kind = np.full(len(lower), "science", dtype="U8")
     kind[np.char.startswith(lower, "standard") | np.char.startswith(lower, "std")] = "standard"
@@ -218,7 +218,7 @@ def _kind_of_category(category: np.ndarray) -> np.ndarray:
 
 
 def _plain_meta(meta: dict) -> dict:
-    """Return the entries of a table's meta that JSON can represent, without the comments that readers add."""
+    """Return the values of a table's meta that JSON can represent, except comments that readers add."""
     return {
         str(k): v for k, v in meta.items() if isinstance(v, str | int | float | bool) and not str(k).startswith("__")
     }

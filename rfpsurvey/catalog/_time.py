@@ -1,4 +1,4 @@
-"""Epochs."""
+"""Conversion of epochs."""
 
 from numbers import Number
 
@@ -14,7 +14,7 @@ FIRST, LAST = 1700, 2300
 
 
 def to_time(value: object, name: str) -> Time:
-    """Return a Time from a Time, Julian years or text."""
+    """Convert a Time, a Julian year or text to a Time."""
     if isinstance(value, Time):
         return value
     try:

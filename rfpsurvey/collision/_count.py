@@ -17,7 +17,7 @@ from rfpsurvey.focal_plane import FocalPlane
 __all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
 
 CHUNK = 64
-"""Number of configurations per task. Random draws depend on it, but not on the number of workers."""
+"""Number of configurations per task. Random draws depend on this number, but not on the number of workers."""
 GPU_CHUNK = 2048
 """Number of configurations per task on a GPU: 256 MB for 4000 positioners."""
 
@@ -36,8 +36,8 @@ class CollisionCounts:
         Number of counted positioners (assigned positioners, and parked positioners with equal arms), and number of
         assigned positioners.
     n_borderline : ndarray of int, shape (m,)
-        Number of pairs so close to the minimum separation that rounding could decide; they are classified by their
-        computed distance.
+        Number of pairs so close to the minimum separation that rounding errors could change the result. These pairs are
+        classified by their computed distance.
     per_positioner : ndarray of int, shape (n,)
         Number of configurations in which each positioner is in collision.
 
@@ -63,12 +63,12 @@ class CollisionCounts:
 
     @property
     def rate(self) -> np.ndarray:
-        """Fraction of the counted positioners in collision, for each configuration; NaN if none is counted."""
+        """Fraction of the counted positioners in collision, for each configuration; NaN if no positioner is counted."""
         return _ratio(self.n_in_collision, self.n_counted)
 
     @property
     def rate_assigned(self) -> np.ndarray:
-        """Fraction of the assigned positioners in collision, for each configuration; NaN if none is assigned."""
+        """Fraction of the assigned positioners in collision, for each configuration; NaN if no target is assigned."""
         return _ratio(self.n_in_collision_assigned, self.n_assigned)
 
     def __len__(self):
@@ -95,17 +95,16 @@ def count_collisions(
 ) -> CollisionCounts:
     """Count the collisions of many configurations of one focal plane.
 
-    Each configuration is scored as by `find_collisions`, in compiled code (except for tips in reach that joint limits
-    forbid). Besides the input and the counts, only memory for a few configurations is used, independent of their total
-    number.
+    The counts are those of `find_collisions`, but compiled code processes all configurations. In addition to the input
+    and the counts, only memory for a few configurations is used, whatever their number.
 
     Parameters
     ----------
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (m, n, 2), or Allocation
-        Positions of the fibers in each of m configurations, NaN for positioners without a target. For an allocation
-        by ``balanced``, configurations are drawn from its queues: one target of each queue, uniformly.
+        Positions of the fibers in each of m configurations, NaN for positioners without a target. For an allocation by
+        ``balanced``, each configuration contains one target of each queue, drawn uniformly.
     n_configurations : int, optional
         Number of configurations to draw from an allocation.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
@@ -117,10 +116,10 @@ def count_collisions(
     method : {"exact", "cuda"}, optional
         ``exact`` runs on the CPU, and ``cuda`` on a GPU (requires ``rfpsurvey[cuda]``).
     executor : concurrent.futures.Executor, optional
-        Executor that runs the chunks of configurations. Kernels release the GIL, so that threads run in parallel.
-        With None, nothing runs in parallel.
+        Executor that processes chunks of configurations. The compiled code releases the GIL, so that threads run in
+        parallel. With None, chunks are processed one after the other.
     rng : int, Generator or None, optional
-        Seed or generator of the draws, which do not depend on the executor.
+        Seed or generator of the random draws, which do not depend on the executor.
 
     Returns
     -------
@@ -130,8 +129,8 @@ def count_collisions(
     Raises
     ------
     InputError
-        If a tip lies outside its patrol area or beyond the joint limits, the allocation is for another focal plane or
-        has no queues, arguments exclude each other, the method cannot run on this machine, or a shape is wrong.
+        If a tip is outside its patrol area or beyond the joint limits, the allocation is for another focal plane or has
+        no queues, arguments exclude each other, the method cannot run on this computer, or a shape is wrong.
 
     See Also
     --------
@@ -177,7 +176,7 @@ def count_collisions(
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
-    """Return a function that scores a chunk of configurations given by tips, and the arguments of its calls."""
+    """Return a function that counts the collisions of a chunk of given tips, and the arguments of its calls."""
     shape = getattr(tips, "shape", ())
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
@@ -198,7 +197,7 @@ def _score_tips(columns, side, scorer, tips, start):
     side = _sides_of_chunk(columns, points, side, start)
     counts, times, far = scorer(points, side)
     if far:
-        for c, row in enumerate(points):  # find the configuration for the error message
+        for c, row in enumerate(points):  # this finds the number of the configuration for the error message
             _check(columns, row, side[min(c, len(side) - 1)], start + c)
     return counts, times
 
@@ -208,7 +207,7 @@ def _processor(columns, setup):
 
 
 def _on_processor(columns, setup, points, side):
-    """Return counts, collisions per positioner, and the number of tips that are out of reach."""
+    """Return the counts, the number of collisions of each positioner, and the number of tips out of reach."""
     plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     far = batch.count_tips(points, columns.geometry, columns.bounds, side, setup, make_workspace(plane), counts, times)
@@ -222,11 +221,11 @@ def _device(columns, setup):
 
 
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
-"""Name to chunk size, and a function that makes a function (points, side) -> (counts, times, far)."""
+"""For each method: chunk size, and a function that makes a function (points, side) -> (counts, times, far)."""
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
-    """Return a function that scores a chunk of configurations drawn from queues, and the arguments of its calls."""
+    """Return a function that counts the collisions of a chunk of draws from queues, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.allocator!r}")
     if len(allocation.target_of_positioner) != len(plane):
@@ -253,7 +252,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and the colliding segments of all entries, queue after queue, shape (4, m)."""
+    """Return the start of each queue, and the segment that can collide for each target in a queue, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
@@ -295,7 +294,7 @@ def make_workspace(plane) -> batch.Workspace:
 
 
 def _sides_of_chunk(columns, points, side, start):
-    """Return the elbows of a chunk: one row for all configurations unless they depend on the joint limits."""
+    """Return the elbows of a chunk: one row, or one row per configuration if they depend on the joint limits."""
     if side is not None and joints_free(columns, side):
         return side
     rows = [columns.sides(p) if side is None else side[0] for p in points]

@@ -1,4 +1,4 @@
-"""The pair test in exact arithmetic, for pairs so close to the limit that rounding could decide."""
+"""The test of a pair of arms in exact arithmetic, for distances at which rounding errors could change the result."""
 
 from fractions import Fraction
 from math import lcm, sqrt
@@ -9,7 +9,7 @@ __all__ = ["closer_exactly", "distance_exactly"]
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
     """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
 
-    All numbers are converted to a common denominator, and no division follows, so that all arithmetic is on integers.
+    All numbers are converted to a common denominator. No division follows, so that all arithmetic uses integers.
     """
     ratios = [Fraction(v).as_integer_ratio() for v in (*first, *second, separation)]
     common = lcm(*(q for _, q in ratios))
@@ -23,7 +23,7 @@ def closer_exactly(first, second, separation: float | Fraction) -> bool:
 
 
 def distance_exactly(first, second) -> float:
-    """Return the distance between two segments; only its square and the square root are rounded."""
+    """Return the distance between two segments; the squared distance is computed exactly before it is rounded."""
     a, b, c, d = ((Fraction(float(e[k])), Fraction(float(e[k + 1]))) for e in (first, second) for k in (0, 2))
     if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
         return 0.0
@@ -42,7 +42,7 @@ def _near(p, a, b, limit):
 
 
 def _squared(p, a, b):
-    """Return the squared distance of the point p from the segment a-b, as numerator and denominator."""
+    """Return the numerator and the denominator of the squared distance of the point p from the segment a-b."""
     length2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
     along = (b[0] - a[0]) * (p[0] - a[0]) + (b[1] - a[1]) * (p[1] - a[1])
     if 0 < along < length2:

@@ -18,7 +18,7 @@ __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return the pairs closer than the limit plus the rounding band, as (first, second, squared distance)."""
+    """Return pairs closer than the minimum separation plus the rounding band, as (first, second, squared distance)."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
@@ -32,7 +32,7 @@ def find_pairs(segments, pairs, limits):
 
 
 def make_scorer(columns, setup):
-    """Return a function (points, side) -> (counts, times, tips out of reach); the shared data stay on the GPU."""
+    """Return a function (points, side) -> (counts, times, tips out of reach); shared data remain on the GPU."""
     _require_device()
     n, limits = len(columns.plane), setup.limits
     g, bounds = columns.geometry, columns.bounds

@@ -1,4 +1,4 @@
-"""Methods of finding colliding pairs: a fast exact method, and other methods for comparison."""
+"""Methods that find colliding pairs: a fast exact method, and other methods for comparison."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,18 +16,18 @@ __all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """One configuration, the input of a method."""
+    """One configuration, which is the input of a method."""
 
     plane: FocalPlane
     segments: np.ndarray
-    """Colliding segments, columns (4, n)."""
+    """Segments that can collide, as columns, shape (4, n)."""
     n_points: int
     poses: Callable[[], Arms]
-    """Function that returns all poses, which only a few methods require."""
+    """Function that returns the poses of all arms; only a few methods call it."""
 
 
 class Found(NamedTuple):
-    """Colliding pairs (first < second in each, not sorted), their distances (mm), and the number of borderline ones."""
+    """Colliding pairs with first < second, their distances (mm), and the number of borderline pairs."""
 
     first: np.ndarray
     second: np.ndarray
@@ -36,7 +36,7 @@ class Found(NamedTuple):
 
 
 def exact(case: Configuration) -> Found:
-    """Find pairs by distances with a proven error limit; borderline pairs are decided in rational arithmetic."""
+    """Find pairs by distances with a proven error limit, and decide borderline pairs in rational arithmetic."""
     columns = case.plane.arrays
     halves, first, second = _scratch(case)
     squared = np.empty(len(first))
@@ -45,7 +45,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find pairs by the least distance between ``n_points`` points on either arm; some pairs are missed."""
+    """Find pairs by the least distance between ``n_points`` points on each arm; this method misses some pairs."""
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -58,7 +58,7 @@ def sweep(case: Configuration) -> Found:
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
     first, second = pairs.T.copy()
     poses = np.empty((case.n_points, *case.segments.shape))
-    # both joints rotate at the same time, in the shorter direction; idle arms remain parked
+    # Both joints rotate at the same time, in the shorter direction. Idle arms remain parked.
     columns = plane.arrays.using(posed.fiber)
     start = np.array(columns.from_joints(*columns.home))
     end = np.array(columns.from_joints(posed.theta, posed.phi))
@@ -72,7 +72,7 @@ def sweep(case: Configuration) -> Found:
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
     limits = plane.arrays.limits
-    near = squared < limits.separation**2 + limits.band  # with this allowance, no pair is missed
+    near = squared < limits.separation**2 + limits.band  # because of this allowance, no pair is missed
     return Found(first[near], second[near], np.sqrt(squared[near]))
 
 
@@ -98,11 +98,11 @@ def cuda(case: Configuration) -> Found:
 
 
 METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
-"""Methods by name: functions from a `Configuration` to `Found`."""
+"""Methods by name; each is a function from a `Configuration` to `Found`."""
 
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
-    """Return the neighbors that the broad phase does not reject."""
+    """Return the pairs of neighbors that the broad phase does not reject."""
     halves, first, second = _scratch(case)
     n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, first, second)
     return first[:n], second[:n]
@@ -115,7 +115,7 @@ def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, dist
 
 
 def _scratch(case):
-    """Return the halves of the segments, and work arrays for all pairs."""
+    """Return the midpoints and half vectors of the segments, and work arrays for all pairs."""
     size = len(case.plane.arrays.neighbors)
     halves = np.empty_like(case.segments)
     collisions.halve(case.segments, halves)
@@ -123,7 +123,7 @@ def _scratch(case):
 
 
 def _settle(case, first, second, squared):
-    """Return the pairs that collide; pairs within the rounding band are decided in exact arithmetic."""
+    """Return the pairs that collide, and decide pairs within the rounding band in exact arithmetic."""
     limits = case.plane.arrays.limits
     edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
     if len(edge):
@@ -139,5 +139,5 @@ def _capsule_angles(posed):
     """Return cosine and sine of the angle from each fiber to the end of its segment."""
     (ux, uy), (vx, vy) = (posed.tip - posed.elbow).T, (posed.segments[:, 2:] - posed.elbow).T
     scale = np.hypot(ux, uy) * np.hypot(vx, vy)
-    scale[scale == 0] = 1  # a capsule without a length
+    scale[scale == 0] = 1  # capsules whose length is 0
     return (ux * vx + uy * vy) / scale, (ux * vy - uy * vx) / scale

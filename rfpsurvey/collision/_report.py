@@ -31,12 +31,13 @@ class CollisionReport:
     assigned : ndarray of bool, shape (n,)
         Whether each positioner has a target.
     counted : ndarray of bool, shape (n,)
-        Whether each positioner is counted in the rate: assigned positioners, and parked positioners
-        with equal arms.
+        Whether each positioner is counted in the rate. Assigned positioners and parked positioners with equal arms are
+        counted.
     n_borderline : int or None, optional
-        Number of pairs so close to the minimum separation (or arms so close to the clearance from an obstacle) that
-        rounding could decide. ``exact`` and ``cuda`` decide these pairs in rational arithmetic; for obstacles, all
-        methods do. None if the method has no proven error limit; 0 if no two arms can touch.
+        Number of pairs so close to the limit that rounding errors could change the result. A pair consists of two arms,
+        or of an arm and an obstacle. ``exact`` and ``cuda`` decide pairs of arms in rational arithmetic, and all
+        methods decide pairs with an obstacle in this way. The number is None if the method has no proven error limit,
+        and 0 if no two arms can touch.
 
     Examples
     --------
@@ -60,22 +61,22 @@ class CollisionReport:
 
     @property
     def rate(self) -> float:
-        """Fraction of the counted positioners (assigned and parked) in collision; NaN if none is counted."""
+        """Fraction of the counted positioners (assigned and parked) in collision; NaN if no positioner is counted."""
         return _ratio(self.in_collision, self.counted)
 
     @property
     def rate_assigned(self) -> float:
-        """Fraction of the assigned positioners in collision; NaN if none is assigned."""
+        """Fraction of the assigned positioners in collision; NaN if no positioner is assigned."""
         return _ratio(self.in_collision, self.assigned)
 
     @cached_property
     def colliding_with(self) -> list[list[int]]:
-        """For each positioner, the positioners with which it collides, ascending."""
+        """For each positioner, the positioners with which it collides, in ascending order."""
         partners: list[list[int]] = [[] for _ in self.in_collision]
         for i, j in self.pairs.tolist():
             partners[i].append(j)
             partners[j].append(i)
-        return partners  # ascending, because the pairs are sorted
+        return partners  # these are in ascending order, because the pairs are sorted
 
     def _repr_html_(self) -> str:
         facts = {"pairs": len(self.pairs), "collisions with obstacles": len(self.obstacle_pairs), "rate": self.rate}

@@ -8,8 +8,10 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
+from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints
 from rfpsurvey.focal_plane._idle import Idle, find_idle
+from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
 __all__ = ["FocalPlaneArrays"]
@@ -52,6 +54,8 @@ class FocalPlaneArrays:
         Whether each positioner cannot move.
     obstacles : ndarray of float, shape (m, 3)
         Circles (x, y, radius) that no arm may touch, mm.
+    hidden : ndarray of float, shape (k, 3)
+        Circles (x, y, radius) where fibers receive no light, mm.
     first_type : ndarray of str, shape (n,)
         Fiber type that each positioner uses by default.
     first_index : ndarray of int, shape (n,)
@@ -155,6 +159,19 @@ class FocalPlaneArrays:
         return locked(np.empty((0, 3)) if plane.obstacles is None else to_mm(plane.obstacles, "obstacles"))
 
     @cached_property
+    def hidden(self) -> np.ndarray:
+        plane = self.plane
+        return locked(np.empty((0, 3)) if plane.hidden is None else to_mm(plane.hidden, "hidden"))
+
+    def is_hidden(self, points: np.ndarray) -> np.ndarray:
+        """Return whether each point (mm) is in one of the circles ``hidden``."""
+        return self._circles.contain(points)
+
+    @cached_property
+    def _circles(self) -> Circles:
+        return Circles(self.hidden)
+
+    @cached_property
     def first_type(self) -> np.ndarray:
         return locked(np.array([row.split("+")[0] for row in self.plane.fiber_type]))
 
@@ -229,6 +246,8 @@ class FocalPlaneArrays:
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
         """Return the pairs of positioners and targets (mm) within reach."""
+        if len(self.hidden):
+            points = np.where(self.is_hidden(points)[:, None], np.nan, points)
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
     def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
@@ -298,26 +317,13 @@ class FocalPlaneArrays:
 
     @cached_property
     def runs(self) -> np.ndarray:
-        """Neighbors as sorted rows (i, j, n), each of which stands for n pairs: i and j, i + 1 and j + 1, and so on.
-
-        On a lattice that is numbered row by row, a few runs contain thousands of pairs.
-        """
-        pairs = self.neighbors
-        if len(pairs) == 0:
-            return np.empty((0, 3), dtype=np.int64)
-        pairs = pairs[np.lexsort((pairs[:, 0], pairs[:, 1] - pairs[:, 0]))]
-        first = np.append(True, (np.diff(pairs, axis=0) != 1).any(axis=1))
-        rows = np.flatnonzero(first)
-        runs = np.column_stack([pairs[rows], np.diff(np.append(rows, len(pairs)))])
-        return runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+        """Neighbors as sorted rows (i, j, n); each stands for n pairs: i and j, i + 1 and j + 1, and so on."""
+        return find_runs(self.neighbors)
 
     @cached_property
     def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
         """All neighbors of each positioner: the start of each row, and the neighbors (an array that is never empty)."""
-        pairs = self.neighbors
-        both = np.vstack([pairs, pairs[:, ::-1]])
-        both = both[np.lexsort((both[:, 1], both[:, 0]))]
-        return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)
+        return both_ways(self.neighbors, len(self.plane))
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:

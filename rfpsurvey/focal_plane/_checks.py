@@ -67,9 +67,11 @@ def check_columns(plane) -> None:
             raise InputError(f"stuck must have the shape ({n}, 2), got {angles.shape}")
         if (np.isfinite(angles).sum(axis=1) == 1).any():
             raise InputError("stuck must give both theta and phi of a unit, or neither")
-    if plane.obstacles is not None:
-        circles = to_mm(plane.obstacles, "obstacles")
-        what = "obstacles must be finite rows (x, y, radius) with radius >= 0"
+    for name in ("obstacles", "hidden"):
+        if getattr(plane, name) is None:
+            continue
+        circles = to_mm(getattr(plane, name), name)
+        what = f"{name} must be finite rows (x, y, radius) with radius >= 0"
         if circles.ndim != 2 or circles.shape[1] != 3:
             raise InputError(f"{what}, got the shape {circles.shape}")
         strange = circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]

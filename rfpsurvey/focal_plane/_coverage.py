@@ -1,4 +1,4 @@
-"""Fractions of a focal plane within reach of each number of positioners."""
+"""Fractions of a focal plane that exactly 0, 1, 2, ... positioners reach."""
 
 import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, QhullError
@@ -18,7 +18,7 @@ def footprint_of(plane) -> ConvexHull:
 
 
 def on_footprint(plane, points: np.ndarray) -> np.ndarray:
-    """Mark the points (mm) that are inside the footprint; NaN is outside."""
+    """Mark the points (mm) that are inside the footprint; a point at NaN is outside."""
     hull = footprint_of(plane)
     inside = np.isfinite(points).all(axis=1)
     inside[inside] = Delaunay(hull.points[hull.vertices]).find_simplex(points[inside]) >= 0

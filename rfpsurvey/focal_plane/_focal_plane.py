@@ -56,6 +56,9 @@ class FocalPlane:
         mechanical axis of the eccentric arm at phi = 0; 0 by default.
     theta_range, phi_range : Quantity, shape (n, 2), optional
         Joint limits of each positioner; NaN where those of ``positioner`` apply.
+    hidden : Quantity, shape (k, 3), optional
+        Circles (x, y, radius) where fibers receive no light, such as those behind dots. Targets inside are out of
+        reach; arms may cover these circles. Collision probabilities do not take them into account.
 
     Raises
     ------
@@ -68,6 +71,9 @@ class FocalPlane:
     With ``fiber_xy``, phi is the angle of the mechanical axis, and ``arm_angle`` of the positioner is that between this
     axis and the colliding segment. Without it, the axis points to the fiber. A target without a fiber type is observed
     with the first fiber type of a positioner.
+
+    Idle positioners are parked, and count as obstacles, if their arms have equal lengths. This includes positioners
+    whose own lengths differ by at most 5 % of their sum, if the arms of ``positioner`` have equal lengths.
 
     Examples
     --------
@@ -93,6 +99,7 @@ class FocalPlane:
     zero_points: u.Quantity | None = None
     theta_range: u.Quantity | None = None
     phi_range: u.Quantity | None = None
+    hidden: u.Quantity | None = None
 
     def __post_init__(self):
         check_columns(self)

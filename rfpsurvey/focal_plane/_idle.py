@@ -21,6 +21,11 @@ class Idle:
     """Whether each positioner is usable and parked as an obstacle."""
 
 
+NEARLY_EQUAL = 0.05
+"""Arms of a common geometry with equal arms are parked if their measured lengths differ by at most this times their
+sum."""
+
+
 def find_idle(columns) -> dict[bool, Idle]:
     """Return the idle arms if parked arms are no obstacles (False), and if they are (True)."""
     n, stuck = len(columns.plane), columns.is_stuck
@@ -29,11 +34,12 @@ def find_idle(columns) -> dict[bool, Idle]:
     theta, phi = (np.ascontiguousarray(v) for v in columns.from_joints(*home))
     segments = np.empty((4, n))
     arms.pose(theta, phi, columns.geometry, segments)
+    nearly = columns.plane.positioner.equal_arms & (columns.inner_radius <= NEARLY_EQUAL * columns.outer_radius)
     folded = ~stuck & columns.equal_arms & (np.abs(phi - np.pi) < 1e-12)
     segments[2:, folded] = columns.xy[folded].T  # sin(pi) is not 0
     states = {}
     for parked_obstacles in (False, True):
-        parked = columns.usable & columns.equal_arms & parked_obstacles
+        parked = columns.usable & (columns.equal_arms | nearly) & parked_obstacles
         gone = columns.usable & ~parked
         values = [np.where(gone, np.nan, v) for v in (*home, segments)]
         states[parked_obstacles] = Idle(*values, parked)

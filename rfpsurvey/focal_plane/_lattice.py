@@ -43,7 +43,7 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     if rows_along == "y":
         xy = xy[:, ::-1].copy()
     r = np.hypot(*xy.T)
-    # distances on a lattice can be equal: compare them in units of the pitch, with rounding errors removed
+    # Distances on a lattice can be equal. They are compared in units of the pitch, without their rounding errors.
     keep = (np.round(r / step, 9) >= np.round(hole / step, 9)) & (np.round(r / step, 9) <= np.round(edge / step, 9))
     cells = np.column_stack([q, k])
     for cell in vacant:

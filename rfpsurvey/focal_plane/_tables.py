@@ -1,4 +1,4 @@
-"""A focal plane as a table with a row for each positioner and each obstacle."""
+"""A focal plane as a table with a row for each positioner, each obstacle and each circle that hides fibers."""
 
 from dataclasses import fields
 
@@ -18,10 +18,12 @@ JOINTS = {
     "phi_range": ("phi_min", "phi_max"),
 }
 """Columns of the zero points and limits of joints."""
+CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
+"""Columns of the radii of circles, which have rows of their own."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
-    """Return the arguments of a FocalPlane from a table."""
+    """Return the arguments of `FocalPlane` for a table."""
     if not isinstance(table, Table):
         raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
@@ -29,11 +31,14 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
         if name not in names:
             raise InputError(f"there is no column {name!r}; the columns are: {', '.join(names) or 'none'}")
     xy = np.column_stack([_quantity(table, "x", u.mm), _quantity(table, "y", u.mm)])
-    radius = np.full(len(xy), np.nan) * u.mm
-    if "obstacle_radius" in names:
-        radius = _quantity(table, "obstacle_radius", u.mm)
-    unit = ~np.isfinite(radius)
-    columns = {}
+    unit, columns = np.ones(len(xy), dtype=bool), {}
+    for name, column in CIRCLES.items():
+        if column in names:
+            radius = _quantity(table, column, u.mm)
+            rows = np.isfinite(radius) & unit
+            unit &= ~rows
+            if rows.any():
+                columns[name] = np.column_stack([xy[rows], radius[rows]])
     for name in ("id", "spectrograph", "fiber_type", "disabled"):
         if name in names:
             columns[name] = to_plain(table[name][unit], f"column {name!r}")
@@ -53,17 +58,16 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
             places[column.removeprefix("fiber_x").removeprefix("_")] = np.column_stack(pair)
     if places:
         columns["fiber_xy"] = places
-    if not unit.all():
-        columns["obstacles"] = np.column_stack([xy[~unit], radius[~unit]])
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
 
 
 def to_table(plane) -> QTable:
-    """Return a table with the columns of a focal plane, and the positioner in the meta."""
-    n, m = len(plane), len(plane.arrays.obstacles)
-    circles = plane.arrays.obstacles
+    """Return a table with the columns of a focal plane and with the positioner in its ``meta``."""
+    n, k = len(plane), len(plane.arrays.obstacles)
+    circles = np.vstack([plane.arrays.obstacles, plane.arrays.hidden])
+    m = len(circles)
     table = QTable({"id": np.concatenate([plane.id, _spare_names(plane.id, m)])})
     table["x"], table["y"] = np.vstack([plane.arrays.xy, circles[:, :2]]).T * u.mm
     width = plane.spectrograph.shape[1:]
@@ -86,7 +90,11 @@ def to_table(plane) -> QTable:
             angles |= dict(zip((low, high), to_radian(getattr(plane, name), name).T, strict=True))
     for name, values in angles.items():
         table[name] = np.rad2deg(np.append(values, np.full(m, np.nan))) * u.deg
-    table["obstacle_radius"] = np.append(np.full(n, np.nan), circles[:, 2]) * u.mm
+    for name, rows in {"obstacles": slice(n, n + k), "hidden": slice(n + k, n + m)}.items():
+        if name == "obstacles" or plane.hidden is not None:
+            radius = np.full(n + m, np.nan)
+            radius[rows] = getattr(plane.arrays, name)[:, 2]
+            table[CIRCLES[name]] = radius * u.mm
     table.meta["positioner"] = _positioner_to_meta(plane.positioner)
     return table
 
@@ -107,7 +115,7 @@ def _quantity(table, name, unit):
 
 
 def _spare_names(ids, m):
-    """Return identifiers for obstacles that differ from those of all positioners."""
+    """Return identifiers for obstacles that differ from the identifiers of all positioners."""
     if ids.dtype.kind == "i":
         return ids.max() + 1 + np.arange(m)
     taken, prefix = set(ids.tolist()), "obstacle-"
@@ -117,7 +125,7 @@ def _spare_names(ids, m):
 
 
 def _positioner_to_meta(positioner) -> dict:
-    """Return the arguments of a Positioner as plain text, exact to the last bit."""
+    """Return the arguments of a Positioner as text from which the numbers can be recovered exactly."""
 
     def text(value):
         if isinstance(value, u.Quantity):

@@ -1,4 +1,4 @@
-"""Instruments: focal plane, optics and the source of every value; presets are data files."""
+"""Instruments, which consist of a focal plane, optics and the sources of all values; presets are data files."""
 
 from rfpsurvey.instrument._facts import arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (
@@ -8,6 +8,7 @@ from rfpsurvey.instrument._instrument import (
     available_instruments,
     every_instrument,
 )
+from rfpsurvey.instrument._pfs import pfs_engineering_fibers, pfs_fibers
 
 __all__ = [
     "Instrument",
@@ -17,4 +18,6 @@ __all__ = [
     "available_instruments",
     "every_instrument",
     "fact_texts",
+    "pfs_engineering_fibers",
+    "pfs_fibers",
 ]

@@ -1,4 +1,4 @@
-"""Descriptions of instruments: TOML files in which every value has a status and a source."""
+"""Read descriptions of instruments, which are TOML files in which every value has a status and a source."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +10,7 @@ from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
+from rfpsurvey.instrument._pfs import cobra_ids
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
@@ -19,9 +20,9 @@ PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
 def load(path: Path, heirs: tuple = ()) -> dict:
-    """Return a description with its defaults and the values that it inherits.
+    """Read a description, and add default values and the values of the description that it inherits from.
 
-    The entry ``inherits`` names the other description: a file in the same folder, or a preset.
+    The key ``inherits`` is the name of that description, which is a file in the same folder or a preset.
     """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
@@ -43,7 +44,7 @@ def load(path: Path, heirs: tuple = ()) -> dict:
 
 
 def build(content: dict, folder: Path) -> dict:
-    """Return the arguments of the Instrument for a description; tables are read from ``folder``."""
+    """Return the arguments of `Instrument` for a description; tables are read from ``folder``."""
     check_description(content)
     if "positioner" not in content:
         raise InputError("the section [positioner] must be there, got none")
@@ -114,6 +115,8 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     columns = {}
     if get("layout.names") == "row and column":
         columns["id"] = _hole_names(cells, get("layout.rings"))
+    if get("layout.names") == "cobra":
+        columns["id"] = cobra_ids(xy)
     if get("layout.fiber_types"):
         few = {tuple(c) for c in get("layout.first_type_only_cells", [])}
         first, *_ = types = get("layout.fiber_types")
@@ -133,7 +136,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Return names such as R+10C1 and R0C3, made of a signed row number and a column number from the left (from 1)."""
+    """Return names such as R+10C1 and R0C3, from a signed row number and a column number; the leftmost column is 1."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"
@@ -142,7 +145,7 @@ def _hole_names(cells, rings):
 
 
 def _groups(xy, n_groups, shape):
-    """Split positioners into contiguous groups of equal size: wedges, or blocks by halving."""
+    """Split positioners into contiguous groups of equal size: wedges, or blocks that result from repeated halving."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
         raise InputError(f"spectrographs must be from 1 to the number of positioners, got {n_groups}")

@@ -1,4 +1,4 @@
-"""Validation of an instrument's description by a table of the kinds of values that entries may have."""
+"""Validation of the entries of an instrument's description, such as ``central_arm``, by the kinds of their values."""
 
 import re
 from collections.abc import Callable
@@ -21,7 +21,7 @@ MOST_NUMBER = 1e12
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of value that an entry may have."""
+    """The kind of value that an entry must have."""
 
     what: str
     """Text that follows "must be" in error messages."""
@@ -108,7 +108,7 @@ ENTRIES = {
     "layout.vacant_cells": CELLS,
     "layout.fiducial_cells": CELLS,
     "layout.fiducial_radius": CLOSED_LENGTH,
-    "layout.names": _choice("row and column"),
+    "layout.names": _choice("row and column", "cobra"),
     "layout.fiber_types": NAMES,
     "layout.first_type_only_cells": CELLS,
     "layout.spectrographs": Kind(
@@ -128,7 +128,7 @@ ENTRIES = {
 OBSERVING = _whole(0, 1_000_000)
 NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
 DEFAULTS = ("status", "source")
-"""Keys of an entry for which the top of a description may set a default for all entries."""
+"""Keys of an entry for which a description may set a default, before all sections."""
 SECTIONS = ("positioner", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
@@ -150,7 +150,7 @@ TOP = {
 
 
 def with_defaults(content: dict) -> dict:
-    """Return a description in which the status and source at its top are used for entries without their own."""
+    """Return a description in which entries without a status or source have the defaults of the description."""
     defaults = {part: content[part] for part in DEFAULTS if part in content}
     for part, value in defaults.items():
         if not TOP[part].fits(value):
@@ -166,7 +166,7 @@ def with_defaults(content: dict) -> dict:
 
 
 def check_description(content: dict) -> None:
-    """Raise an error for the first entry of a description that is not valid."""
+    """Raise an error if an entry of a description is not valid."""
     if "name" not in content:
         raise InputError("name must be text, got no such entry")
     for name, value in content.items():
@@ -204,7 +204,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 
 
 def _refuse_name(section: str, name: str) -> None:
-    """Raise an error for an unknown name in a section; the message has the most similar name, or the right section."""
+    """Raise an error for an unknown name in a section; the message contains a similar name or the correct section."""
     home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
     if name in TOP:
         raise InputError(
@@ -217,7 +217,7 @@ def _refuse_name(section: str, name: str) -> None:
 
 
 def _example(kind: Kind, value: object) -> str:
-    """Return the text of an entry as written in a file."""
+    """Return the text of an entry as it is written in a file."""
     plain = isinstance(value, int | float if kind.unit else int | float | str) and not isinstance(value, bool)
     shown = _short(value) if plain else "..."
     unit = "" if kind.unit is None else f', unit = "{kind.unit}"'
@@ -225,7 +225,7 @@ def _example(kind: Kind, value: object) -> str:
 
 
 def _unit(full: str, kind: Kind, entry: dict) -> object:
-    """Return the unit of an entry as it is written; raise an error if it cannot be converted to the required unit."""
+    """Return the unit of an entry; raise an error if it cannot be converted to the required unit."""
     given = entry.get("unit")
     if kind.unit is None:
         if given is not None:

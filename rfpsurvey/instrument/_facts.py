@@ -1,4 +1,4 @@
-"""Facts derived from the description of an instrument: its field, its patrol areas and their overlap."""
+"""Facts that are derived from the description of an instrument: its field, its patrol areas and their overlap."""
 
 from collections import Counter
 
@@ -12,13 +12,13 @@ from rfpsurvey.instrument._entries import STATUSES
 __all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
 
 N_POINTS = 2**18
-"""Number of points for coverage and multiplicity, whose standard errors are then below 0.001."""
+"""Number of points for coverage and multiplicity. With this number, the standard errors are below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
 """Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""A field is called a circle (or another shape) if their radii differ by less than this fraction on average."""
+"""A field is called a circle, hexagon, square or triangle if its radii differ by less than this fraction on average."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",
@@ -38,7 +38,7 @@ def find_facts(instrument) -> dict:
     area = (_solid_angle(instrument, outline) * u.sr).to(u.deg**2)
     try:
         parts, footprint = plane.coverage(n_points=N_POINTS), plane.footprint
-    except InputError:  # there are fewer than three centers, or all are on a line
+    except InputError:  # there are fewer than three centers, or all centers are on a line
         parts, footprint = np.array([np.nan]), np.nan * u.mm**2
     groups = np.unique(plane.spectrograph)
     return {
@@ -68,7 +68,7 @@ def find_facts(instrument) -> dict:
 
 
 def arm_facts(instrument) -> dict[str, u.Quantity]:
-    """Return the lengths that describe the lattice and the arms; they are medians over the positioners."""
+    """Return the lengths that describe the lattice and the arms, as medians over the positioners."""
     arrays = instrument.focal_plane.arrays
     columns = {
         "central_arm": arrays.central_arm,
@@ -84,9 +84,9 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the field angles (radians) of distances from the axis (mm), the largest one of all fiber types.
+    """Return the field angles (radians) of distances from the axis (mm); fiber types with the largest angle are used.
 
-    Beyond the range of a radial map, the angle is the largest one of the map.
+    Outside the range of a radial map, the angle is the largest angle of the map.
     """
     if instrument.distortion is None:
         return np.arctan(radius / instrument.plate_scale.to_value(u.mm / u.rad))
@@ -97,7 +97,7 @@ def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
 
 
 def fact_texts(facts: dict) -> dict[str, str]:
-    """Return labels and short texts of facts, for display."""
+    """Return the labels and values of facts as short texts."""
     texts = {}
     for name, value in facts.items():
         label, number, unit = name.replace("_", " "), getattr(value, "value", value), getattr(value, "unit", None)
@@ -124,12 +124,12 @@ def _fibers(plane) -> dict[str, int]:
 
 
 def _pitch(xy: np.ndarray) -> float:
-    """Return the median distance (mm) between nearest centers, rounded to 1e-9; NaN for a single positioner."""
+    """Return the median distance (mm) between nearest centers, rounded to 1e-9, or NaN for a single positioner."""
     return round(float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1])), 9) if len(xy) > 1 else np.nan
 
 
 def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return the corners, counter-clockwise, of the convex hull of discs around centers in mm."""
+    """Return the corners of the convex hull of discs around centers (mm), in counter-clockwise order."""
     angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
     outward = np.column_stack([np.cos(angle), np.sin(angle)])
     far = np.argmax(xy @ outward.T + radius[:, None], axis=0)
@@ -137,20 +137,20 @@ def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 
 def _solid_angle(instrument, outline: np.ndarray) -> float:
-    """Return the solid angle in sr that an outline in mm encloses on the sky."""
+    """Return the solid angle (sr) on the sky inside an outline on the focal plane (mm)."""
     along = (np.arange(N_PIECES) / N_PIECES)[:, None]
     points = (outline[:, None] + along * (np.roll(outline, -1, axis=0) - outline)[:, None]).reshape(-1, 2)
     radius = np.maximum(np.hypot(*points.T), 1e-6)
-    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # of the disc inside a point
+    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # for a disc that extends to the point
     after = np.roll(points, -1, axis=0)
     triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2
     return float(triangles @ (dilation + np.roll(dilation, -1)) / 2)
 
 
 def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
-    """Return the name of the shape that is similar to the convex hull of the centers, or ``irregular``.
+    """Return the name of the shape that is most similar to the convex hull of the centers, or ``irregular``.
 
-    If the centers have no convex hull, the outline of the patrol areas is used.
+    If there are too few centers for a convex hull, the outline of the patrol areas is used.
     """
     try:
         hull = ConvexHull(xy)
@@ -170,7 +170,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
-    """Return the mean difference of a radius from that of a regular shape of any orientation, both with the mean 1."""
+    """Return the least mean difference of radii (with the mean 1) from those of a regular shape of any orientation."""
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())
     period = N_DIRECTIONS // n_corners

@@ -26,6 +26,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
 from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
@@ -38,7 +39,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class Instrument(AsBuilt):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -225,6 +226,10 @@ class Instrument:
             If the file does not exist or is not a valid description of an instrument.
         """
         path = to_path(path)
+        if path.exists() and path.suffix.lower() != ".toml":
+            found = cls._read_as_built(path)
+            if found is not None:
+                return found
         try:
             return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:

@@ -1,6 +1,7 @@
-"""The pipeline of a field on plain arrays: projection, reach, allocation, arms, collisions, identifiers.
+"""The pipeline of a field on arrays without units: projection, reach, allocation, arms, collisions, identifiers.
 
-`plan_tile` calls it once, `plan_survey` and `place_tiles` for each tile; collision probabilities use its first half.
+`plan_tile` calls the pipeline once, and `plan_survey` and `place_tiles` call it for each tile. Collision probabilities
+use its first half.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids

@@ -1,4 +1,4 @@
-"""Identifiers of blank sky positions that an allocation found between the targets."""
+"""Identifiers of the blank sky positions that an allocation finds between the targets."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -10,17 +10,17 @@ from rfpsurvey.errors import InputError
 __all__ = ["BlankIds", "blank_ids"]
 
 PREFIX = "blank-sky-"
-# Number of digits after the prefix, and number of unused integers that must be available.
+# Number of digits after the prefix of text, and number of unused integers that must be available.
 DIGITS, ROOM = 6, 1_000_000
 
 
 class BlankIds(NamedTuple):
-    """Identifiers that no target of a catalog has."""
+    """Identifiers for blank sky that no target of a catalog has."""
 
     first: int | str
-    """The first of descending integers, or text that precedes a number."""
+    """The first of the descending integers, or the text before each number."""
     dtype: np.dtype
-    """Type of a column that holds identifiers of both targets and blank positions."""
+    """Type of a column that contains the identifiers of targets and of blank positions."""
 
     def take(self, n: int) -> np.ndarray:
         """Return n identifiers."""
@@ -30,10 +30,11 @@ class BlankIds(NamedTuple):
 
 
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
-    """Return identifiers for blank sky that differ from all identifiers of a catalog, which are given in parts.
+    """Return identifiers for blank sky that differ from all identifiers of a catalog; ``parts`` contains these.
 
-    Integers are below -1 and below all identifiers of the catalog or, if too few such integers exist, above them. Text
-    begins with ``blank-sky-``, preceded by one underscore more than in any other identifier of this form.
+    Integers are below -1 and below all identifiers of the catalog. If there are too few such integers, they are above
+    all identifiers of the catalog. Text begins with ``blank-sky-``; if identifiers of the catalog have this form, it is
+    preceded by more underscores than they have.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

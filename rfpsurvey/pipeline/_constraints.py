@@ -1,4 +1,4 @@
-"""Constraints of a field: circles that no arm may cover as obstacles, and the rows of required targets."""
+"""Convert the constraints of a field: circles that no arm may cover to obstacles, and identifiers to required rows."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,25 +14,26 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
-# Number of points on the rim of a circle on the sky, and upper limit of the relative increase between two points.
+# Number of points on the rim of a circle on the sky, and a factor for the radius, because the rim can be farther out
+# between two points.
 N_RIM, MARGIN = 360, 1 + 1e-4
 
 
 def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
-    """Return the instrument with further obstacles: the circles of ``keep_out`` that arms can touch in a field."""
+    """Return the instrument with the circles ``keep_out`` that arms can touch in a field as additional obstacles."""
     if not options.keep_out:
         return instrument
     plane, circles = instrument.focal_plane, options.circles
     arrays = plane.arrays
     size = (np.hypot(*arrays.xy.T) + arrays.arm_reach).max() + arrays.separation
-    # the arms at the edge extend slightly beyond the field
+    # The arms at the edge extend slightly beyond the field.
     limit = circles[:, 3] + 1.1 * size / instrument.plate_scale.to_value(u.mm / u.rad)
     apart = np.arccos(np.clip(circles[:, :3] @ projection.basis[2], -1, 1))
     images = np.array([image_of_circle(projection, *circles[k]) for k in np.flatnonzero(apart <= limit)])
     images = images.reshape(-1, 3)
-    # if a circle contains everything that has an image, its rim has no image
+    # If a circle contains all directions that have an image, its rim has no image.
     images[np.isnan(images[:, 2]) & (apart < circles[:, 3])[apart <= limit]] = 0, 0, 2 * size
-    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # False if the circle has no image
+    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # false if the circle has no image
     if not near.any():
         return instrument
     return replace(
@@ -47,14 +48,14 @@ def image_of_circle(
 ) -> tuple[float, float, float]:
     """Return x, y and radius (mm) of a circle on the focal plane that contains the image of a circle on the sky.
 
-    The image of a circle is not a circle if the scale varies, and the images for several fiber types differ; the circle
-    contains all of them. The center may be so far from the field that it has no image, although a part of the circle
-    has an image. The result is NaN if the rim has no image.
+    The image is not a circle if the scale varies, and it can depend on the fiber type; the returned circle contains the
+    images for all fiber types. The center on the sky may be so far from the field that it has no image, although a part
+    of the circle has an image. The result is NaN if the rim has no image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
     east = np.cross(center, projection.basis[2])
-    # a circle around the field center has no direction
+    # For a circle around the field center, any direction can be used.
     east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-9 else projection.basis[0]
     inward = np.cross(east, center)
     turn = np.linspace(0, 2 * np.pi, N_RIM, endpoint=False)[:, None]
@@ -62,7 +63,7 @@ def image_of_circle(
     rims = np.vstack([projection.project(rim, name) for name in names])
     middle = np.mean([projection.project(center[None], name)[0] for name in names], axis=0)
     if not np.isfinite(middle).all():
-        # continue from the point of the rim nearest to the field center, with the scale at that point
+        # Extrapolate from the point of the rim nearest to the field center, with the scale at that point.
         step = 1e-4
         angles = np.array([[radius_rad], [radius_rad + step]])
         steps = np.cos(angles) * center + np.sin(angles) * inward
@@ -73,7 +74,7 @@ def image_of_circle(
 
 
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return whether each target of a catalog, given as parts of identifiers, is required; None if there are none."""
+    """Return whether each target of a catalog is required, or None if no target is; ``parts`` contains identifiers."""
     if not required:
         return None
     marked, known = [], np.zeros(len(required), dtype=bool)
@@ -95,12 +96,12 @@ def are_among(required: tuple, ids: np.ndarray) -> np.ndarray:
 
 
 def _alike(names: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Convert names to the type of the identifiers (integers or text), and return which of them can be converted."""
+    """Convert names to the type of the identifiers (integers or text), and return whether each can be converted."""
     if names.dtype.kind == ids.dtype.kind:
         return names, np.ones(len(names), dtype=bool)
     if ids.dtype.kind == "U":
         return names.astype(str), np.ones(len(names), dtype=bool)
-    # names from the command line are text, but identifiers of a catalog can be integers
+    # Names from the command line are text, but identifiers of a catalog can be integers.
     numbers = np.zeros(len(names), dtype=np.int64)
     comparable = np.zeros(len(names), dtype=bool)
     for k, name in enumerate(names.tolist()):

@@ -1,4 +1,4 @@
-"""Plan a field on plain arrays, from unit vectors of targets to assigned fibers and their collisions."""
+"""Plan a field on arrays without units, from unit vectors of targets to assigned fibers and their collisions."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -27,27 +27,27 @@ class FieldTargets(NamedTuple):
     """Identifiers, shape (n,), integers or text."""
     columns: TargetColumns
     others: np.ndarray | None = None
-    """Unit vectors of further targets, which are not assigned, but which blank sky must avoid."""
+    """Unit vectors of other targets, which are not assigned; blank sky positions must avoid these targets."""
     extra: dict | None = None
-    """Values of the targets in the further columns of the plan, by name."""
+    """Values of the targets in additional columns of the plan, by name."""
 
 
 class FieldPlan(NamedTuple):
-    """The plan of a field; its columns have a value for each positioner in use, in ascending order of positioners."""
+    """The plan of a field; columns have one value per positioner in use, in ascending order of the positioners."""
 
     instrument: Instrument
-    """The instrument, with the circles that no arm may cover as obstacles."""
+    """The instrument, whose obstacles include the circles that no arm may cover."""
     allocation: Allocation
     arms: Arms
     report: CollisionReport
     positioner: np.ndarray
-    """Row of each positioner with a target."""
+    """Row of each positioner that has a target."""
     target: np.ndarray
-    """Row in the field of the target of each positioner; -1 for blank sky."""
+    """Row of the target of each positioner in the `FieldTargets`; -1 for blank sky."""
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
-    """Directions in ICRS; longitudes are from 0 to 2 pi."""
+    """Latitudes in ICRS; the longitudes are from 0 to 2 pi."""
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
     carried: dict
@@ -58,18 +58,18 @@ class FieldPlan(NamedTuple):
 
 
 def field_radius_rad(instrument: Instrument) -> float:
-    """Return the radius of the circle that contains all targets of a field, slightly enlarged for rounding."""
+    """Return the radius (radians) of a circle that contains all targets of a field, slightly enlarged for rounding."""
     return instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
 
 
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the positions (mm) of targets on the focal plane, and their required fiber types (None: any type)."""
+    """Return the positions (mm) of targets on the focal plane, and their required fiber types or None."""
     if instrument.focal_plane.fiber_types == ("",):
         fiber_type = None  # a single unnamed fiber type can observe all targets
     elif isinstance(instrument.distortion, dict):
-        # each type has its own image of the sky; a target without a type uses the image of the first type
+        # Each type has its own image of the sky. The image of the first type is used for a target without a type.
         first = next(iter(instrument.distortion))
         given = np.full(len(vectors), "") if fiber_type is None else fiber_type
         fiber_type = np.where(given == "", first, given)
@@ -88,7 +88,7 @@ def assign_field(
 
 
 def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:
-    """Assign the targets of a field to the positioners of an instrument that includes the obstacles of this field."""
+    """Assign the targets of a field; the obstacles of the instrument must include the circles of this field."""
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
@@ -108,7 +108,7 @@ def plan_field(
     blank: BlankIds | None = None,
     tell: Callable[[float, str], None] | None = None,
 ) -> FieldPlan:
-    """Plan a field: make circles obstacles, assign targets, place the arms, and find the arms that collide.
+    """Plan a field: assign targets, place the arms, and find the arms that collide.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def plan_field(
     blank : BlankIds, optional
         Identifiers of blank sky; required if the options have a ``sky_separation``.
     tell : callable, optional
-        Function that is called during long searches with the finished fraction and the stage.
+        Function that is called during long searches with the completed fraction and the name of the stage.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def plan_field(
 
 
 def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the values of rows; for the row -1, return NaN, empty text, False or -1."""
+    """Return the values of the given rows; the value of the row -1 is NaN, empty text, False or -1."""
     if (row >= 0).all():
         return values[row]
     found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)

@@ -20,12 +20,12 @@ class Outcome(IntEnum):
 
 
 OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
-# Largest numbers of priorities and of categories that are counted separately; more priorities are combined into ranges.
+# Up to MOST_CLASSES priorities or categories are counted separately. More priorities are combined into N_RANGES ranges.
 MOST_CLASSES, N_RANGES = 20, 10
 
 
 def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Return the outcome of each target of a field, an index of `OUTCOMES`, from three masks."""
+    """Return the outcome of each target of a field, as an index of `OUTCOMES`, from three masks."""
     code = np.where(in_reach, Outcome.IN_REACH_NOT_ASSIGNED, Outcome.OUT_OF_REACH).astype(np.uint8)
     code[lost] = Outcome.LOST_TO_A_COLLISION
     code[observed] = Outcome.OBSERVED
@@ -33,7 +33,7 @@ def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) 
 
 
 def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, and the names of the classes; the most important class is the first.
+    """Return the class of each target, and the names of the classes, beginning with the most important class.
 
     Only the priorities of targets for which ``counts`` is true are considered.
     """
@@ -41,7 +41,7 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, numbers = np.unique(priority[counts > 0], return_counts=True)
     group = np.arange(len(values))
-    if len(values) > MOST_CLASSES:  # ranges with similar numbers of targets; targets of one value are never split
+    if len(values) > MOST_CLASSES:  # the ranges have similar numbers of targets
         before = np.cumsum(numbers) - numbers
         group = np.unique(before * N_RANGES // numbers.sum(), return_inverse=True)[1].reshape(-1)
     low = values[np.searchsorted(group, np.arange(group[-1] + 1))]
@@ -52,7 +52,7 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
 
 
 def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, and the class names; the categories with the fewest targets share a class."""
+    """Return the class of each target and the class names; if there are many categories, the smallest share a class."""
     if category is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, place = np.unique(category, return_inverse=True)

@@ -1,4 +1,4 @@
-"""The geometry of a positioner as plain numbers."""
+"""The geometry of a positioner as numbers without units."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ __all__ = ["PositionerNumbers"]
 
 
 class PositionerNumbers:
-    """The geometry of a positioner as plain numbers in mm and radians.
+    """The geometry of a positioner as numbers without units, in mm and radians.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class PositionerNumbers:
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
-        Length of the colliding segment, mm; None if it is the segment from the elbow to the fiber.
+        Length of the segment that can collide, mm; None if it is the segment from the elbow to the fiber.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner.
     joints_free : bool
@@ -49,6 +49,7 @@ class PositionerNumbers:
 
     def __init__(self, positioner: "Positioner"):
         self.positioner = positioner
+        self._arm_angles: dict[tuple[str, ...], np.ndarray] = {}
         self.central_arm = float(to_mm(positioner.central_arm, "central_arm"))
         self.eccentric_arm = float(to_mm(positioner.eccentric_arm, "eccentric_arm"))
         self.clearance = float(to_mm(positioner.clearance, "clearance"))
@@ -83,7 +84,7 @@ class PositionerNumbers:
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether the joint limits allow the whole patrol area with an elbow: +1 is right, -1 is left."""
+        """Return whether the joint limits allow the whole patrol area with an elbow (+1: right, -1: left)."""
         theta, phi = self.positioner.theta_range, self.positioner.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
             return False
@@ -92,16 +93,19 @@ class PositionerNumbers:
 
     def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
         """Return the angle between the colliding segment and the direction of the fiber, for each fiber type."""
-        given = self.positioner.arm_angle
-        if isinstance(given, dict):
+        if fiber_types not in self._arm_angles:
+            given = self.positioner.arm_angle
+            if not isinstance(given, dict):
+                given = dict.fromkeys(fiber_types, 0 * u.deg if given is None else given)
             for name in given:
                 check_choice(name, fiber_types, "fiber type of arm_angle")
-            return np.array([float(to_radian(given.get(t, 0 * u.deg), "arm_angle")) for t in fiber_types])
-        return np.full(len(fiber_types), 0.0 if given is None else float(to_radian(given, "arm_angle")))
+            angles = [float(to_radian(given.get(name, 0 * u.deg), "arm_angle")) for name in fiber_types]
+            self._arm_angles[fiber_types] = locked(np.array(angles))
+        return self._arm_angles[fiber_types]
 
 
 def _allowed(angle, low, high):
-    """Return whether angles are in [low, high], modulo 360 deg."""
+    """Return whether angles are in the interval [low, high], modulo 360 deg."""
     if np.isinf(low) or high - low >= 2 * np.pi:
         return ~np.isnan(angle)
     with np.errstate(invalid="ignore"):

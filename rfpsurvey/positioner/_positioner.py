@@ -37,25 +37,25 @@ class Positioner:
     step : Quantity, optional
         Angle of one motor step, which determines the displacement within a step.
     handedness : {"right", "left", "both"}, optional
-        ``right``: phi in [0, 180] deg; ``left``: its mirror image; ``both``: right, or left where the
-        joint limits forbid right.
+        ``right``: phi in [0, 180] deg; ``left``: the mirror image of ``right``; ``both``: right, or left if the joint
+        limits forbid right.
     theta_range, phi_range : Quantity, shape (2,), optional
-        Joint limits, modulo 360 deg. None: no limits.
+        Joint limits, modulo 360 deg; by default, there are no limits.
     home : Quantity, shape (2,), optional
-        theta and phi of a parked positioner, within the joint limits. None: theta = 0 and phi = 180 deg (folded), or
-        the nearest angles that the joint limits allow.
+        theta and phi of a parked positioner, within the joint limits. By default, theta = 0 and phi = 180 deg (folded),
+        or the nearest angles that the joint limits allow.
     displacement : Quantity, optional
         Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If it is given, ``step``
         is ignored.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip"}, optional
-        Part of the positioner that can collide: ``elbow_to_tip``, the segment from the elbow to the fiber;
-        ``capsule``, another segment that starts at the elbow; or ``fiber_tip``, the fiber only, so that two
+        Part of the positioner that can collide. ``elbow_to_tip``: the segment from the elbow to the fiber. ``capsule``:
+        a segment that starts at the elbow, with its own length and angle. ``fiber_tip``: only the fiber, so that two
         positioners collide only if their targets are closer than the minimum separation.
     arm_length : Quantity, optional
         Length of the segment of the arm model ``capsule``, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
-        Angle of the segment of the arm model ``capsule``, counter-clockwise from the direction of the fiber; one
-        value for each fiber type if they differ.
+        Angle of the segment of the arm model ``capsule``, counter-clockwise from the direction of the fiber. It can
+        have a different value for each fiber type.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class Positioner:
 
     @cached_property
     def numbers(self) -> "PositionerNumbers":
-        """The geometry as plain numbers in mm and radians (``PositionerNumbers``)."""
+        """The geometry as numbers without units, in mm and radians (``PositionerNumbers``)."""
         return PositionerNumbers(self)
 
     def _geometry(self, n: int) -> arms.Geometry:
@@ -156,7 +156,7 @@ class Positioner:
 
     @property
     def min_separation(self) -> u.Quantity:
-        """Minimum separation D, below which two arms collide: displacement within a step plus twice the clearance."""
+        """Minimum separation D of two arms: the displacement within a step plus twice the clearance."""
         return self.numbers.separation * u.mm
 
     def inverse(self, xy: u.Quantity, handedness: str | None = None) -> tuple[u.Quantity, u.Quantity]:
@@ -167,15 +167,16 @@ class Positioner:
         xy : Quantity, shape (n, 2)
             Points relative to the positioner's center.
         handedness : {"right", "left", "both"}, optional
-            Handedness, in place of that of the positioner. With ``both``, the left solution is returned if the joint
-            limits forbid the right one.
+            Handedness to use in place of the positioner's handedness. With ``both``, the left solution is returned if
+            the joint limits forbid the right solution.
 
         Returns
         -------
         theta : Quantity, shape (n,)
-            Angle in deg, in [-180, 180]; at the center it is that of the parked pose, and out of reach it is NaN.
+            Angle in deg, in [-180, 180]. It is the angle of the parked pose for a point at the center, and NaN for a
+            point out of reach.
         phi : Quantity, shape (n,)
-            Angle in deg, in [0, 180] ("right") or [-180, 0] ("left"); NaN out of reach.
+            Angle in deg, in [0, 180] ("right") or [-180, 0] ("left"). It is NaN for a point out of reach.
 
         Raises
         ------
@@ -226,7 +227,7 @@ class Positioner:
         theta, phi = np.empty(n), np.empty(n)
         arms.solve(points, self._geometry(n), np.full(n, side), theta, phi)
         r = np.hypot(*points.T)
-        # allow for rounding: a point computed from the joint angles of a fully extended arm is in reach
+        # Because of this allowance for rounding, a point computed from the joint angles of an extended arm is in reach.
         slack = 1e-12 * (self.numbers.central_arm + self.numbers.eccentric_arm)
         inner, outer = self.inner_radius.value, self.outer_radius.value
         ok = (r >= inner - slack) & (r <= outer + slack)

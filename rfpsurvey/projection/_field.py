@@ -1,4 +1,4 @@
-"""The projection of one field on plain arrays: from unit vectors to mm, and from mm to unit vectors."""
+"""The projection of one field on arrays without units: from unit vectors to mm, and from mm to unit vectors."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ __all__ = ["FieldProjection", "field_basis"]
 
 
 class FieldProjection:
-    """The projection of a field onto the focal plane, on plain arrays without units.
+    """The projection of a field onto the focal plane, for arrays without units.
 
     Parameters
     ----------
@@ -45,15 +45,15 @@ class FieldProjection:
         self.basis, self.focal_length, self.distortion = basis, focal_length, distortion
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the images of unit vectors (n, 3) on the focal plane, mm (n, 2); NaN if there is no image."""
+        """Return the points (n, 2) in mm of unit vectors (n, 3) on the focal plane; NaN if there is no image."""
         return self._apply(sky.project, sky.project_radial, vectors, fiber_type, 2)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the unit vectors (n, 3) of points (n, 2) in mm; NaN outside the radial map."""
+        """Return the unit vectors (n, 3) of points (n, 2) in mm; NaN for points outside the radial map."""
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
     def _apply(self, gnomonic, radial, values, fiber_type, width):
-        """Apply a kernel to rows of values: the first one without a radial map, the second one with a radial map."""
+        """Apply the kernel ``radial`` to rows of values that have a radial map, and ``gnomonic`` to all others."""
         out = np.empty((len(values), width))
         for rows, distortion in self._map_of(fiber_type, len(values)):
             part = values[rows]
@@ -68,7 +68,7 @@ class FieldProjection:
         return out
 
     def _map_of(self, fiber_type, n):
-        """Return (rows, radial map or None) for each map in use."""
+        """Return the rows that use each radial map, as pairs (rows, radial map or None)."""
         if not isinstance(self.distortion, dict):
             return [(slice(None), self.distortion)]
         names = list(self.distortion)
@@ -85,7 +85,7 @@ class FieldProjection:
 
 
 def field_basis(ra: float, dec: float, angle: float) -> np.ndarray:
-    """Return the directions of +x and +y at a field center, and the center: ICRS unit vectors, shape (3, 3).
+    """Return the directions of +x and +y at a field center, and the center, as ICRS unit vectors, shape (3, 3).
 
     The center is at ``ra`` and ``dec`` (rad); ``angle`` (rad) is the position angle of +y, from north toward east.
     """

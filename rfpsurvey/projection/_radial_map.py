@@ -1,4 +1,4 @@
-"""Radial maps: distance from the field center on the focal plane as a function of the field angle."""
+"""Radial maps, which give the distance from the field center on the focal plane as a function of the field angle."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -94,7 +94,7 @@ class RadialMap:
             to_scalar(self.radius, u.mm, "radius", low=0)
         _, _, argument, inner, _, _ = self.arguments
         edge = argument * (np.tan(limit) if self.form == "tan_theta" else limit)
-        # dp/dt is a polynomial in t^2, which must have no zeros inside
+        # The derivative dp/dt is a polynomial in t^2, which must have no zeros within the limit.
         roots = np.roots((c * (2 * np.arange(c.size) + 1))[::-1])
         real = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
         quarter = self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2
@@ -103,13 +103,13 @@ class RadialMap:
 
     @cached_property
     def arguments(self) -> tuple:
-        """Arguments of the kernels as plain numbers: form, coefficients, argument, inner, output, limit."""
+        """Arguments of the kernels as numbers without units: form, coefficients, argument, inner, output, limit."""
         unit = float(to_radian(self.unit_angle, "unit_angle"))
         argument = 1 / self.unit_tangent if self.form == "tan_theta" else 1 / unit
         output = float(self.factor)
         if self.form == "sine":
             output *= float(to_mm(self.radius, "radius"))
-        # a direction at max_angle must be inside in spite of rounding
+        # This factor ensures that a direction at max_angle is inside in spite of rounding.
         limit = float(to_radian(self.max_angle, "max_angle")) * (1 + 1e-12)
         return _FORMS[self.form], np.array(self.coefficients), argument, unit, output, limit
 
@@ -130,7 +130,7 @@ class RadialMap:
         Returns
         -------
         Quantity
-            Distances in mm; NaN beyond ``max_angle``.
+            Distances in mm; NaN for angles larger than ``max_angle``.
 
         Raises
         ------
@@ -153,7 +153,7 @@ class RadialMap:
         Returns
         -------
         Quantity
-            Field angles in deg; NaN beyond the range of the map.
+            Field angles in deg; NaN for distances outside the range of the map.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Projection between sky and focal plane: a tangent plane, with an optional radial map."""
+"""Projection between sky and focal plane, by a tangent plane or by a radial map."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,17 +22,17 @@ _SCALE = u.mm / u.rad
 class TangentPlane:
     """Projection of the sky around a field center onto the focal plane.
 
-    Without rotation, +x points east and +y points north; the rotation turns +y from north toward east. Without
-    distortion the projection is gnomonic. Directions without an image (90 deg or more from the center, or outside the
-    radial map) become NaN. Refraction and chromatic effects are not modeled.
+    Without rotation, +x points east and +y points north; a rotation moves +y from north toward east. Without
+    distortion, the projection is gnomonic. Directions that are 90 deg or more from the center, or outside the radial
+    map, have no image and become NaN. Refraction and chromatic effects are not modeled.
 
     Parameters
     ----------
     center : SkyCoord
-        Field center in any frame, which also defines north: for a center in ``FK5(equinox="J2026")``, position angles
-        are measured from north at that equinox.
+        Field center in any frame. The frame also defines north: for a center in ``FK5(equinox="J2026")``, position
+        angles are measured from north at that equinox.
     plate_scale : Quantity, optional
-        Length per angle at the field center. It is optional if ``distortion`` is given, which determines it.
+        Length per angle at the field center. It is not needed with ``distortion``, which determines it.
     rotation : Quantity, optional
         Position angle of +y, measured from north toward east.
     distortion : RadialMap or dict of str to RadialMap, optional
@@ -107,7 +107,7 @@ class TangentPlane:
 
     @cached_property
     def plain(self) -> FieldProjection:
-        """The projection on plain arrays (``FieldProjection``)."""
+        """The projection for arrays without units (``FieldProjection``)."""
         center = to_direction(self.center, "center").icrs
         ra, dec = center.ra.rad, center.dec.rad
         angle = to_scalar(self.rotation, u.rad, "rotation")
@@ -127,19 +127,19 @@ class TangentPlane:
             Directions, shape (n,) or scalar. A `Catalog` stores its unit vectors, so that projecting it for many
             fields is fast.
         fiber_type : str or array_like of str, optional
-            Fiber type of each direction, if each type has a map of its own; ``""`` and None stand for the first type.
+            Fiber type of each direction, if fiber types have different maps; ``""`` and None stand for the first type.
 
         Returns
         -------
         Quantity, shape (n, 2)
-            Columns x and y in mm; NaN for directions without an image.
+            Positions x and y in mm; NaN for directions without an image.
 
         Raises
         ------
         InputError
             If ``coord`` is not a direction on the sky, or a fiber type has no map.
         """
-        vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # of a catalog
+        vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # a catalog has these
         vectors = to_vectors(coord) if vectors is None else vectors
         return u.Quantity(self.plain.project(vectors, fiber_type), u.mm, copy=False)
 
@@ -151,12 +151,12 @@ class TangentPlane:
         xy : Quantity, shape (n, 2)
             Points on the focal plane.
         fiber_type : str or array_like of str, optional
-            Fiber type of each point, if each type has a map of its own.
+            Fiber type of each point, if fiber types have different maps.
 
         Returns
         -------
         SkyCoord, shape (n,)
-            ICRS directions; NaN outside the radial map.
+            ICRS directions; NaN for points outside the radial map.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""A region of the sky: circle, box, polygon or a set of HEALPix pixels."""
+"""The class `Region`: a circle, a box, a polygon or a set of HEALPix pixels on the sky."""
 
 from dataclasses import dataclass
 from numbers import Number
@@ -25,7 +25,7 @@ FORMS = {
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A region of the sky, made by ``cap``, ``box``, ``polygon``, ``healpix``, ``whole_sky`` or ``parse``.
+    """A region of the sky, as returned by ``cap``, ``box``, ``polygon``, ``healpix``, ``whole_sky`` or ``parse``.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ class Region:
         Parameters
         ----------
         ra : tuple of Quantity
-            First and last right ascension, going east. The first may be the larger one; the box then contains RA = 0.
-            A difference of 360 deg is the full circle.
+            Western and eastern limit of right ascension. If the western limit is larger, the box contains RA = 0. A
+            difference of 360 deg is the full circle.
         dec : tuple of Quantity
             Lower and upper declination.
 
@@ -113,7 +113,7 @@ class Region:
 
     @classmethod
     def polygon(cls, vertices: SkyCoord) -> "Region":
-        """Make a polygon with great-circle edges, convex or not; its inside is the smaller of the two sides.
+        """Make a polygon, convex or not, with great-circle edges; its inside is the smaller of its two sides.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class Region:
 
     @classmethod
     def parse(cls, text: str) -> "Region":
-        """Make a region from text, with all numbers in degrees and ICRS.
+        """Make a region from text, in which all numbers are in degrees (ICRS).
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class Region:
         Raises
         ------
         InputError
-            If the text has another form.
+            If the text does not have one of these forms.
 
         Examples
         --------
@@ -258,12 +258,12 @@ class Region:
         Parameters
         ----------
         coord : SkyCoord, shape (n,)
-            Directions; a scalar counts as one.
+            Directions; a scalar is one direction.
 
         Returns
         -------
         ndarray of bool, shape (n,)
-            True inside the region. The borders of caps and boxes belong to them.
+            Whether each direction is inside the region. The borders of caps and boxes are inside.
 
         Raises
         ------
@@ -277,7 +277,7 @@ class Region:
 
 
 def _two(values, name, low, high):
-    """Return two angles in degrees."""
+    """Convert two angles to degrees, and check their range."""
     try:
         first, last = values
     except (TypeError, ValueError):

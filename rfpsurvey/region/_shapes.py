@@ -1,6 +1,6 @@
-"""Geometry of regions on plain arrays of unit vectors and radians.
+"""Geometry of regions, for arrays of unit vectors and of angles in radians.
 
-A distance is that from a direction to the nearest point of the region; it is 0 inside the region.
+A distance is the angle from a direction to the nearest point of the region; it is 0 inside the region.
 """
 
 import numpy as np
@@ -20,22 +20,22 @@ __all__ = [
     "polygon_distance",
 ]
 
-# Largest product of the numbers of rows and edges that are computed together.
+# Largest product of the number of directions and the number of edges that are processed together.
 CHUNK = 2_000_000
 
 
 def from_lonlat(lon, lat) -> np.ndarray:
-    """Return unit vectors, shape (..., 3)."""
+    """Return the unit vectors of longitudes and latitudes (radians), shape (..., 3)."""
     return np.stack(np.broadcast_arrays(np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=-1)
 
 
 def angle(a, b):
-    """Return angles between unit vectors, which are accurate even if they are small or close to pi."""
+    """Return angles between unit vectors by a method that is accurate even for angles close to 0 or pi."""
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
 def arc(a, b, n):
-    """Return n points on the great circle from a to b, both included."""
+    """Return n points on the great circle from a to b, including both ends."""
     t = np.linspace(0, 1, n)[:, None] * angle(a, b)
     side = b - (a @ b) * a
     length = np.linalg.norm(side)
@@ -43,28 +43,28 @@ def arc(a, b, n):
 
 
 def box_area(box):
-    """Return the solid angle of (first ra, width, lower dec, upper dec)."""
+    """Return the solid angle of a box, which is given as (first ra, width, lower dec, upper dec)."""
     return box[1] * (np.sin(box[3]) - np.sin(box[2]))
 
 
 def _east_of(begin, vectors):
-    """Return declinations, and right ascensions east of ``begin``, from 0 to 2 pi."""
+    """Return declinations, and differences of right ascension from ``begin`` toward east, from 0 to 2 pi."""
     lon, dec = to_lonlat(vectors)
     return dec, (lon % (2 * np.pi) - begin) % (2 * np.pi)
 
 
 def box_contains(box, vectors):
-    """Return whether directions are inside a box; the border belongs to the box, as does a pole on the border."""
+    """Return whether directions are inside a box; the border, also a pole on the border, is inside."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
-    # allow for rounding at either end
+    # The tolerances allow for rounding at both ends.
     inside = (east <= width + 1e-13) | (east >= 2 * np.pi - 1e-13)
     pole = np.abs(dec) >= np.pi / 2 - 1e-15
     return (dec >= low - 1e-15) & (dec <= high + 1e-15) & (inside | pole)
 
 
 def box_distance(box, vectors):
-    """Return distances to a box: along the meridian if the right ascension is inside, otherwise to the nearer side."""
+    """Return distances to a box: along the meridian within its right ascensions, otherwise to the nearer side."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
     along = np.maximum(np.maximum(low - dec, dec - high), 0.0)
@@ -89,14 +89,14 @@ def _to_arc(vectors, a, b):
 
 
 def edges_cross(vertices):
-    """Return the first two edges that are not adjacent but touch each other, or None."""
+    """Return the first pair of edges that touch each other without being adjacent, or None if there is no such pair."""
     a, b = vertices, np.roll(vertices, -1, axis=0)
     normal, n = np.cross(a, b), len(vertices)
     for i in range(n):
         j = np.arange(i + 2, n if i else n - 1)
         other = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
         own = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
-        # great circles intersect twice: the edges must be on the same side of the sphere
+        # Great circles intersect twice; the edges must be on the same side of the sphere.
         meet = np.cross(normal[i], normal[j])
         side = np.sign(np.sum(meet * (a[i] + b[i]), axis=1)) == np.sign(np.sum(meet * (a[j] + b[j]), axis=1))
         hit = j[other & own & side]
@@ -114,7 +114,7 @@ def _left_area(vertices):
     before, after = np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0)
     come, go = np.cross(before, vertices), np.cross(vertices, after)
     turning = np.arctan2(np.sum(np.cross(come, go) * vertices, axis=1), np.sum(come * go, axis=1))
-    rough = 2 * np.pi - turning.sum()  # Gauss-Bonnet; the sum of triangles is more accurate, but modulo 4 pi
+    rough = 2 * np.pi - turning.sum()  # the sum of triangles is more accurate, but modulo 4 pi
     a, b, c = vertices[0], vertices[1:-1], vertices[2:]
     volume = np.sum(np.cross(b, c) * a, axis=1)
     fan = 2 * np.sum(np.arctan2(volume, 1 + b @ a + c @ a + np.sum(b * c, axis=1)))
@@ -128,7 +128,10 @@ def polygon_area(vertices):
 
 
 def polygon_contains(vertices, vectors):
-    """Return whether directions are on the smaller side, by the parity of the crossings on a path from an edge."""
+    """Return whether directions are inside a polygon.
+
+    For each direction, the edges that a path from one edge to the direction crosses are counted.
+    """
     a, b = vertices, np.roll(vertices, -1, axis=0)
     start = int(np.argmax(angle(a, b)))
     middle = a[start] + b[start]
@@ -142,7 +145,8 @@ def polygon_contains(vertices, vectors):
     for k in range(0, len(vectors), step):
         p = vectors[k : k + step]
         height = p @ normal
-        # the path of a direction on the great circle of that edge runs along the edge: move it by 2 micro-arcseconds
+        # For a direction on the great circle of that edge, the path would follow the edge. Such directions are moved by
+        # 2 micro-arcseconds.
         p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
         left = p @ normal > 0
         plane = np.cross(middle, p)

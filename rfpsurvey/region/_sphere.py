@@ -1,4 +1,4 @@
-"""Functions of regions on the unit sphere: which directions are inside, distances, borders, enclosing circles."""
+"""Functions of regions on the unit sphere: directions inside, distances, borders and enclosing circles."""
 
 import numpy as np
 
@@ -18,7 +18,10 @@ def is_inside(region, vectors: np.ndarray) -> np.ndarray:
 
 
 def distance_to(region, vectors: np.ndarray) -> np.ndarray:
-    """Return distances (radians) to the region, 0 inside; distances to pixels are too small by a pixel at most."""
+    """Return distances (radians) to the region, which are 0 inside it.
+
+    Distances to HEALPix pixels can be too small by up to the size of a pixel.
+    """
     if region.kind == "cap":
         return np.maximum(_shapes.angle(vectors, region.values[:3]) - region.values[3], 0.0)
     if region.kind == "healpix":
@@ -45,7 +48,7 @@ def circle_around(region) -> tuple[np.ndarray, float]:
     if not pixels and is_inside(region, -center[None])[0]:
         return center, np.pi
     radius = _shapes.angle(border, center).max()
-    # a border has 100 points per edge: between two points it is farther out by less than a thousandth
+    # Between two of the 100 points per edge, the distance of the border from the center is larger by less than 1/1000.
     margin = _healpix.pixel_radius(region.nside) if pixels else radius * 1e-3
     return center, float(min(radius + margin, np.pi))
 

@@ -283,7 +283,7 @@ def _find(table, columns):
     for role, name in columns.items():
         check_choice(role, COLUMNS, "column role of a tiling")
         if name not in table.colnames:
-            raise InputError(f"there is no column {name!r} (wanted as {role}); {Finder(table).listing()}")
+            raise InputError(f"there is no column {name!r} for {role}; {Finder(table).listing()}")
     lower = {c.lower(): c for c in reversed(table.colnames)}
     usual = {role: next((lower[n] for n in words.split() if n in lower), None) for role, words in NAMES.items()}
     return {role: name for role, name in {**usual, **columns}.items() if name is not None}

@@ -329,3 +329,20 @@ def test_an_unknown_fiber_type_is_named():
         said("lamost", ["sky@BOSS=2"])
     with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
         rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))
+
+
+def test_a_type_of_fiber_with_its_own_spectrograph_is_not_omitted():
+    """Among many better targets, the only one for the second spectrograph is kept, if any requirement counts it."""
+    robot = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
+    plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, robot, fiber_type=["A+B"] * 2, spectrograph=[[0, 1]] * 2)
+    xy = np.random.default_rng(0).uniform(-8, 8, (1001, 2)) + np.where(np.arange(1001) < 501, 0, 100)[:, None] * [1, 0]
+    types = np.where(np.arange(1001) == 0, "B", "A")
+    plan = rs.allocate(
+        plane,
+        xy * MM,
+        fiber_type=types,
+        priority=np.where(types == "B", 1, 5),
+        allocator=rs.AllocationOptions("optimal", requirements=["science=0-90", "science=1/spectrograph"]),
+    )
+    assert plan.unmet == ()
+    assert plan.fiber_type.tolist() == ["B", "A"]

@@ -295,7 +295,7 @@ def test_bad_tables_are_named(content, message):
 
 
 def test_bad_overrides_are_named():
-    with pytest.raises(rs.InputError, match="there is no column 'nope' .wanted as id.; the columns are: ra, dec"):
+    with pytest.raises(rs.InputError, match="there is no column 'nope' for id; the columns are: ra, dec"):
         rs.Catalog.from_table(table(), columns={"id": "nope"})
     with pytest.raises(rs.InputError, match="unknown column role 'identity'"):
         rs.Catalog.from_table(table(), columns={"identity": "ra"})

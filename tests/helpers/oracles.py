@@ -129,6 +129,7 @@ def standing_arms(plane, tips, handedness=None, fiber_type=None, parked_obstacle
     assigned, counted.
     """
     unit = plane.positioner
+    nominal = unit.central_arm == unit.eccentric_arm
     arms, assigned, counted = [], [], []
     for i, (x, y) in enumerate(plane.xy.to_value("mm").tolist()):
         center = complex(x, y)
@@ -148,7 +149,7 @@ def standing_arms(plane, tips, handedness=None, fiber_type=None, parked_obstacle
             poses = [_two_arms(tip - center, l1, l2, home[0], -1 if side == "left" else 1) for side in sides]
             allowed = [p for p in poses if _within(p[0], unit.theta_range) and _within(p[1], unit.phi_range)]
             pose = (allowed or poses)[0]
-        elif parked_obstacles and abs(l1 - l2) < 1e-9:
+        elif parked_obstacles and (abs(l1 - l2) < 1e-9 or (nominal and abs(l1 - l2) <= 0.05 * (l1 + l2))):
             pose = home
         assigned.append(takes)
         counted.append(takes or (pose is home and not plane.disabled[i]))

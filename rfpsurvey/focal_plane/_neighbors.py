@@ -1,0 +1,26 @@
+"""Pairs of neighbors in the forms that the kernels read."""
+
+import numpy as np
+
+__all__ = ["both_ways", "find_runs"]
+
+
+def find_runs(pairs: np.ndarray) -> np.ndarray:
+    """Return neighbors as sorted rows (i, j, n); each stands for n pairs: i and j, i + 1 and j + 1, and so on.
+
+    On a lattice that is numbered row by row, a few runs contain thousands of pairs.
+    """
+    if len(pairs) == 0:
+        return np.empty((0, 3), dtype=np.int64)
+    pairs = pairs[np.lexsort((pairs[:, 0], pairs[:, 1] - pairs[:, 0]))]
+    first = np.append(True, (np.diff(pairs, axis=0) != 1).any(axis=1))
+    rows = np.flatnonzero(first)
+    runs = np.column_stack([pairs[rows], np.diff(np.append(rows, len(pairs)))])
+    return runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+
+
+def both_ways(pairs: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the start of the row of each of n positioners, and the neighbors of all rows (never an empty array)."""
+    both = np.vstack([pairs, pairs[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    return np.searchsorted(both[:, 0], np.arange(n + 1)), np.append(both[:, 1], 0)

@@ -1,0 +1,115 @@
+"""Methods of `Instrument` that read files of observatories, which describe instruments as built."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from astropy.time import Time
+
+from rfpsurvey.instrument import _desi
+from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
+
+if TYPE_CHECKING:
+    from rfpsurvey.instrument._instrument import Instrument
+
+__all__ = ["AsBuilt"]
+
+
+class AsBuilt:
+    """Methods that `Instrument` inherits, which read instruments as built."""
+
+    @classmethod
+    def _read_as_built(cls, path: Path):
+        """Return the instrument in a file or folder of an observatory, or None for any other file or folder."""
+        if _desi.recognizes(path):
+            return cls.from_desi(path)
+        files = find_pfs_files(path) if path.is_dir() else None
+        return None if files is None else cls.from_pfs(**files)
+
+    @classmethod
+    def from_desi(
+        cls,
+        path: str | os.PathLike,
+        *,
+        state: str | os.PathLike | None = None,
+        exclusions: str | os.PathLike | None = None,
+        time: Time | str | None = None,
+    ) -> "Instrument":
+        """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
+
+        The files contain no optics and requirements; these, and a missing clearance, are those of the preset ``desi``.
+        The x axis is reversed, because +x is west in the files.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path of ``fp-metrology.csv`` or of ``desi-focalplane_DATE.ecsv``, or a folder with focal planes and the
+            files of their states and exclusions.
+        state : str or path-like, optional
+            Path of ``desi-state_DATE.ecsv``, a log of stuck, broken and restricted positioners. Without it, all
+            positioners of a focal plane count as working.
+        exclusions : str or path-like, optional
+            Path of ``desi-exclusion_DATE.json`` (or ``.yaml``). The clearance becomes the median of the half widths
+            of the phi polygons.
+        time : Time or str, optional
+            Time of the state, in UTC; by default the last event applies.
+
+        Returns
+        -------
+        Instrument
+            The instrument. Its ``notes`` state the number of rows that are not used.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be read, a column is missing or has values that are not valid, identifiers are not
+            unique, or there is no focal plane or event at that time.
+
+        Examples
+        --------
+        >>> import rfpsurvey as rs
+        >>> desi = rs.Instrument.from_desi("fp-metrology.csv.gz")  # doctest: +SKIP
+        >>> desi.layout, len(desi.focal_plane)  # doctest: +SKIP
+        ('as built', 5000)
+        """
+        return _desi.read(cls.preset("desi"), path, state=state, exclusions=exclusions, time=time)
+
+    @classmethod
+    def from_pfs(
+        cls,
+        dots: str | os.PathLike,
+        *,
+        fiducials: str | os.PathLike | None = None,
+        interference: str | os.PathLike | None = None,
+        cobras: str | os.PathLike | list | None = None,
+    ) -> "Instrument":
+        """Read PFS as built from files of the observatory.
+
+        The ids of the positioners are the cobraIds, 1 to 2394. Values that the files do not contain are those of the
+        preset ``pfs``.
+
+        Parameters
+        ----------
+        dots : str or path-like
+            File of the dots (``black_dots_mm*.csv``) with the columns ``spotId``, ``x``, ``y`` and ``r``, or a folder
+            with this file and, optionally, the others. Targets behind a dot are out of reach.
+        fiducials : str or path-like, optional
+            File of the fiducials (``fiducial_positions*.csv``), which are obstacles of radius 0.
+        interference : str or path-like, optional
+            File of the cobras whose joints a fiducial limits (``cobraInterference*.csv``).
+        cobras : str, path-like or list of them, optional
+            Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without this model,
+            arms and joint limits are nominal, and a center is the position of the cobra's dot minus the mean offset of
+            the dots from the nominal centers.
+
+        Returns
+        -------
+        Instrument
+            The instrument; its ``notes`` list the data that were read.
+
+        Raises
+        ------
+        InputError
+            If a file is incomplete, lacks a column, or has values that cannot be those of PFS.
+        """
+        return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)

@@ -1,0 +1,193 @@
+"""DESI as built: positions from the metrology of desimeter, or the focal plane of desimodel with its state.
+
+Both use the coordinate system CS5, in which +x is west and +y is north at a field rotation of 0. In the focal plane of
+this package, +x is east. The mirror image, x = -X, exchanges the handedness and the signs of the joint angles.
+"""
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._io import to_path
+from rfpsurvey._readers import read_table
+from rfpsurvey._units import to_plain
+from rfpsurvey.errors import InputError, warn
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument._desi_state import find_conditions, find_latest, half_widths, moment_of
+from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+
+__all__ = ["read", "recognizes"]
+
+N_POSITIONERS = 5000
+METROLOGY = ("LOCATION", "PETAL_LOC", "DEVICE_LOC", "DEVICE_TYPE", "X_FP", "Y_FP")
+LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
+ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
+MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
+LEFT_OUT = (
+    "x is the negative x of CS5, because +x is east here and west in CS5. The positioners' polygons are replaced by a "
+    "segment with a clearance, which leaves out the wider elbow and the central bodies. Guide cameras, fiducials and "
+    "petal edges are no obstacles. The arms move in the plane of the centers, not in planes tangent to the focal "
+    "surface. The radial map is that of the preset."
+)
+
+
+def recognizes(path: Path) -> bool:
+    """Return whether a path is a file with DESI's metrology or focal plane, or a folder with such a file."""
+    if path.is_dir():
+        return any(file.name.startswith("desi-focalplane_") for file in path.iterdir())
+    try:
+        with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
+            head = file.read(2**14).decode("utf-8", "replace")
+    except (OSError, EOFError):
+        return False
+    return any(all(name in head for name in names) for names in (METROLOGY, MODEL))
+
+
+def read(preset, path, *, state=None, exclusions=None, time=None):
+    """Return the preset of DESI with the positioners of a file; see `Instrument.from_desi`."""
+    path, moment = to_path(path), None if time is None else moment_of(time, "time")
+    if path.is_dir():
+        path, beside = find_latest(path, moment)
+        state, exclusions = state or beside.get("state"), exclusions or beside.get("exclusion")
+    table = read_table(path)
+    metrology = "X_FP" in table.colnames
+    for name, value in {"state": state, "exclusions": exclusions}.items():
+        if metrology and value is not None:
+            raise InputError(f"{name} must be None for a metrology, got {value}")
+    if time is not None and state is None:
+        raise InputError(f"time must be None without a state, got {time}")
+    if metrology:
+        return _from_metrology(preset, table, path)
+    return _from_model(preset, table, path, state and to_path(state), exclusions and to_path(exclusions), moment)
+
+
+def _from_metrology(preset, table, path):
+    table, others = _positioners(table, METROLOGY, path)
+    plane = _plane(
+        path,
+        xy=_centers(table, "X_FP", "Y_FP", path),
+        positioner=_mirrored(preset.focal_plane.positioner),
+        id=whole(table, "LOCATION", path),
+        spectrograph=whole(table, "PETAL_LOC", path),
+    )
+    entries = {
+        "layout.centers": _entry(len(plane), path, "X_FP and Y_FP of rows of the type POS"),
+        "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL_LOC"),
+        "positioner.phi_range": {**preset.values["positioner.phi_range"], "value": _limits(plane.positioner.phi_range)},
+    }
+    notes = f"The centers are those of the {len(plane)} positioners in {path.name}; the arms are nominal.{others}"
+    return _built(preset, plane, entries, notes)
+
+
+def _from_model(preset, table, path, state, exclusions, moment):
+    table, others = _positioners(table, MODEL, path)
+    ids = whole(table, "LOCATION", path)
+    r1, r2 = (numbers(table, name, u.mm, path) for name in ("LENGTH_R1", "LENGTH_R2"))
+    angles = {name: numbers(table, name, u.deg, path) for name in ANGLES}
+    notes, columns, polygons = [f"The {len(ids)} positioners are those in {path.name}.{others}"], {}, None
+    if state is None:
+        notes.append("No state was given, so that all positioners count as working.")
+    else:
+        columns, limits, polygons, text = find_conditions(state, ids, moment)
+        angles |= {name: np.where(np.isfinite(value), value, angles[name]) for name, value in limits.items()}
+        notes.append(text)
+    for axis in "TP":
+        wrong = ~(angles[f"MIN_{axis}"] < angles[f"MAX_{axis}"])
+        if wrong.any():
+            raise InputError(
+                f"{state or path}: MIN_{axis} must be less than MAX_{axis}, but is not for {some(ids, wrong)}"
+            )
+    positioner, entries = replace(_mirrored(preset.focal_plane.positioner), home=None), {}
+    if exclusions is not None:
+        widths, text = half_widths(exclusions, polygons, len(ids))
+        positioner = replace(positioner, clearance=float(np.median(widths)) * u.mm)
+        source = "half width of the phi polygons, median of all positioners"
+        entries["positioner.clearance"] = _entry(float(np.median(widths)), exclusions, source, "mm", "derived")
+        notes.append(text)
+    plane = _plane(
+        path,
+        xy=_centers(table, "OFFSET_X", "OFFSET_Y", path),
+        positioner=positioner,
+        id=ids,
+        spectrograph=whole(table, "PETAL", path),
+        central_arm=r1 * u.mm,
+        eccentric_arm=r2 * u.mm,
+        zero_points=np.column_stack([180 - angles["OFFSET_T"], -angles["OFFSET_P"]]) * u.deg,
+        theta_range=-np.column_stack([angles["MAX_T"], angles["MIN_T"]]) * u.deg,
+        phi_range=-np.column_stack([angles["MAX_P"], angles["MIN_P"]]) * u.deg,
+        **columns,
+    )
+    entries |= {
+        "layout.centers": _entry(len(ids), path, "OFFSET_X and OFFSET_Y of rows of the type POS"),
+        "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL"),
+        "positioner.central_arm": _entry(float(np.median(r1)), path, "LENGTH_R1, median", "mm"),
+        "positioner.eccentric_arm": _entry(float(np.median(r2)), path, "LENGTH_R2, median", "mm"),
+        "positioner.theta_range": _entry(_limits(plane.theta_range), state or path, "MIN_T, MAX_T, medians", "deg"),
+        "positioner.phi_range": _entry(_limits(plane.phi_range), state or path, "MIN_P, MAX_P, medians", "deg"),
+    }
+    return _built(preset, plane, entries, " ".join(notes), dropped=("positioner.home",))
+
+
+def _plane(path, **columns) -> FocalPlane:
+    try:
+        return FocalPlane(**columns)
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def _built(preset, plane, entries, notes, dropped=()):
+    """Return the preset with a new focal plane; ``entries`` replace the values that describe its layout."""
+    gone = {*dropped, *(name for name in preset.values if name.startswith("layout."))}
+    values = {name: entry for name, entry in preset.values.items() if name not in gone} | entries
+    values["positioner.handedness"] = {**values["positioner.handedness"], "value": "left"}
+    for name in ("positioner.handedness", "positioner.theta_range", "positioner.phi_range"):
+        values[name] = {**values[name], "status": "derived", "source": f"{values[name]['source']}; mirror image of CS5"}
+    return replace(preset, focal_plane=plane, layout="as built", values=values, notes=f"{notes} {LEFT_OUT}")
+
+
+def _entry(value, path, source, unit=None, status="published"):
+    return {"value": value, **({"unit": unit} if unit else {}), "status": status, "source": f"{path.name}: {source}"}
+
+
+def _mirrored(positioner):
+    """Return the mirror image of a positioner that is described in CS5."""
+    ranges = {name: -getattr(positioner, name)[::-1] for name in ("theta_range", "phi_range")}
+    return replace(positioner, handedness="left", **ranges)
+
+
+def _limits(limits) -> list[float]:
+    """Return joint limits in degrees; for many positioners, return the median limits."""
+    return np.median(np.atleast_2d(limits.to_value(u.deg)), axis=0).tolist()
+
+
+def _centers(table, x, y, path):
+    return np.column_stack([-numbers(table, x, u.mm, path), numbers(table, y, u.mm, path)]) * u.mm
+
+
+def _positioners(table, names, path):
+    """Return the rows of a table that are positioners, and a sentence about the other rows."""
+    check_columns(table, names, path)
+    kinds = np.char.strip(to_plain(table["DEVICE_TYPE"], f"{path}: column 'DEVICE_TYPE'").astype(str))
+    rows = kinds == "POS"
+    if not rows.any():
+        raise InputError(f"{path}: DEVICE_TYPE must be POS for positioners, got {', '.join(np.unique(kinds))}")
+    if rows.sum() != N_POSITIONERS:
+        warn(f"{path}: DESI has {N_POSITIONERS} positioners, but the file has {rows.sum()}; it may be incomplete")
+    types, counts = np.unique(kinds[~rows], return_counts=True)
+    counts = ", ".join(f"{n} {kind or 'without type'}" for kind, n in zip(types, counts, strict=True))
+    others = f" Rows of other devices are not used: {counts}." if counts else ""
+    table = table[rows]
+    ids, petal, device = (whole(table, name, path) for name in names[:3])
+    wrong = np.flatnonzero(ids != 1000 * petal + device)
+    if len(wrong):
+        k = wrong[0]
+        raise InputError(
+            f"{path}: LOCATION must be 1000 {names[1]} + {names[2]}, got {ids[k]} for {petal[k]}, {device[k]}"
+        )
+    found, counts = np.unique(ids, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(f"{path}: LOCATION must be unique, but {found[counts > 1][0]} occurs more than once")
+    return table, others

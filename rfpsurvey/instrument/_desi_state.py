@@ -1,0 +1,166 @@
+"""Read the state and the exclusion polygons of a focal plane of desimodel."""
+
+import json
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+
+from rfpsurvey._readers import content_of, read_table, sentence
+from rfpsurvey._units import to_plain
+from rfpsurvey.errors import InputError, number_of, refusal, warn
+from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+
+__all__ = ["find_conditions", "find_latest", "half_widths", "moment_of"]
+
+STATE = ("TIME", "LOCATION", "STATE")
+POSE = ("POS_T", "POS_P")
+LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
+STUCK, BROKEN, RESTRICTED = 2, 4, 8
+NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
+MOST_BYTES = 2**28
+
+
+def moment_of(value: object, what: str) -> datetime:
+    """Convert a Time, or text in ISO 8601, to a datetime; text without an offset is UTC."""
+    try:
+        if isinstance(value, Time):
+            return value.utc.to_datetime(timezone=UTC)
+        found = datetime.fromisoformat(value)
+    except (TypeError, ValueError):
+        raise refusal(f"{what} must be a Time or a text such as '2021-05-14T00:00:00'", value, str, Time) from None
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, Path]]:
+    """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
+    found = {}
+    for file in sorted(folder.iterdir()):
+        match = NAME.fullmatch(file.name)
+        if match:
+            date = moment_of(match[2], f"{file}: the date in the name")
+            found.setdefault(date, {})[match[1]] = file
+    dates = sorted(date for date, files in found.items() if "focalplane" in files)
+    if not dates:
+        raise InputError(f"{folder}: the folder must have a file desi-focalplane_DATE.ecsv, got none")
+    valid = dates if moment is None else [date for date in dates if date <= moment]
+    if not valid:
+        raise InputError(
+            f"{folder}: time must be at least {dates[0].isoformat()}, the date of the first focal plane, "
+            f"got {moment.isoformat()}"
+        )
+    files = found[valid[-1]]
+    return files.pop("focalplane"), files
+
+
+def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
+    """Return the state at a time: columns of the focal plane, joint limits (NaN: unknown), names of polygons, a note.
+
+    The table is a log of events: the last event of each positioner that is not after the time applies.
+    """
+    table = read_table(path)
+    check_columns(table, STATE, path)
+    times = np.char.strip(to_plain(table["TIME"], f"{path}: column 'TIME'").astype(str))
+    location = whole(table, "LOCATION", path)
+    when = {text: moment_of(text, f"{path}: column 'TIME'") for text in np.unique(times).tolist()}
+    past = {text for text, date in when.items() if moment is None or date <= moment}
+    rows = np.flatnonzero(np.isin(times, list(past)))
+    if len(rows) == 0:
+        raise InputError(
+            f"{path}: time must be at least {min(when.values()).isoformat()}, the first event, got {moment.isoformat()}"
+        )
+    last = dict(zip(location[rows].tolist(), rows.tolist(), strict=True))  # for repeated keys, the last value is kept
+    row = np.array([last.get(one, -1) for one in ids.tolist()])
+    known = row >= 0
+    if not known.all():
+        warn(f"{path}: {some(ids, ~known)} of the focal plane have no state and count as working")
+    own = table[row[known]]
+    state = np.zeros(len(ids), dtype=np.int64)
+    state[known] = whole(own, "STATE", path)
+    odd = (state & ~(STUCK | BROKEN | RESTRICTED)) != 0
+    if odd.any():
+        warn(f"{path}: {some(ids, odd)} have unknown bits in their STATE and are disabled")
+    fixed = (state & (STUCK | BROKEN)) != 0
+    values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in table.colnames}
+    for name, column in values.items():
+        column[known] = numbers(own, name, u.deg, path)
+    pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
+    pose[~fixed] = np.nan
+    lost = fixed & np.isnan(pose).any(axis=1)
+    pose[lost] = np.nan
+    polygons = np.full(len(ids), "default", dtype=object)
+    if "EXCLUSION" in table.colnames:
+        polygons[known] = np.char.strip(to_plain(own["EXCLUSION"], f"{path}: column 'EXCLUSION'").astype(str))
+    counts = {
+        "stuck": (state & STUCK) != 0,
+        "with a broken fiber": (state & BROKEN) != 0,
+        "with restricted reach": (state & RESTRICTED) != 0,
+        "of these without a pose, which are parked": lost,
+    }
+    parts = ", ".join(f"{np.count_nonzero(mask)} {what}" for what, mask in counts.items() if mask.any())
+    text = (
+        f"The state is that of {path.name} after the event of {max(when[text] for text in past).isoformat()}: "
+        f"{parts or 'all positioners work'}."
+    )
+    others = len(set(location.tolist()) - set(ids.tolist()))
+    if others:
+        text += f" The events of {number_of(others, 'other device')} are not used."
+    columns = {"disabled": (state & BROKEN).astype(bool) | odd | lost, "stuck": pose * u.deg}
+    limits = {name: column for name, column in values.items() if name in LIMITS}
+    return columns, limits, polygons.astype(str), text
+
+
+def half_widths(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, str]:
+    """Return the half widths (mm) of the phi polygons of n positioners, and a sentence about the polygons."""
+    polygons = _load(path)
+    names = np.full(n, "default") if names is None else names
+    widths = {}
+    for name in np.unique(names).tolist():
+        if name not in polygons:
+            raise InputError(f"{path}: there must be polygons with the name {name!r}, got none")
+        widths[name] = _half_width(polygons[name], f"{path}: the phi polygon {name!r}")
+    found = np.array([widths[name] for name in names.tolist()])
+    text = (
+        f"The clearance is the median of the half widths of the phi polygons in {path.name}, which are from "
+        f"{found.min():.3f} to {found.max():.3f} mm; the other polygons are not used."
+    )
+    return found, text
+
+
+def _half_width(polygon: object, what: str) -> float:
+    """Return the largest distance of the outline from the axis of the arm, which is the x axis."""
+    try:
+        outline = polygon["phi"]
+        points = [point for segment in outline["segments"] for point in segment]
+        reach = [abs(float(y)) for _, y in points]
+        reach += [abs(float(center[1])) + float(radius) for center, radius in outline["circles"]]
+        width = max(reach)
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise InputError(f"{what} must be lists of segments (x, y) and circles, got others") from None
+    if not 0 < width < np.inf:
+        raise InputError(f"{what} must have a width above 0, got {width}")
+    return width
+
+
+def _load(path: Path) -> dict:
+    """Return the content of a file in JSON or YAML, which may be compressed."""
+    if not path.is_file():
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    content = content_of(path, most=MOST_BYTES)
+    try:
+        if ".yaml" in path.name:
+            import yaml  # a dependency of astropy
+
+            found = yaml.load(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        else:
+            found = json.loads(content)
+    except RecursionError:
+        raise InputError(f"{path} cannot be read: it is nested too deep") from None
+    except Exception as error:  # the parsers raise exceptions of several types
+        raise InputError(f"{path} cannot be read: {sentence(error)}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: the file must hold polygons by name, got {type(found).__name__}")
+    return found

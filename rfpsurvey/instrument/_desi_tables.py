@@ -1,0 +1,71 @@
+"""Read and check columns of the tables of DESI."""
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import rows_of, to_plain
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
+
+__all__ = ["check_columns", "numbers", "some", "whole"]
+
+SPELLED = {"degrees": u.deg}
+"""Names of units that desimodel writes and astropy does not accept."""
+
+
+def check_columns(table, names, path) -> None:
+    """Raise an error if a table is empty or lacks a column."""
+    for name in names:
+        if name not in table.colnames:
+            raise InputError(f"{path}: the table must have the column {name!r}, got {', '.join(table.colnames)}")
+    if len(table) == 0:
+        raise InputError(f"{path}: the table must have at least one row, got none")
+
+
+def numbers(table, name: str, unit: u.UnitBase, path) -> np.ndarray:
+    """Return a column of finite numbers in a unit; a column without a unit is assumed to have this unit."""
+    column, what = table[name], f"{path}: column {name!r}"
+    values = to_plain(column, what)
+    if values.dtype.kind not in "iuf" or values.ndim != 1:
+        raise InputTypeError(f"{what} must hold one number for each row, got {_example(values)}")
+    given = getattr(column, "unit", None)
+    given = SPELLED.get(str(given), given) or unit
+    if not given.is_equivalent(unit):
+        raise InputUnitsError(f"{what} must have a unit convertible to {unit}, got {given}")
+    missing = ~np.isfinite(values)
+    if missing.any():
+        raise InputError(f"{what} must hold a finite number for each row, but {rows_of(missing)} have none")
+    return (values * given).to_value(unit)
+
+
+def whole(table, name: str, path) -> np.ndarray:
+    """Return a column of whole numbers."""
+    what = f"{path}: column {name!r}"
+    values = to_plain(table[name], what)
+    if values.dtype.kind not in "iuf" or values.ndim != 1:
+        raise InputTypeError(f"{what} must hold one whole number for each row, got {_example(values)}")
+    with np.errstate(invalid="ignore"):
+        wrong = ~(values == np.floor(values)) | ~(np.abs(values) < 2.0**53)
+    if wrong.any():
+        raise InputError(f"{what} must hold a whole number for each row, but {rows_of(wrong)} have none")
+    return values.astype(np.int64)
+
+
+def some(ids, mask) -> str:
+    """Return the number of marked positioners and the first few of their ids."""
+    few = ", ".join(map(str, ids[mask][:3])) + (", ..." if mask.sum() > 3 else "")
+    return f"{number_of(int(mask.sum()), 'positioner')} ({few})"
+
+
+def _example(values) -> str:
+    if values.ndim != 1:
+        return f"the shape {values.shape}"
+    text = [one for one in values.tolist() if not _is_number(one)]
+    return f"{values.dtype.name}" if not text else f"{text[0]!r}"
+
+
+def _is_number(value) -> bool:
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True

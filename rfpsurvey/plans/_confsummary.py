@@ -1,0 +1,337 @@
+"""Configurations of SDSS-V: confSummary files in the yanny format, optionally with gzip compression."""
+
+import gzip
+import re
+import tempfile
+import warnings
+import zlib
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+from astropy.table import QTable
+from astropy.time import Time
+from astropy.utils.exceptions import AstropyDeprecationWarning
+
+from rfpsurvey._io import output_path
+from rfpsurvey._readers import content_of, is_number, sentence
+from rfpsurvey.errors import InputError
+from rfpsurvey.plans._plan import make_plan, text_of_lost
+
+__all__ = ["lost", "read", "recognizes", "write"]
+
+INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
+MISSING = -999
+FIBERS = ("BOSS", "APOGEE", "METROLOGY", "NONE")
+TYPES = {"short": "i2", "int": "i4", "long": "i8", "float": "f4", "double": "f8"}
+MOST_BYTES = 2**30
+
+STRUCT = """short positionerId; char holeId[28]; FIBERTYPE fiberType; short assigned; short on_target; short valid;
+short decollided; double xwok; double ywok; double zwok; double xFocal; double yFocal; float alpha; float beta;
+double racat; double deccat; float pmra; float pmdec; float parallax; double ra; double dec; float lambda_design;
+float lambda_eff; float coord_epoch; short spectrographId; short fiberId; float mag[5]; char optical_prov[120];
+float bp_mag; float gaia_g_mag; float rp_mag; float h_mag; long catalogid; long carton_to_target_pk; char cadence[400];
+char firstcarton[400]; char program[400]; char category[400]; long sdssv_boss_target0; long sdssv_apogee_target0;
+double delta_ra; double delta_dec;"""
+"""Columns of a new file."""
+NATIVE = {
+    "positioner": "holeId",
+    "fiber_type": "fiberType",
+    "target_id": "catalogid",
+    "theta": "alpha",
+    "phi": "beta",
+    "ra": "racat",
+    "dec": "deccat",
+    "pm_ra": "pmra",
+    "pm_dec": "pmdec",
+    "ra_fiber": "ra",
+    "dec_fiber": "dec",
+}
+"""Columns of a plan that are the same in the file but for their name and the value of missing numbers."""
+ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
+
+
+def recognizes(path: Path) -> bool:
+    """Return whether a file is a yanny file with the table FIBERMAP, or ends in ``.par``."""
+    if ".par" in path.suffixes[-2:]:
+        return True
+    try:
+        with path.open("rb") as file:
+            head = file.read(2)
+        with (gzip.open if head == b"\x1f\x8b" else open)(path, "rb") as file:
+            head = file.read(2**14)
+    except (OSError, EOFError, zlib.error):
+        return False
+    return head.startswith(b"#%yanny") and b"FIBERMAP" in head
+
+
+def read(path: Path) -> QTable:
+    """Return the plan in a file.
+
+    ``x`` and ``y`` are wok coordinates: ``xwok`` and ``ywok``, or, in files of 2021 and 2022, ``xFocal`` and
+    ``yFocal`` rotated by the position angle. ``ra`` and ``dec`` are the catalog position of the target; the position
+    of the fiber on the sky is in ``ra_fiber`` and ``dec_fiber``.
+    """
+    rows, struct, header = _parse(path)
+    n = len(rows)
+    for name in ("holeId", "fiberType", "assigned"):
+        if name not in rows:
+            raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {', '.join(rows)}")
+    fibers = list(zip(rows["holeId"].tolist(), rows["fiberType"].tolist(), strict=True))
+    if n == 0:
+        raise InputError(f"{path}: the table FIBERMAP must have at least one row, got none")
+    if len(set(fibers)) < n:
+        twice = next(fiber for k, fiber in enumerate(fibers) if fiber in fibers[:k])
+        raise InputError(f"{path}: each fiber must have one row, got several for {twice[0]} {twice[1]}")
+    _, counts = np.unique(rows["holeId"], return_counts=True)
+    if (counts != counts[0]).any():
+        raise InputError(
+            f"{path}: all holes must have the same number of rows, got {counts.min()} to {counts.max()}; "
+            "the file may be truncated"
+        )
+    site = header.get("observatory", "")
+    if site not in INSTRUMENTS:
+        raise InputError(f"{path}: observatory must be APO or LCO, got {site!r}")
+    rotation = _number(header, "pa")
+    if "xwok" in rows and "ywok" in rows:
+        xy = _filled(rows.pop("xwok")), _filled(rows.pop("ywok"))
+    elif "xFocal" in rows and "yFocal" in rows:
+        if rotation is None:
+            raise InputError(f"{path}: the header must have the position angle pa, got none")
+        xy = to_wok(_filled(rows["xFocal"]), _filled(rows["yFocal"]), rotation)
+    else:
+        raise InputError(f"{path}: the table FIBERMAP must have xwok and ywok, or xFocal and yFocal, got neither")
+    assigned = rows.pop("assigned") == 1
+    category = rows.get("category", np.full(n, "", dtype="U1"))
+    kind = np.where(assigned, "science", "").astype("U8")
+    for word in ("sky", "standard"):
+        kind[np.char.startswith(category, word)] = word
+    columns = {"kind": kind, "assigned": assigned, "x": xy[0], "y": xy[1]}
+    for name, native in NATIVE.items():
+        if native in rows:
+            values = rows.pop(native)
+            columns[name] = _filled(values) if name in ANGLES else values
+    ids = columns.get("target_id", np.full(n, -1))
+    columns["target_id"] = np.where(ids == MISSING, -1, ids)
+    rows = {**{name: columns.pop(name) for name in ("ra_fiber", "dec_fiber") if name in columns}, **rows}
+    epoch = _number(header, "epoch")
+    return make_plan(
+        columns,
+        rows,
+        format="confsummary",
+        instrument=INSTRUMENTS[site],
+        header=header,
+        racen=_number(header, "raCen"),
+        deccen=_number(header, "decCen"),
+        position_angle=rotation,
+        epoch=None if epoch is None else f"J{Time(epoch, format='jd').jyear:.6f}",
+        struct=struct,
+    )
+
+
+def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
+    """Write a plan; the ending ``.par.gz`` compresses the file."""
+    with output_path(path, (".par",), overwrite=overwrite, gzipped=True) as temporary, _yanny() as module:
+        rows, header = _native_rows(plan, path), _native_header(plan, path)
+        plain = temporary.with_name("plain.par")
+        enums = {"fiberType": ("FIBERTYPE", FIBERS)}
+        module.write_ndarray_to_yanny(str(plain), rows, "FIBERMAP", enums, header, ["", path.name, ""])
+        if path.suffix.lower() == ".gz":
+            temporary.write_bytes(gzip.compress(plain.read_bytes(), mtime=0))
+        else:
+            plain.rename(temporary)
+
+
+def lost(plan: QTable) -> list[str]:
+    """Return what this format cannot hold."""
+    names = {*_struct(plan), *NATIVE, "kind", "assigned", "x", "y"}
+    found = text_of_lost([name for name in plan.colnames if name not in names])
+    if _is_nominal(plan):
+        found.append("the joint angles of an instrument with nominal arms")
+    if plan.meta["format"] not in ("confsummary", "tile") and plan.meta["header"]:
+        found.append("the keywords of the header")
+    return found
+
+
+def to_wok(x, y, position_angle: float) -> tuple:
+    """Return wok coordinates from focal coordinates, whose +y axis points north; the angle is in degrees.
+
+    The two frames differ by the position angle: focal coordinates are wok coordinates rotated clockwise by it.
+    """
+    c, s = np.cos(np.deg2rad(position_angle)), np.sin(np.deg2rad(position_angle))
+    return c * x - s * y, s * x + c * y
+
+
+@contextmanager
+def _yanny():
+    """Provide the module that reads yanny files, without the warnings that its import and its code issue."""
+    with warnings.catch_warnings():
+        text = r"[\s\S]*The TestRunner(Base)? class is deprecated"
+        warnings.filterwarnings("ignore", text, AstropyDeprecationWarning)
+        warnings.filterwarnings("ignore", "'maxsplit' passed as positional", DeprecationWarning)
+        try:
+            module = import_module("pydl.pydlutils.yanny")
+        except ImportError as error:
+            raise InputError(
+                f"confSummary files need another package: {error} (pip install 'rfpsurvey[sdss]')"
+            ) from error
+        yield module
+
+
+def _parse(path: Path):
+    """Return the columns of FIBERMAP, their types, and the header of a file."""
+    try:
+        text = content_of(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} cannot be read as yanny: {sentence(error)}") from None
+    if not text.endswith("\n"):
+        raise InputError(f"{path}: the last line must end with a line break, got none; the file may be truncated")
+    widths = sum(map(int, re.findall(r"\[(\d{1,12})\]", text.partition("FIBERMAP;")[0])))
+    if 4 * widths * text.count("\nFIBERMAP") > max(MOST_BYTES, 64 * len(text)):
+        raise InputError(f"{path}: text columns must be short, got {widths} characters in each row")
+    with _yanny() as module, tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy.par"
+        copy.write_text(text, encoding="utf-8", newline="")
+        try:
+            found = module.yanny(str(copy))
+            rows = found["FIBERMAP"]
+            struct = {name: found.type("FIBERMAP", name) for name in found.columns("FIBERMAP")}
+            header = {key: str(found[key]) for key in found.pairs()}
+            columns = {
+                name: np.char.decode(rows[name], "utf-8") if rows[name].dtype.kind == "S" else np.array(rows[name])
+                for name in struct
+            }
+        except KeyError:
+            raise InputError(f"{path}: the file must have a complete definition of the table FIBERMAP") from None
+        except Exception as error:  # the reader can raise any exception
+            raise InputError(f"{path} cannot be read as yanny: {sentence(error)}") from error
+    return columns, struct, header
+
+
+def _number(header: dict, name: str) -> float | None:
+    """Return a number of the header, or None if it is missing."""
+    text = header.get(name, str(MISSING))
+    if not is_number(text):
+        raise InputError(f"{name} in the header must be a number, got {text!r}")
+    return None if float(text) == MISSING else float(text)
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Return a column of float64 with NaN for missing values."""
+    return np.where(values == MISSING, np.nan, values.astype(float))
+
+
+def _is_nominal(plan: QTable) -> bool:
+    return plan.meta["format"] == "tile" and plan.meta["header"].get("layout") != "as built"
+
+
+def _struct(plan: QTable) -> dict[str, str]:
+    """Return the columns of the file and their types: those of the file that was read, or those of a new file."""
+    if "struct" in plan.meta:
+        return dict(plan.meta["struct"])
+    pairs = (entry.split() for entry in STRUCT.replace("\n", " ").split(";") if entry.strip())
+    return {name.partition("[")[0]: kind + name[name.find("[") :] * ("[" in name) for kind, name in pairs}
+
+
+def _native_rows(plan: QTable, path: Path) -> np.ndarray:
+    """Return the rows of the file as a structured array."""
+    if plan.meta["instrument"] not in INSTRUMENTS.values():
+        raise InputError(
+            f"{path}: a confSummary file must be one of {' or '.join(INSTRUMENTS.values())}, "
+            f"got {plan.meta['instrument']}"
+        )
+    struct, n, fields = _struct(plan), len(plan), []
+    given = _given(plan, struct)
+    for name, kind in struct.items():
+        base, _, size = kind.rstrip("]").partition("[")
+        values = given.get(name)
+        if base in TYPES:
+            shape = (int(size),) if size else ()
+            values = np.full((n, *shape), MISSING) if values is None else np.asarray(values)
+            fields.append(
+                (name, TYPES[base], shape, _whole(values, name, path) if base in "short int long" else values)
+            )
+        else:
+            values = np.full(n, "") if values is None else np.asarray(values).astype(str)
+            _check_text(values, name, path)
+            width = max(int(size or 1), np.char.str_len(values).max(initial=1))
+            fields.append((name, f"S{width}", (), np.char.encode(values, "ascii")))
+    rows = np.empty(n, dtype=[(name, dtype, shape) if shape else (name, dtype) for name, dtype, shape, _ in fields])
+    for name, *_, values in fields:
+        rows[name] = values
+    return rows
+
+
+def _given(plan: QTable, struct: dict) -> dict:
+    """Return the columns of a plan under their names in the file, in its units and with its missing values."""
+    plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
+    x, y = plain["x"], plain["y"]
+    given = {name: values for name, values in plain.items() if name in struct and name not in ("ra", "dec")}
+    for name, native in NATIVE.items():
+        if name in plain and not (name in ("theta", "phi") and _is_nominal(plan)):
+            given[native] = np.nan_to_num(plain[name], nan=MISSING) if name in ANGLES else plain[name]
+    ids = plain["target_id"]
+    if ids.dtype.kind == "U":
+        none = np.isin(ids, ("", "-1"))
+        if not np.char.isdecimal(ids[~none]).all():
+            raise InputError("catalogid must be whole numbers, got text identifiers of targets; give whole numbers")
+        ids = np.where(none, "-1", ids).astype(np.int64)
+    given["catalogid"] = np.where(ids == -1, MISSING, ids)
+    given["assigned"] = plain["assigned"].astype(int)
+    given.setdefault("valid", np.isfinite(x).astype(int))
+    for name in ("on_target", "decollided"):
+        given.setdefault(name, np.zeros(len(plan), dtype=int))
+    first = [t if t else "BOSS" for t in plain["fiber_type"].tolist()]
+    given["fiberType"] = np.array([t if t in FIBERS else "NONE" for t in first])
+    category = plain.get("category", plain["kind"]).astype(str)
+    given["category"] = np.where(np.isin(category, ("sky", "standard")), _joined(category, first), category)
+    given["xwok"], given["ywok"] = np.nan_to_num(x, nan=MISSING), np.nan_to_num(y, nan=MISSING)
+    angle = plan.meta.get("position_angle")
+    focal = (np.full(len(plan), np.nan),) * 2 if angle is None else to_wok(x, y, -angle)
+    for name, values in zip(("xFocal", "yFocal"), focal, strict=True):
+        own = given.get(name, np.full(len(plan), np.nan))
+        given[name] = np.where(np.isnan(values) | (np.abs(own - values) < 1e-9), own, values)
+        given[name] = np.nan_to_num(given[name], nan=MISSING)
+    return given
+
+
+def _joined(category, fibers):
+    """Return categories such as ``sky_boss``."""
+    return np.array([f"{c}_{t.lower()}" for c, t in zip(category.tolist(), fibers, strict=True)])
+
+
+def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+    if values.dtype.kind not in "iub":
+        raise InputError(f"{path}: the column {name!r} must be whole numbers, got {values.dtype}")
+    return values
+
+
+def _check_text(values: np.ndarray, name: str, path: Path) -> None:
+    """Raise an error for text that yanny files cannot contain."""
+    for text in np.unique(values).tolist():
+        if not (text.isascii() and (text.isprintable() or not text)) or '"' in text or text[:1] == "{" or "\\" in text:
+            raise InputError(f"{path}: yanny files cannot hold the text {text!r} of {name!r}; change it")
+
+
+def _native_header(plan: QTable, path: Path) -> dict[str, str]:
+    """Return the keywords of the file: those of the file that was read, or those of the field."""
+    meta = plan.meta
+    if meta["format"] == "confsummary":
+        header = dict(meta["header"])
+    else:
+        epoch = meta.get("epoch")
+        header = {
+            "instruments": "BOSS APOGEE",
+            "epoch": MISSING if epoch is None else Time(epoch).jd,
+            "observatory": next(site for site, name in INSTRUMENTS.items() if name == meta["instrument"]),
+            "raCen": meta.get("racen", MISSING),
+            "decCen": meta.get("deccen", MISSING),
+            "pa": meta.get("position_angle", MISSING),
+        }
+    header = {key: str(value) for key, value in header.items()}
+    for key, text in header.items():
+        _check_text(np.array([text]), key, path)
+        if "#" in text or re.search(r"\s", key) or key.upper() == "FIBERMAP":
+            raise InputError(f"{path}: yanny files cannot hold the keyword {key!r} with the value {text!r}; change it")
+    return header

@@ -1,0 +1,329 @@
+"""Files of fiberassign, the planner of DESI: FITS files with the extension FIBERASSIGN.
+
+The data model is https://desidatamodel.readthedocs.io, DESI_TARGET/fiberassign. FIBERASSIGN_X and FIELDROT are in the
+coordinate system CS5, in which +x is west; x and the position angle of this package have the opposite signs.
+"""
+
+import gzip
+import re
+import warnings
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable, Table
+
+from rfpsurvey._io import check_fits_text, output_path, suffix_of
+from rfpsurvey._readers import read_tables
+from rfpsurvey._units import to_plain
+from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.plans._plan import make_plan, text_of_lost
+
+__all__ = ["lost", "read", "recognizes", "write"]
+
+NAME = re.compile(rb"EXTNAME *= *'FIBERASSIGN *'")
+TYPES = {
+    "TARGETID": "i8",
+    "PETAL_LOC": "i2",
+    "DEVICE_LOC": "i4",
+    "LOCATION": "i4",
+    "FIBER": "i4",
+    "FIBERSTATUS": "i4",
+    "TARGET_RA": "f8",
+    "TARGET_DEC": "f8",
+    "PMRA": "f4",
+    "PMDEC": "f4",
+    "REF_EPOCH": "f4",
+    "LAMBDA_REF": "f4",
+    "FA_TARGET": "i8",
+    "FA_TYPE": "u1",
+    "OBJTYPE": "U3",
+    "FIBERASSIGN_X": "f4",
+    "FIBERASSIGN_Y": "f4",
+    "PRIORITY": "i4",
+}
+"""Columns of a new file, with their types."""
+UNITS = {"TARGET_RA": u.deg, "TARGET_DEC": u.deg, "PMRA": u.mas / u.yr, "PMDEC": u.mas / u.yr}
+UNITS |= {"FIBERASSIGN_X": u.mm, "FIBERASSIGN_Y": u.mm}
+REQUIRED = ("LOCATION", "TARGETID", "FIBERSTATUS", "TARGET_RA", "TARGET_DEC", "FIBERASSIGN_X", "FIBERASSIGN_Y")
+COMMON = {
+    "positioner": "LOCATION",
+    "target_id": "TARGETID",
+    "x": "FIBERASSIGN_X",
+    "y": "FIBERASSIGN_Y",
+    "ra": "TARGET_RA",
+    "dec": "TARGET_DEC",
+    "pm_ra": "PMRA",
+    "pm_dec": "PMDEC",
+    "priority": "PRIORITY",
+}
+"""Common columns, and the columns of the file that they replace."""
+UNASSIGNED, STUCK, BROKEN = 1, 2, 4
+SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
+KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
+LAMBDA_REF = 5400.0  # Angstrom; all files of DESI have this value
+MOST_DEVICE, N_PETALS = 542, 10
+POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
+SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
+SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA_VER", "FA_SURV")
+"""Keywords that are in the headers of all tables."""
+
+
+def recognizes(path: Path) -> bool:
+    """Return whether a FITS file has the extension FIBERASSIGN near its beginning."""
+    try:
+        with open(path, "rb") as file:
+            opener = gzip.open if file.read(2) == b"\x1f\x8b" else open
+        with opener(path, "rb") as file:
+            head = file.read(2**18)
+    except (OSError, EOFError):
+        return False
+    return head.startswith(b"SIMPLE") and NAME.search(head) is not None
+
+
+def read(path: Path) -> QTable:
+    """Return the plan in a file; its other tables are in the entry ``extensions`` of the meta."""
+    header, tables = read_tables(path)
+    found = [table for table in tables if table.meta.get("EXTNAME") == "FIBERASSIGN"]
+    if not found:
+        raise InputError(f"{path}: the file must have the extension FIBERASSIGN, got none")
+    table = found[0]
+    for name in REQUIRED:
+        if name not in table.colnames:
+            raise InputError(f"{path}: FIBERASSIGN must have the column {name!r}, got none")
+    values = {name: _column(table, name, path) for name in table.colnames if name in TYPES}
+    _check_ids(values["LOCATION"], path)
+    status = values["FIBERSTATUS"]
+    columns = {common: values[name] for common, name in COMMON.items() if name in values}
+    columns |= {
+        "fiber_type": np.full(len(table), ""),
+        "kind": _kinds(values),
+        "assigned": _is_assigned(status, values["TARGETID"]),
+        "x": -values["FIBERASSIGN_X"],
+    }
+    header |= {name: value for name, value in table.meta.items() if name != "EXTNAME"}
+    plan = make_plan(
+        columns,
+        {name: _native(table[name]) for name in table.colnames if name not in COMMON.values()},
+        format="fiberassign",
+        instrument="desi",
+        header=header,
+        racen=_angle(header, "TILERA", path),
+        deccen=_angle(header, "TILEDEC", path),
+        position_angle=_opposite(_angle(header, "FIELDROT", path)),
+        epoch=_epoch(values.get("REF_EPOCH")),
+    )
+    plan.meta["columns"] = list(table.colnames)
+    plan.meta["extensions"] = [one for one in tables if one is not table]
+    return plan
+
+
+def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
+    """Write a plan; columns that a plan of another format does not have are written as unknown."""
+    from astropy.io import fits
+
+    if suffix_of(path) != ".fits":
+        raise InputError(f"{path}: the name of a file of fiberassign must end in .fits or .fits.gz")
+    header = _header(plan)
+    columns = _columns(plan, header)
+    shared = {name: header[name] for name in SHARED if name in header}
+    with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
+        primary = fits.PrimaryHDU()
+        _add(primary.header, header, path)
+        units = [primary, _to_hdu("FIBERASSIGN", columns, shared, path)]
+        for table in plan.meta.get("extensions", ()):
+            own = {name: table[name] for name in table.colnames}
+            units.append(_to_hdu(table.meta.get("EXTNAME"), own, table.meta, path))
+        fits.HDUList(units).writeto(temporary)
+
+
+def lost(plan: QTable) -> list[str]:
+    """Return what a file of fiberassign cannot hold."""
+    known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
+    names = [name for name in plan.colnames if name not in known]
+    return text_of_lost([name for name in names if not _is_own(plan) or name in ("theta", "phi")])
+
+
+def _column(table, name, path) -> np.ndarray:
+    """Return a column that this package interprets, as numbers in the unit of the data model or as text."""
+    what, column = f"{path}: column {name!r}", table[name]
+    values = to_plain(column, what)
+    expected = "U" if name == "OBJTYPE" else "f" if TYPES[name][0] == "f" else "iu"
+    fits = values.dtype.kind in ("iuf" if expected == "f" else expected)
+    if values.ndim != 1 or not fits:
+        kind = {"U": "text", "f": "numbers", "iu": "whole numbers"}[expected]
+        raise InputTypeError(f"{what} must hold {kind}, got {values.dtype.name} of the shape {values.shape}")
+    unit, given = UNITS.get(name), getattr(column, "unit", None)
+    if unit is not None and given is not None:
+        if not given.is_equivalent(unit):
+            raise InputError(f"{what} must have a unit convertible to {unit}, got {given}")
+        values = values if given == unit else (values * given).to_value(unit)
+    return values.astype(values.dtype.newbyteorder("="))
+
+
+def _native(column):
+    """Return a column in the byte order of the machine."""
+    kind = getattr(getattr(column, "dtype", None), "kind", "")
+    return column.astype(column.dtype.newbyteorder("=")) if kind in "iufc" and kind else column
+
+
+def _check_ids(ids, path):
+    found, counts = np.unique(ids, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(f"{path}: LOCATION must be unique, but {found[counts > 1][0]} occurs more than once")
+
+
+def _is_assigned(status, target) -> np.ndarray:
+    """Return whether fibers are on targets: those of stuck positioners may be on blank sky, but do not move there."""
+    return ((status & (UNASSIGNED | STUCK | BROKEN)) == 0) & (target >= 0)
+
+
+def _kinds(values) -> np.ndarray:
+    """Return the kinds of targets; a target that is both a science target and a standard is a standard."""
+    if "FA_TYPE" in values:
+        bits = values["FA_TYPE"]
+        conditions = [(bits & (SKY | SUPPLEMENTAL_SKY)) != 0, (bits & STANDARD) != 0, (bits & SCIENCE) != 0]
+    elif "OBJTYPE" in values:
+        word = np.char.strip(values["OBJTYPE"])
+        conditions = [word == "SKY", np.zeros(len(word), dtype=bool), word == "TGT"]
+    else:
+        return np.full(len(values["LOCATION"]), "", dtype="U8")
+    return np.select(conditions, ["sky", "standard", "science"], "")
+
+
+def _angle(header, name, path):
+    value = header.get(name)
+    if value is not None and (isinstance(value, bool | str) or not np.isfinite(value)):
+        raise InputError(f"{path}: the keyword {name} must be an angle in degrees, got {value!r}")
+    return None if value is None else float(value)
+
+
+def _opposite(angle):
+    return None if angle is None else 0.0 - angle
+
+
+def _epoch(years):
+    """Return the epoch of the positions if it is the same for all moving targets."""
+    years = np.unique(years[years > 0]) if years is not None else []
+    return f"J{years[0]:.3f}" if len(years) == 1 else None
+
+
+def _header(plan) -> dict:
+    """Return the keywords of the first header; those of a plan of another format are the least that is required."""
+    header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
+    for name, entry in POINTING.items():
+        if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
+            header[name] = plan.meta[entry]
+    if plan.meta.get("position_angle") is not None and ("FIELDROT" in header or not _is_own(plan)):
+        header["FIELDROT"] = 0.0 - plan.meta["position_angle"]
+    return header
+
+
+def _is_own(plan) -> bool:
+    return plan.meta.get("format") == "fiberassign"
+
+
+def _columns(plan, header) -> dict:
+    """Return the columns of FIBERASSIGN in the order of the file from which the plan was read."""
+    assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
+    location = _locations(plan)
+    bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")
+    words = np.where(bits == SKY, "SKY", np.where(bits > 0, "TGT", ""))
+    common = {name: plan[one] for one, name in COMMON.items() if one in plan.colnames}
+    common["FIBERASSIGN_X"] = -plan["x"]
+    if _is_own(plan):
+        found = {name: plan[name] for name in plan.colnames if name not in (*COMMON, "fiber_type", "kind", "assigned")}
+        found |= common
+        status = np.array(found["FIBERSTATUS"])
+        edited = assigned != _is_assigned(status, np.asarray(common["TARGETID"]))
+        status[edited & assigned] &= ~(UNASSIGNED | STUCK | BROKEN)
+        status[edited & ~assigned] |= UNASSIGNED
+        found["FIBERSTATUS"] = status
+        edited = kind != _kinds({name: np.asarray(column) for name, column in found.items()})
+        for name, values in (("FA_TYPE", bits), ("OBJTYPE", words)):
+            if name in found and edited.any():
+                found[name] = np.where(edited, values, np.asarray(found[name]))
+    else:
+        n = len(plan)
+        found = {
+            "PETAL_LOC": location // 1000,
+            "DEVICE_LOC": location % 1000,
+            "FIBER": np.full(n, -1),
+            "FIBERSTATUS": np.where(assigned, 0, UNASSIGNED),
+            "LAMBDA_REF": np.full(n, LAMBDA_REF),
+            "FA_TARGET": np.zeros(n),
+            "FA_TYPE": np.where(assigned & (bits == 0), SCIENCE, bits),
+            "OBJTYPE": np.where(assigned & (bits == 0), "TGT", words),
+            "PMRA": np.zeros(n),
+            "PMDEC": np.zeros(n),
+            "REF_EPOCH": np.full(n, _year(plan.meta.get("epoch"))),
+            "PRIORITY": np.zeros(n),
+            "TARGET_RA": np.full(n, np.nan),
+            "TARGET_DEC": np.full(n, np.nan),
+        } | common
+        found["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"])
+        found = {name: _typed(column, TYPES[name], UNITS.get(name)) for name, column in found.items()}
+    order = dict.fromkeys([*plan.meta.get("columns", TYPES), *found])
+    return {name: found[name] for name in order if name in found}
+
+
+def _locations(plan) -> np.ndarray:
+    """Return the locations of the positioners."""
+    ids = np.asarray(plan["positioner"])
+    wrong = np.ones(len(ids), dtype=bool)
+    if ids.dtype.kind in "iu":
+        wrong = (ids < 0) | (ids // 1000 >= N_PETALS) | (ids % 1000 > MOST_DEVICE)
+    if wrong.any():
+        raise InputError(
+            f"positioner must be a LOCATION of DESI, 1000 petals + device, got {ids[wrong][0]!r}; plan with "
+            "Instrument.from_desi, whose ids are locations"
+        )
+    return ids.astype(np.int64)
+
+
+def _targets(ids, location, assigned, tile) -> np.ndarray:
+    """Return the identifiers of targets, and different negative numbers for fibers without a target."""
+    values = np.where(assigned, np.asarray(ids), 0 if np.asarray(ids).dtype.kind in "iu" else "0")
+    try:
+        found = values.astype(np.int64)
+    except ValueError:
+        raise InputError(f"target_id must be whole numbers in a file of fiberassign, got {values[0]!r}") from None
+    return np.where(assigned, found, -1 - 10_000 * tile - location)
+
+
+def _year(epoch) -> float:
+    """Return the year of an epoch such as J2026.500, and 0 if it is unknown."""
+    match = re.fullmatch(r"J(\d+(?:\.\d+)?)", str(epoch))
+    return float(match[1]) if match else 0.0
+
+
+def _typed(column, kind, unit):
+    values = column.to_value(unit) if unit is not None and isinstance(column, u.Quantity) else to_plain(column)
+    return values.astype(kind) if unit is None else u.Quantity(values.astype(kind), unit)
+
+
+def _to_hdu(name, columns, header, path):
+    """Return a table as a FITS extension; units are written as text, whether or not FITS defines them."""
+    from astropy.io import fits
+
+    plain = Table({key: getattr(column, "value", column) for key, column in columns.items()}, copy=False)
+    check_fits_text({f"values of {key} for {path}": np.asarray(plain[key]) for key in columns}, "write a table in ECSV")
+    for column in plain.itercols():
+        column.unit = None
+    hdu = fits.table_to_hdu(plain)
+    for k, column in enumerate(columns.values(), 1):
+        if getattr(column, "unit", None) is not None:
+            hdu.header[f"TUNIT{k}"] = str(column.unit)
+    _add(hdu.header, {**header, **({"EXTNAME": name} if name else {})}, path)
+    return hdu
+
+
+def _add(header, keywords, path) -> None:
+    """Add keywords to a header."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about names with more than eight characters
+        for name, value in keywords.items():
+            try:
+                header[name] = value
+            except ValueError as error:
+                raise InputError(f"{path}: the keyword {name} cannot be written: {error}") from None

@@ -1,0 +1,325 @@
+"""The table of a plan, and the formats of files in which plans are stored.
+
+Each format has a module with four functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *,
+overwrite)`` writes one, ``recognizes(path)`` returns whether the first bytes or the names of extensions are those of
+the format, and ``lost(plan)`` lists in words what the format cannot hold.
+"""
+
+import os
+from importlib import import_module
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import MaskedColumn, QTable, Table
+
+from rfpsurvey._io import suffix_of, to_path
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
+
+__all__ = [
+    "COLUMNS",
+    "FORMATS",
+    "as_plan",
+    "is_plan",
+    "make_plan",
+    "read_plan",
+    "recognize_plan",
+    "text_of_lost",
+    "write_plan",
+]
+
+FORMATS = {
+    "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
+    "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
+    "pfsdesign": ("rfpsurvey.plans._pfsdesign", (".fits",)),
+    "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),  # the last one, because it recognizes any table
+}
+"""Name of each format, with its module and the endings of its files."""
+
+COLUMNS = {
+    "positioner": None,
+    "fiber_type": None,
+    "target_id": None,
+    "kind": None,
+    "assigned": None,
+    "x": u.mm,
+    "y": u.mm,
+    "theta": u.deg,
+    "phi": u.deg,
+    "ra": u.deg,
+    "dec": u.deg,
+    "pm_ra": u.mas / u.yr,
+    "pm_dec": u.mas / u.yr,
+    "priority": None,
+}
+"""Common columns of all plans, in this order, with their units; ``theta`` to ``priority`` are optional."""
+REQUIRED = ("positioner", "fiber_type", "target_id", "kind", "assigned", "x", "y")
+FROM_TILE = {"id": "positioner", "tip_x": "x", "tip_y": "y"}
+OMITTED = ("x", "y", "status", "elbow_x", "elbow_y", "in_collision", "colliding_with", "clearance", "arm_x", "arm_y")
+
+
+@check_keywords
+def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # noqa: A002
+    """Read the plan of another program.
+
+    Parameters
+    ----------
+    path : str or path-like
+        File in one of the formats ``confsummary`` (SDSS-V, ``confSummary-*.par``), ``pfsdesign`` (PFS,
+        ``pfsDesign-0x*.fits``) and ``table`` (a plan that
+        `write_plan` wrote as ECSV or FITS, or a tile of this package).
+    format : str, optional
+        Name of the format; by default it is recognized from the content.
+
+    Returns
+    -------
+    QTable
+        Table with a row for each fiber in the file. Columns: ``positioner``, ``fiber_type`` (empty if the instrument
+        has only one), ``target_id`` (-1 or empty without a target), ``kind`` (``science``, ``sky``, ``standard`` or
+        empty), ``assigned``, ``x``, ``y`` (position of the fiber on the focal plane; NaN if it is missing), and, where
+        the file has them, ``theta``, ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and
+        ``priority``. All other columns of the file follow under their own names. The ``meta`` contains ``format``,
+        ``instrument``, ``header`` (all keywords of the file) and, where known, ``racen``, ``deccen``,
+        ``position_angle`` (deg) and ``epoch``.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, its format is unknown, or it is damaged.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.plans.read_plan("notes.txt")
+    Traceback (most recent call last):
+        ...
+    rfpsurvey.errors.InputError: notes.txt: there is no such file
+    """
+    path = _existing(path)
+    if format is None:
+        format = recognize_plan(path)  # noqa: A001
+        if format is None:
+            raise InputError(f"{path}: the file must be a plan in one of the formats {', '.join(FORMATS)}")
+    return _module(format).read(path)
+
+
+@check_keywords
+def write_plan(
+    plan: object,
+    path: str | os.PathLike,
+    *,
+    format: str | None = None,  # noqa: A002
+    overwrite: bool = False,
+) -> None:
+    """Write a plan in the format of another program; if writing fails, no incomplete file remains.
+
+    A warning names what the format cannot hold.
+
+    Parameters
+    ----------
+    plan : QTable or Tile
+        A plan as `read_plan` returns it, or a tile.
+    path : str or path-like
+        Path of the new file.
+    format : str, optional
+        Name of the format, as in `read_plan`; by default it is that of the plan if files of this format have the
+        ending of ``path``, otherwise the one format with this ending.
+    overwrite : bool, optional
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown or cannot represent the plan, or the file exists and ``overwrite`` is False.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> x, y = lamost.focal_plane.xy[:2].T
+    >>> tile = rs.score_tile(QTable({"positioner": [0, 1], "x": x, "y": y}), lamost)
+    >>> rs.plans.write_plan(tile, "plan.ecsv")
+    >>> rs.plans.read_plan("plan.ecsv")["positioner"][:2].tolist()
+    [0, 1]
+    """
+    path, plan = to_path(path), as_plan(plan)
+    module = _module(_format_for(plan, path) if format is None else format)
+    lost = module.lost(plan)
+    module.write(plan, path, overwrite=overwrite)
+    if lost:
+        warn(f"{path}: this format cannot hold {', '.join(lost)}, which were left out")
+
+
+def recognize_plan(path: str | os.PathLike) -> str | None:
+    """Return the name of the format of a file, or None if it is not a plan.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Path of the file.
+
+    Returns
+    -------
+    str or None
+        Name of the format.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> from pathlib import Path
+    >>> _ = Path("stars.csv").write_text("ra,dec")
+    >>> rs.plans.recognize_plan("stars.csv") is None
+    True
+    """
+    path = _existing(path)
+    return next((name for name in FORMATS if _module(name).recognizes(path)), None)
+
+
+def is_plan(table: object) -> bool:
+    """Return whether a table is a plan, as `read_plan` returns it.
+
+    Parameters
+    ----------
+    table : Table
+        The table.
+
+    Returns
+    -------
+    bool
+        Whether it has the columns and the ``meta`` of a plan.
+
+    Examples
+    --------
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> rs.plans.is_plan(QTable({"positioner": [0]}))
+    False
+    """
+    return (
+        isinstance(table, Table) and isinstance(table.meta.get("header"), dict) and set(REQUIRED) <= {*table.colnames}
+    )
+
+
+def as_plan(plan: object) -> QTable:
+    """Return the plan of a tile, or a plan unchanged.
+
+    Parameters
+    ----------
+    plan : QTable or Tile
+        A plan, a tile, or the table of a tile.
+
+    Returns
+    -------
+    QTable
+        The plan, with a row for each positioner of the tile.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> import rfpsurvey as rs
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> x, y = lamost.focal_plane.xy[:2].T
+    >>> tile = rs.score_tile(QTable({"positioner": [0, 1], "x": x, "y": y}), lamost)
+    >>> int(rs.plans.as_plan(tile)["assigned"].sum())
+    2
+    """
+    if is_plan(plan):
+        return plan
+    table = getattr(plan, "table", plan)
+    if not isinstance(table, QTable) or not is_tile(table):
+        raise InputTypeError(f"a plan must be a table that read_plan returned, or a Tile, got {type(plan).__name__}")
+    parameters = table.meta["provenance"]["parameters"]
+    has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
+    n = len(table)
+    columns = {
+        "positioner": np.asarray(table["id"]),
+        "fiber_type": np.asarray(table["fiber_type"]) if "fiber_type" in table.colnames else np.full(n, ""),
+        "target_id": _filled(table["target_id"], has_target),
+        "kind": np.asarray(table["kind"]) if "kind" in table.colnames else np.full(n, ""),
+        "assigned": has_target,
+        "x": table["tip_x"],
+        "y": table["tip_y"],
+        **{name: table[name] for name in ("theta", "phi", "ra", "dec", "priority") if name in table.colnames},
+    }
+    other = {name: table[name] for name in table.colnames if name not in {*columns, *OMITTED, *FROM_TILE}}
+    return make_plan(
+        columns,
+        other,
+        format="tile",
+        instrument=table.meta["provenance"]["instrument"]["name"],
+        header={"layout": table.meta["provenance"]["instrument"].get("layout", "")},
+        racen=parameters.get("ra_deg"),
+        deccen=parameters.get("dec_deg"),
+        position_angle=parameters.get("position_angle_deg"),
+        epoch=parameters.get("epoch"),
+    )
+
+
+def is_tile(table: Table) -> bool:
+    """Return whether a table is that of a tile of this package."""
+    provenance = table.meta.get("provenance")
+    return {"status", "in_collision", "target_id"} <= {*table.colnames} and isinstance(provenance, dict)
+
+
+def make_plan(columns: dict, native: dict, *, format: str, instrument: str, header: dict, **meta) -> QTable:  # noqa: A002
+    """Return the table of a plan.
+
+    ``columns`` has the common columns (`COLUMNS`), arrays without units in the units of `COLUMNS` or quantities;
+    ``native`` has the other columns of the file. Entries of ``meta`` that are None are left out.
+    """
+    table = QTable()
+    for name, unit in COLUMNS.items():
+        if name in columns:
+            table[name] = columns[name] if unit is None else u.Quantity(columns[name], unit, copy=True)
+    for name, values in native.items():
+        table[name] = values
+    found = {"format": format, "instrument": instrument, **meta, "header": dict(header)}
+    table.meta = {name: value for name, value in found.items() if value is not None}
+    return table
+
+
+def text_of_lost(names: list[str]) -> list[str]:
+    """Return the columns of a plan that a format cannot hold, as one text in a list, or an empty list."""
+    if not names:
+        return []
+    return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]
+
+
+def _filled(ids, has_target) -> np.ndarray:
+    """Return identifiers with -1 or empty text for positioners without a target."""
+    values = np.asarray(ids.filled() if isinstance(ids, MaskedColumn) else ids)
+    return np.where(has_target, values, -1 if values.dtype.kind == "i" else "")
+
+
+def _existing(path: object) -> Path:
+    path = to_path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    return path
+
+
+def _module(name: str):
+    return import_module(FORMATS[check_choice(name, FORMATS, "format of plans")][0])
+
+
+def _format_for(plan: QTable, path: Path) -> str:
+    """Return the format of the plan if it fits the ending of the path, otherwise the only one that does."""
+    found = [name for name, (_, endings) in FORMATS.items() if suffix_of(path) in endings]
+    if not found:
+        endings = sorted({ending for _, many in FORMATS.values() for ending in many})
+        raise InputError(f"{path}: the name of a plan must end in one of {', '.join(endings)} (or with .gz)")
+    own = plan.meta.get("format")
+    return own if own in found else "table" if "table" in found else found[0]

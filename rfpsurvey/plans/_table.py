@@ -1,0 +1,42 @@
+"""Plans as plain tables (ECSV or FITS), and tiles of this package."""
+
+from pathlib import Path
+
+from astropy.table import QTable
+
+from rfpsurvey._io import read_table, suffix_of, write_table
+from rfpsurvey.errors import InputError
+from rfpsurvey.plans._plan import as_plan, is_plan, is_tile
+
+__all__ = ["lost", "read", "recognizes", "write"]
+
+
+def read(path: Path) -> QTable:
+    """Return the plan in a table."""
+    table = read_table(path)
+    if not is_plan(table) and not is_tile(table):
+        raise InputError(f"{path}: the table must be that of a plan that write_plan wrote, or a tile")
+    return as_plan(table)
+
+
+def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
+    """Write a plan as ECSV or FITS, without the other tables of the file from which it was read."""
+    plan = plan.copy(copy_data=False)
+    plan.meta.pop("extensions", None)
+    write_table(plan, path, overwrite=overwrite, name="PLAN")
+
+
+def recognizes(path: Path) -> bool:
+    """Return whether a file is the table of a plan or a tile."""
+    if suffix_of(path) not in (".ecsv", ".fits"):
+        return False
+    try:
+        table = read_table(path)
+    except InputError:
+        return False
+    return is_plan(table) or is_tile(table)
+
+
+def lost(plan: QTable) -> list[str]:
+    """Return what this format cannot hold."""
+    return ["the other tables of its file"] if plan.meta.get("extensions") else []

@@ -1,0 +1,364 @@
+"""DESI as built, from files written from the data models and from the real metrology."""
+
+import gzip
+
+import astropy.units as u
+import desi_files
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from astropy.time import Time
+from numpy.testing import assert_allclose, assert_array_equal
+
+import rfpsurvey as rs
+
+FEW = 20  # positioners of each petal
+partial = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A focal plane with few positioners, its state with three events, and its exclusions."""
+    table = desi_files.focal_plane(tmp_path / "desi-focalplane_2020-01-01T00:00:00.ecsv", per_petal=FEW)
+    events = [
+        {"TIME": "2021-01-01T00:00:00+00:00", "LOCATION": 1003, "STATE": 2, "POS_T": 10.0, "POS_P": 100.0},
+        {"TIME": "2022-01-01T00:00:00", "LOCATION": 1003, "STATE": 0},
+        {"TIME": "2022-01-01T00:00:00", "LOCATION": 1004, "STATE": 4, "POS_T": 1.0, "POS_P": 90.0},
+        {"TIME": "2023-01-01T00:00:00", "LOCATION": 1005, "STATE": 8, "MIN_P": 100.0, "EXCLUSION": "retracted"},
+    ]
+    desi_files.state(tmp_path / "desi-state_2020-01-01T00:00:00.ecsv", table, events)
+    desi_files.exclusions(tmp_path / "desi-exclusion_2020-01-01T00:00:00.json.gz", ("default", "retracted"))
+    return tmp_path
+
+
+def row_of(instrument, location):
+    return np.flatnonzero(instrument.focal_plane.id == location)[0]
+
+
+def test_the_metrology_gives_centers_ids_and_petals(tmp_path, presets):
+    table = desi_files.metrology(tmp_path / "fp.csv")[:5000]
+    instrument = rs.Instrument.from_desi(tmp_path / "fp.csv")
+    plane = instrument.focal_plane
+    assert_array_equal(plane.xy.to_value(u.mm), np.column_stack([-table["X_FP"], table["Y_FP"]]))
+    assert_array_equal(plane.id, table["LOCATION"])
+    assert_array_equal(plane.spectrograph, table["PETAL_LOC"])
+    assert instrument.layout == "as built"
+    assert "1 FIF, 1 GIF" in instrument.notes
+    assert instrument.requirements == presets["desi"].requirements
+    assert instrument.values["layout.centers"]["value"] == 5000
+    assert not {"layout.pitch", "layout.count", "layout.inner_radius"} & set(instrument.values)
+
+
+def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
+    """Arms that the preset places at (x, y) are those that the instrument as built places at (-x, y)."""
+    desi_files.metrology(tmp_path / "fp.csv", others=False)
+    built, nominal = rs.Instrument.from_desi(tmp_path / "fp.csv").focal_plane, presets["desi"].focal_plane
+    order = np.argsort(nominal.spectrograph, kind="stable")
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-4, 4, (5000, 2)) * u.mm
+    theta, phi = nominal.positioner.inverse(points)
+    other, folded = built.positioner.inverse(points * [-1, 1])
+    assert_allclose(np.cos((theta + other).to_value(u.rad)), -1, atol=1e-9)
+    assert_allclose(phi.value, -folded.value, atol=1e-9)
+    assert_array_equal(built.xy, nominal.xy[order] * [-1, 1])
+
+
+@partial
+def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
+    """Forward kinematics of desimeter in CS5: x = R1 cos(t) + R2 cos(t + p), with t = POS_T + OFFSET_T."""
+    table = Table.read(next(folder.glob("desi-focalplane*")), format="ascii.ecsv")[:-1]
+    plane = rs.Instrument.from_desi(folder).focal_plane
+    rng = np.random.default_rng(4)
+    t, p = rng.uniform(-180, 180, len(table)), rng.uniform(5, 175, len(table))
+    a = np.deg2rad(t + table["OFFSET_T"].value)
+    b = a + np.deg2rad(p + table["OFFSET_P"].value)
+    r1, r2 = table["LENGTH_R1"].value, table["LENGTH_R2"].value
+    x = table["OFFSET_X"].value + r1 * np.cos(a) + r2 * np.cos(b)
+    y = table["OFFSET_Y"].value + r1 * np.sin(a) + r2 * np.sin(b)
+    there = plane.forward(-t * u.deg, -p * u.deg)
+    assert_allclose(there.to_value(u.mm), np.column_stack([-x, y]), atol=1e-10)
+    theta, phi = plane.inverse(there)
+    free = plane.id != 1005  # its reach is restricted
+    assert_allclose(np.cos(theta.to_value(u.rad) + np.deg2rad(t))[free], 1, atol=1e-9)
+    assert_allclose(phi.to_value(u.deg)[free], -p[free], atol=1e-6)
+
+
+@partial
+def test_the_last_event_before_a_time_applies(folder):
+    start, stuck, broken, last = (
+        rs.Instrument.from_desi(folder, time=time)
+        for time in ("2020-06-01", "2021-01-01T00:00:00", Time("2022-06-01"), None)
+    )
+    assert start.focal_plane.arrays.usable.all()
+    assert "all positioners work" in start.notes
+    assert_allclose(stuck.focal_plane.stuck[row_of(stuck, 1003)].to_value(u.deg), [-10, -100])
+    assert stuck.focal_plane.arrays.usable.sum() == 10 * FEW - 1
+    assert broken.focal_plane.disabled.sum() == 1
+    assert broken.focal_plane.arrays.usable[row_of(broken, 1003)]
+    assert_allclose(broken.focal_plane.stuck[row_of(broken, 1004)].to_value(u.deg), [-1, -90])
+    k = row_of(last, 1005)
+    assert_allclose(last.focal_plane.phi_range[k].to_value(u.deg), [-190, -100])
+    assert "1 with a broken fiber, 1 with restricted reach" in last.notes
+
+
+@partial
+def test_a_restricted_positioner_reaches_less(folder):
+    before, after = (rs.Instrument.from_desi(folder, time=t).focal_plane for t in ("2022-06-01", None))
+    k = np.flatnonzero(after.id == 1005)[0]
+    away = np.linspace(0.5, 5.9, 100)
+    points = after.xy[k] + np.column_stack([away, 0 * away]) * u.mm
+    reach = [np.diff(plane.reachable(points).T.tocsr()[:, [k]].indptr).astype(bool) for plane in (before, after)]
+    r1, r2 = after.arrays.central_arm[k], after.arrays.eccentric_arm[k]
+    folded = np.deg2rad(100) - after.zero_points[k, 1].to_value(u.rad)
+    limit = np.sqrt(r1**2 + r2**2 + 2 * r1 * r2 * np.cos(folded))
+    assert reach[0].all()
+    assert_array_equal(reach[1], away <= limit)
+    assert 0 < reach[1].sum() < 100
+
+
+@partial
+def test_a_focal_plane_without_a_state_works(folder):
+    instrument = rs.Instrument.from_desi(next(folder.glob("desi-focalplane*")))
+    assert instrument.focal_plane.arrays.usable.all()
+    assert "No state was given" in instrument.notes
+    assert instrument.focal_plane.positioner.clearance == 0.99 * u.mm
+
+
+@partial
+@pytest.mark.parametrize("name", ["e.json", "e.json.gz", "e.yaml", "e.yaml.gz"])
+def test_the_clearance_is_that_of_the_polygons(folder, name):
+    desi_files.exclusions(folder / name, ("default", "retracted"), scale=0.8)
+    files = [next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state")]
+    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name)
+    assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.72)
+    assert instrument.values["positioner.clearance"]["status"] == "derived"
+
+
+@partial
+def test_the_latest_focal_plane_of_a_folder_is_used(folder):
+    def moved(table):
+        table["OFFSET_X"] += 1
+
+    later = desi_files.focal_plane(folder / "desi-focalplane_2024-01-01T00:00:00+00:00.ecsv", per_petal=FEW, edit=moved)
+    desi_files.state(folder / "desi-state_2024-01-01T00:00:00+00:00.ecsv", later)
+    new, old = (rs.Instrument.from_desi(folder, time=time) for time in (None, "2023-12-31"))
+    assert_allclose((old.focal_plane.xy - new.focal_plane.xy).to_value(u.mm)[:, 0], 1)
+    assert "2024-01-01" in new.notes
+    assert "2020-01-01" in old.notes
+
+
+@partial
+def test_files_and_folders_are_recognized(folder):
+    desi_files.metrology(folder / "fp.csv", per_petal=FEW)
+    (folder / "fp.csv.gz").write_bytes(gzip.compress((folder / "fp.csv").read_bytes()))
+    for path in (folder, folder / "fp.csv", folder / "fp.csv.gz", next(folder.glob("desi-focalplane*"))):
+        assert rs.Instrument.read(path).name == "desi"
+
+
+@partial
+def test_a_tile_can_be_planned_with_measured_arms(folder):
+    desi = rs.Instrument.from_desi(folder)
+    center = SkyCoord(10 * u.deg, 20 * u.deg)
+    sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=600 / u.deg**2, rng=5)
+    tile = rs.plan_tile(sky, desi, center)
+    assert tile.summary["n_assigned"] > 100
+    assert tile.summary["n_parked"] == len(desi.focal_plane) - tile.summary["n_assigned"]
+    assert_allclose(
+        desi.focal_plane.forward(tile.table["theta"], tile.table["phi"])[tile.table["status"] == "assigned"],
+        np.column_stack([tile.table["tip_x"], tile.table["tip_y"]])[tile.table["status"] == "assigned"],
+        atol=1e-9 * u.mm,
+    )
+
+
+def set_(name, row, value):
+    def edit(table):
+        table[name][row] = value
+
+    return edit
+
+
+def text(name):
+    def edit(table):
+        table[name] = np.array(table[name]).astype("U12")
+        table[name][3] = "broken"
+
+    return edit
+
+
+def unit(name, what):
+    def edit(table):
+        table[name].unit = what
+
+    return edit
+
+
+def without(name):
+    return lambda table: table.remove_column(name)
+
+
+@pytest.mark.parametrize(
+    ("edit", "sentence"),
+    [
+        (without("X_FP"), "must have the column"),
+        (without("LOCATION"), "must have the column 'LOCATION'"),
+        (text("Y_FP"), r"column 'Y_FP' must hold one number for each row, got 'broken'"),
+        (set_("X_FP", 5, np.nan), r"column 'X_FP' must hold a finite number for each row, but 1 of 200 rows"),
+        (set_("LOCATION", 5, 7000), "LOCATION must be 1000 PETAL_LOC [+] DEVICE_LOC, got 7000 for 0, 5"),
+        (lambda table: table.add_row(table[0]), "LOCATION must be unique, but 0 occurs more than once"),
+        (lambda table: table.remove_rows(slice(None)), "must have at least one row, got none"),
+        (lambda table: table["DEVICE_TYPE"].fill("FIF"), "DEVICE_TYPE must be POS for positioners, got FIF"),
+    ],
+)
+@partial
+def test_a_damaged_metrology_is_refused(tmp_path, edit, sentence):
+    path = tmp_path / "fp.csv"
+    desi_files.metrology(path, per_petal=FEW, others=False, edit=edit)
+    with pytest.raises(rs.errors.InputError, match=sentence) as caught:
+        rs.Instrument.from_desi(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("edit", "sentence"),
+    [
+        (without("OFFSET_P"), "must have the column 'OFFSET_P'"),
+        (text("LENGTH_R1"), r"column 'LENGTH_R1' must hold one number for each row, got 'broken'"),
+        (unit("OFFSET_X", "degrees"), "column 'OFFSET_X' must have a unit convertible to mm, got deg"),
+        (unit("OFFSET_T", "mm"), "column 'OFFSET_T' must have a unit convertible to deg, got mm"),
+        (set_("MIN_P", 2, 195.0), r"MIN_P must be less than MAX_P, but is not for 1 positioner \(2\)"),
+        (set_("LOCATION", 0, 4), "LOCATION must be 1000 PETAL [+] DEVICE, got 4 for 0, 0"),
+        (set_("LENGTH_R2", 0, -3.0), "eccentric_arm must be 200 positive lengths below 1 km, got -3 mm"),
+    ],
+)
+@partial
+def test_a_damaged_focal_plane_is_refused(tmp_path, edit, sentence):
+    path = tmp_path / "desi-focalplane.ecsv"
+    desi_files.focal_plane(path, per_petal=FEW, edit=edit)
+    with pytest.raises(rs.errors.InputError, match=sentence) as caught:
+        rs.Instrument.from_desi(path)
+    assert str(path) in str(caught.value)
+
+
+@partial
+def test_lengths_in_another_unit_are_converted(tmp_path):
+    def centimeters(table):
+        table["LENGTH_R1"] /= 10
+        table["LENGTH_R1"].unit = "cm"
+
+    for name, edit in (("a", None), ("b", centimeters)):
+        desi_files.focal_plane(tmp_path / f"{name}.ecsv", per_petal=FEW, edit=edit)
+    one, other = (rs.Instrument.from_desi(tmp_path / f"{name}.ecsv").focal_plane for name in "ab")
+    assert_allclose(one.arrays.central_arm, other.arrays.central_arm)
+
+
+@pytest.mark.parametrize(
+    ("edit", "sentence"),
+    [
+        (without("STATE"), "must have the column 'STATE'"),
+        (set_("TIME", 0, "yesterday"), "column 'TIME' must be a Time or a text such as .*, got 'yesterday'"),
+        (text("STATE"), "column 'STATE' must hold one whole number for each row, got 'broken'"),
+        (set_("POS_T", 1, np.nan), "column 'POS_T' must hold a finite number for each row"),
+    ],
+)
+@partial
+def test_a_damaged_state_is_refused(folder, edit, sentence):
+    plane = next(folder.glob("desi-focalplane*"))
+    desi_files.state(folder / "bad.ecsv", Table.read(plane, format="ascii.ecsv"), edit=edit)
+    with pytest.raises(rs.errors.InputError, match=sentence) as caught:
+        rs.Instrument.from_desi(plane, state=folder / "bad.ecsv")
+    assert "bad.ecsv" in str(caught.value)
+
+
+@partial
+def test_unknown_states_are_reported(folder):
+    plane = next(folder.glob("desi-focalplane*"))
+    table = Table.read(plane, format="ascii.ecsv")
+
+    def edit(log):
+        log["STATE"][4] = 64
+
+    desi_files.state(folder / "odd.ecsv", table, edit=edit)
+    with pytest.warns(rs.errors.RfpsurveyWarning, match=r"1 positioner \(4\) have unknown bits") as caught:
+        instrument = rs.Instrument.from_desi(plane, state=folder / "odd.ecsv")
+    assert len(caught) >= 1
+    assert instrument.focal_plane.disabled.sum() == 1
+    desi_files.state(folder / "short.ecsv", table[3:])
+    with pytest.warns(rs.errors.RfpsurveyWarning, match=r"3 positioners \(0, 1, 2\) of the focal plane have no state"):
+        instrument = rs.Instrument.from_desi(plane, state=folder / "short.ecsv")
+    assert instrument.focal_plane.arrays.usable.all()
+    assert np.isfinite(instrument.focal_plane.phi_range).all()
+
+
+@partial
+def test_exclusions_that_are_not_polygons_are_refused(folder):
+    plane = next(folder.glob("desi-focalplane*"))
+    for content, sentence in (
+        ("{", "bad.json cannot be read"),
+        ("[]", "must hold polygons by name, got list"),
+        ("{}", "there must be polygons with the name 'default'"),
+        ('{"default": {"phi": {"segments": [[[0, "x"]]], "circles": []}}}', "must be lists of segments"),
+        ('{"default": {"phi": {"segments": [], "circles": []}}}', "must be lists of segments"),
+        ('{"default": {"phi": {"segments": [[[0, 0]]], "circles": []}}}', "must have a width above 0"),
+    ):
+        (folder / "bad.json").write_text(content)
+        with pytest.raises(rs.errors.InputError, match=sentence):
+            rs.Instrument.from_desi(plane, exclusions=folder / "bad.json")
+    with pytest.raises(rs.errors.InputError, match="there is no such file"):
+        rs.Instrument.from_desi(plane, exclusions=folder / "none.json")
+
+
+@partial
+def test_arguments_that_do_not_fit_are_refused(folder):
+    desi_files.metrology(folder / "fp.csv", per_petal=FEW)
+    plane, log = (next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state"))
+    for path, options, sentence in (
+        (folder, {"time": "2019-01-01"}, "time must be at least 2020-01-01"),
+        (folder, {"time": "soon"}, "time must be a Time or a text such as .*, got 'soon'"),
+        (folder, {"time": 3}, "time must be a Time or a text such as .*, got 3"),
+        (plane, {"time": "2021-01-01"}, "time must be None without a state, got 2021-01-01"),
+        (plane, {"state": log, "time": "2019-01-01"}, "time must be at least 2020-01-01T00:00:00.*, the first event"),
+        (folder / "fp.csv", {"state": log}, "state must be None for a metrology"),
+        (folder / "none.csv", {}, "there is no such file"),
+    ):
+        with pytest.raises(rs.errors.InputError, match=sentence):
+            rs.Instrument.from_desi(path, **options)
+    (folder / "empty").mkdir()
+    with pytest.raises(rs.errors.InputError, match="must have a file desi-focalplane_DATE.ecsv, got none"):
+        rs.Instrument.from_desi(folder / "empty")
+
+
+def test_an_incomplete_focal_plane_is_reported(tmp_path):
+    desi_files.metrology(tmp_path / "fp.csv")
+    lines = (tmp_path / "fp.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "cut.csv").write_text("".join(lines[:4000]))
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="DESI has 5000 positioners, but the file has 3999"):
+        rs.Instrument.from_desi(tmp_path / "cut.csv")
+    content = gzip.compress((tmp_path / "fp.csv").read_bytes())
+    (tmp_path / "cut.csv.gz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(rs.errors.InputError, match=r"cut.csv.gz cannot be read: EOFError: Compressed file ended"):
+        rs.Instrument.from_desi(tmp_path / "cut.csv.gz")
+
+
+def test_the_real_metrology(real_data):
+    instrument = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
+    plane = instrument.focal_plane
+    assert len(plane) == 5000
+    assert set(np.unique(plane.spectrograph, return_counts=True)[1]) == {500}
+    assert "20 ETC, 393 FIF, 40 GFA, 80 GIF, 62 GIF-T" in instrument.notes
+    # petals are numbered counter-clockwise in CS5, and petal 3 is in the direction of +x
+    x, y = np.array([plane.xy[plane.spectrograph == p].mean(axis=0).value for p in range(10)]).T
+    turned = np.rad2deg(np.arctan2(y, -x)) - (36 * (7 + np.arange(10)) + 18)
+    assert_allclose(np.mod(turned + 180, 360) - 180, 0, atol=3)
+
+
+def test_the_optics_agree_with_the_ray_trace(real_data, presets):
+    """CS5 has the signs of the tangent plane. Without the dispersion compensator, the radial map is good to 0.07 mm."""
+    rays = Table.read(real_data("desi/raytrace-tan2fp-4957-v18.csv.gz"), format="ascii.csv")
+    rays = rays[rays["ADC1"] == 0]
+    angle, radius = np.arctan(np.hypot(rays["X_TAN"], rays["Y_TAN"])), np.hypot(rays["X_FP"], rays["Y_FP"])
+    inside = angle < np.deg2rad(1.6)
+    along = rays["X_TAN"] * rays["X_FP"] + rays["Y_TAN"] * rays["Y_FP"]
+    assert (along[inside & (angle > 0.005)] > 0).all()
+    expected = presets["desi"].distortion.to_radius(angle[inside] * u.rad).to_value(u.mm)
+    assert 0.05 < np.abs(radius[inside] - expected).max() < 0.07
