@@ -220,8 +220,9 @@ class FocalPlane:
         Returns
         -------
         theta : Quantity, shape (n,)
-            Angle of the central arm in deg, within 360 deg above the low joint limit or, without a limit, above -180 deg.
-            It is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner lacks the fiber.
+            Angle of the central arm in deg, within 360 deg above the low joint limit or, without a limit, above
+            -180 deg. It is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner lacks
+            the fiber.
         phi : Quantity, shape (n,)
             Angle of the eccentric arm relative to the central arm in deg, with the same range and the same NaN.
 
