@@ -85,8 +85,6 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
         check_size(table.meta, path)
     except InputError:
         raise
-    except ImportError as error:
-        raise InputError(f"{path}: reading this format needs another package: {error}") from error
     except RecursionError as error:
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: it is nested too deep") from error
     except Exception as error:  # the readers can raise any exception

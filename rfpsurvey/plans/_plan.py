@@ -21,6 +21,7 @@ __all__ = [
     "FORMATS",
     "as_plan",
     "is_plan",
+    "is_tile",
     "make_plan",
     "read_plan",
     "recognize_plan",

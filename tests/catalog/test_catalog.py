@@ -380,3 +380,21 @@ def test_empty_text_ids_are_counted():
 
 def test_one_target_is_no_plural():
     assert repr(rs.Catalog(SkyCoord([1] * u.deg, [2] * u.deg))) == "<Catalog of 1 target>"
+
+
+def test_coordinates_of_other_differentials_keep_their_proper_motions():
+    """An angular velocity in right ascension is multiplied by the cosine of the declination."""
+    motion = {"pm_ra": [4, 4] * PM, "pm_dec": [1, 2] * PM, "differential_type": "spherical"}
+    catalog = rs.Catalog(SkyCoord(ra=[10, 20] * DEG, dec=[60, 0] * DEG, **motion))
+    np.testing.assert_allclose(catalog.coord.pm_ra_cosdec.to_value(PM), [2, 4], rtol=1e-12)
+    np.testing.assert_allclose(catalog.coord.pm_dec.to_value(PM), [1, 2], rtol=1e-12)
+
+
+def test_identifiers_that_are_bytes_in_a_column_of_objects_are_text():
+    ids = np.array([b"a", "b", "Ä".encode()], dtype=object)
+    assert rs.Catalog.from_table(table(id=ids)).id.tolist() == ["a", "b", "Ä"]
+
+
+def test_the_center_of_a_circle_must_be_one_direction():
+    with pytest.raises(rs.InputError, match=r"center must be one direction, got the shape \(2,\)"):
+        rs.Catalog.from_table(table()).within(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG)

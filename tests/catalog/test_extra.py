@@ -40,6 +40,8 @@ def test_columns_of_every_type():
     assert extra["name"].tolist() == ["", "b", "c"]
     assert extra["seen"].tolist() == [True, False, True]
     assert extra["mixed"].tolist() == ["x", "", ""]
+    numbers = QTable({**table()["id", "ra", "dec"], "note": np.array([1, None, 2.5], dtype=object)})
+    np.testing.assert_array_equal(rs.Catalog.from_table(numbers, keep="note").extra["note"], [1, np.nan, 2.5])
 
 
 def test_rows_stay_together():

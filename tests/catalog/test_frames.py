@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable, Table
+from astropy.time import Time
 
 import rfpsurvey as rs
 
@@ -259,3 +260,24 @@ def test_identifiers_that_are_whole_numbers_may_be_floats():
     ):
         with pytest.raises(rs.InputError, match=message):
             rs.Catalog(coord, id=ids)
+
+
+def test_epochs_of_tables_without_proper_motions():
+    """Targets without proper motions need no epoch, so that a column without years is not an error."""
+    base = {"ra": [1.0, 2.0] * u.deg, "dec": [1.0, 2.0] * u.deg}
+    moving = {**base, "pmra": [1.0, 2.0] * u.mas / u.yr, "pmdec": [1.0, 2.0] * u.mas / u.yr}
+    assert rs.Catalog.from_table(QTable(base, meta={"REF_EPOCH": "sometime"})).epoch is None
+    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["x", "y"]})).epoch is None
+    with pytest.raises(rs.InputError, match=r"column 'ref_epoch' \(epoch\) must hold numbers"):
+        rs.Catalog.from_table(QTable({**moving, "ref_epoch": ["x", "y"]}))
+    times = Time([2015.5, 2016.0], format="jyear")
+    assert rs.Catalog.from_table(QTable({**moving, "ref_epoch": times})).epoch.jyear.tolist() == [2015.5, 2016.0]
+
+
+def test_an_exception_of_another_package_names_the_frame():
+    def to_arrow(self):
+        raise RuntimeError("the connection is closed")
+
+    frame = type("DataFrame", (), {"__module__": "polars.frame", "to_arrow": to_arrow})()
+    with pytest.raises(rs.InputError, match="DataFrame.* cannot be used as a table: the connection is closed"):
+        rs.Catalog.from_table(frame)

@@ -242,6 +242,8 @@ def test_partitions_that_do_not_fit_together(small, tmp_path):
         rs.PartitionedCatalog(tmp_path / "columns")
     write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
     write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
+    with pytest.raises(rs.InputError, match="columns must have one type in all partitions: id holds numbers and text"):
+        rs.PartitionedCatalog(tmp_path / "ids").read()
     with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):
         rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), small, SkyCoord([0] * u.deg, [0] * u.deg))
     none = pa.array([], type=pa.string())
@@ -275,6 +277,7 @@ def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
     (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
     parts = rs.PartitionedCatalog(root)
     assert parts.read().id.tolist() == list(range(6))
+    assert repr(parts) == "<PartitionedCatalog of 6 targets in 3 partitions>"
     assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]
 
 

@@ -172,6 +172,23 @@ def test_table_round_trip(tmp_path):
     for name in ("xy", "id", "spectrograph", "central_arm", "eccentric_arm", "disabled", "stuck", "obstacles"):
         np.testing.assert_array_equal(getattr(back, name), getattr(plane, name))
     assert back.positioner.min_separation == plane.positioner.min_separation
+    plane = rs.FocalPlane(
+        [[0, 0], [25.6, 0]] * MM,
+        robot(),
+        fiber_type=["A", "B"],
+        fiber_xy={"A": [[8.25, 0], [8.2, 0.1]] * MM, "B": [[8.0, -0.2], [8.1, 0.3]] * MM},
+        zero_points=[[0, 1], [2, 3]] * u.deg,
+        theta_range=[[0, 350], [5, 360]] * u.deg,
+        phi_range=[[0, 180], [10, 170]] * u.deg,
+        obstacles=[[50, 50, 3]] * MM,
+    )
+    plane.to_table().write(path, overwrite=True)
+    back = rs.FocalPlane.from_table(QTable.read(path))
+    assert set(back.fiber_xy) == {"A", "B"}
+    for name, places in plane.fiber_xy.items():
+        np.testing.assert_array_equal(back.fiber_xy[name], places)
+    for name in ("zero_points", "theta_range", "phi_range"):
+        np.testing.assert_allclose(getattr(back, name), getattr(plane, name), rtol=0, atol=1e-12 * u.deg)
     assert rs.FocalPlane.from_table(Table({"x": [0, 1] * u.cm, "y": [0, 0] * u.cm}), robot()).xy[1, 0] == 10 * MM
 
 
@@ -198,6 +215,8 @@ def test_bad_tables_are_named(table, message):
         ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
         ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
         ({"id": [1]}, "id must have one value per positioner"),
+        ({"id": ["a b", "c"]}, "id must be text without blanks, by which tables list several, got 'a b'"),
+        ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
         ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
         ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
         ({"obstacles": [[1, 2]] * MM}, "obstacles must be finite rows"),

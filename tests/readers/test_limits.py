@@ -128,3 +128,9 @@ def test_compressed_files_that_are_cut_off(tmp_path, compress):
     for part in (content[:-9], content[: len(content) // 2], content[:20]):
         path.write_bytes(part)
         assert "cannot be read" in refusal(path)
+
+
+def test_an_exception_without_a_message_is_named_by_its_type():
+    assert _limits.sentence(MemoryError()) == "MemoryError"
+    assert _limits.sentence(KeyError("a")) == "KeyError: 'a'"
+    assert _limits.sentence(ValueError("a\nb")) == "a"

@@ -1,5 +1,6 @@
 """Parquet files of pandas and other programs, as single files and as partitions."""
 
+import sys
 from decimal import Decimal
 
 import numpy as np
@@ -143,3 +144,19 @@ def test_a_file_cannot_claim_many_rows(tmp_path):
         pa.table({"ra": zeros, "dec": zeros, "id": zeros}), tmp_path / "a.parquet", row_group_size=len(zeros)
     )
     assert "the number of rows must fit the file" in refusal(tmp_path / "a.parquet", read)
+
+
+def test_columns_without_any_value_are_read_as_missing_numbers(tmp_path):
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"ra": [1.0, 2.0], "dec": [1.0, 2.0], "note": pa.nulls(2)}), path)
+    column = rs.Catalog.read(path, units=UNITS, keep="note").extra["note"]
+    assert np.isnan(np.ma.filled(column, np.nan)).all()
+    assert column.dtype.kind == "f"
+
+
+def test_parquet_without_its_package_has_a_remedy(tmp_path, monkeypatch):
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"ra": [1.0], "dec": [1.0]}), path)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(rs.InputError, match=r"another package: .*pip install 'rfpsurvey\[parquet\]'"):
+        rs.Catalog.read(path)

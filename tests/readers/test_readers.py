@@ -14,6 +14,7 @@ from astropy.table import MaskedColumn, QTable, Table
 
 import rfpsurvey as rs
 from refusals import refusal, sentence
+from rfpsurvey._readers import read_fits_bytes, read_table
 
 DEG = u.deg
 GOOD = [f"s{k},{10 + 0.01 * k},20.0" for k in range(100)]
@@ -66,6 +67,10 @@ def test_good_quotation_marks_are_kept(tmp_path):
         assert catalog.id.tolist() == [expected, "other", "third"]
     path.write_text('"id","ra", "dec"\n"a",10,20\n')
     assert rs.Catalog.read(path).id.tolist() == ["a"]
+    path.write_text('"id,ra,dec\na,10,20\n')
+    assert "an open quotation mark in line 1" in refusal(path)
+    path.write_text("id,ra,dec")
+    assert read_table(path).colnames == ["id", "ra", "dec"]
 
 
 def test_blank_lines_comments_and_line_ends_are_no_rows(tmp_path):
@@ -107,6 +112,16 @@ def test_ecsv_with_an_open_quotation_mark(tmp_path, delimiter):
     for change in ('"' + lines[-2], lines[-2] + delimiter + '"g'):
         path.write_text("\n".join([*lines[:-2], change, *lines[-3:]]))
         assert f"open quotation mark in line {len(lines) - 1}" in refusal(path)
+
+
+def test_text_in_ecsv_has_a_limited_width(tmp_path):
+    path = tmp_path / "a.ecsv"
+    path.write_text("# %ECSV 1.0\n# ---\n# datatype:\n# - {name: a, datatype: '<U100000'}\na\nx\n")
+    assert "a value must have at most 99999 characters, got the width 100000" in refusal(path)
+
+
+def test_a_name_of_a_file_with_a_nul_is_refused(tmp_path):
+    assert refusal(f"{tmp_path}/a\0.fits") == ": there is no such file"
 
 
 def test_numbers_beyond_doubles_are_told(tmp_path):
@@ -188,9 +203,10 @@ def test_votables_of_each_form(tmp_path, form):
         ('["a"]', "must be an object in JSON, got list"),
         ('"text"', "must be an object in JSON, got str"),
         ("[" * 100_000, "must be nested at most 32 deep, got more"),
+        ('{"a":' + "[" * 40 + "]" * 40 + "}", "values must be nested at most 32 deep, got more"),
         (json.dumps({"a": [0] * 100_001}), "at most 100000 values"),
     ],
-    ids=["number", "number in JSON", "list", "text", "nested", "long"],
+    ids=["number", "number in JSON", "list", "text", "open", "nested", "long"],
 )
 def test_the_meta_of_a_table_must_be_an_object(tmp_path, value, message):
     table = Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value})
@@ -232,6 +248,13 @@ def test_bytes_that_are_no_text(tmp_path):
     ]
     fits.BinTableHDU.from_columns(columns).writeto(path)
     assert "column 'id' must hold text in ASCII or UTF-8, got the bytes b'M\\xfcller'" in refusal(path)
+    table = Table({"ra": [1.0, 2.0], "dec": [1.0, 2.0]})
+    table["id"] = MaskedColumn(["Müller".encode(), b"b"], mask=[False, True], description="the name", meta={"a": 1})
+    table["id"].info.serialize_method["fits"] = "data_mask"
+    table.write(path, overwrite=True)
+    column = read_table(path)["id"]  # FITS text is ASCII, so that astropy returns these values as bytes
+    assert column.tolist() == ["Müller", None]
+    assert (column.info.description, column.info.meta) == ("the name", {"a": 1})
     with pytest.raises(rs.InputError, match="id must be text in ASCII or UTF-8"):
         rs.Catalog(SkyCoord([1, 2] * DEG, [1, 2] * DEG), id=ids)
 
@@ -297,6 +320,7 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
         ("NAXIS", 3, "NAXIS3 must be a whole number"),
         ("BITPIX", 7, "BITPIX must be 8, 16"),
         ("PCOUNT", "x", "PCOUNT must be a whole number"),
+        ("NAXIS", 1, "the header card NAXIS of a table must be 2, got 1"),
     ):
         path.write_bytes(changed(good, card, value))
         assert message in refusal(path)
@@ -304,8 +328,16 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
     assert "it is cut off" in refusal(path)
     path.write_bytes(good + bytes(2880 * 3))
     assert len(rs.Catalog.read(path)) == 200
+    path.write_bytes(good + bytes(2880) + b"rest".ljust(2880))
+    assert "must begin with XTENSION, got bytes that belong to no table" in refusal(path)
     path.write_bytes(good[:2880])
     assert "must hold a table" in refusal(path)
+    path.write_bytes(good[:2880].replace(b"EXTEND  =", b"GROUPS  ="))
+    assert "the file must hold a table, got random groups" in refusal(path)
+    path.write_bytes(good + fits.ImageHDU().header.tostring().encode() * 999)
+    assert "must have at most 1000 header and data units, got more" in refusal(path)
+    with pytest.raises(rs.InputError, match="a part cannot be read as fits: name already used"):
+        read_fits_bytes(good.replace(b"'dec     '", b"'ra      '"), "a part")
 
 
 def test_the_first_of_several_tables_is_read_with_a_warning(tmp_path):
@@ -314,6 +346,16 @@ def test_the_first_of_several_tables_is_read_with_a_warning(tmp_path):
     fits.HDUList([fits.PrimaryHDU(), *(fits.table_to_hdu(table) for _ in range(2))]).writeto(path)
     with pytest.warns(rs.RfpsurveyWarning, match="the file has 2 tables, of which the first was read"):
         assert len(rs.Catalog.read(path)) == 1
+    assert "the file must have 3 tables, got 2" in refusal(path, lambda path: read_table(path, 2))
+
+
+def test_fits_tables_of_text_are_read(tmp_path):
+    columns = [fits.Column("id", "A7", array=["a", "star 2"]), fits.Column("ra", "F7.3", array=[1.5, 20.25])]
+    path = tmp_path / "a.fits"
+    fits.TableHDU.from_columns(columns).writeto(path)
+    table = read_table(path)
+    assert table["id"].tolist() == ["a", "star 2"]
+    assert table["ra"].tolist() == [1.5, 20.25]
 
 
 # --- at the command line -------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import io
+import json
 import multiprocessing
 import os
 import shutil
@@ -383,3 +384,26 @@ def test_progress_is_one_line_with_a_rate(case, tmp_path, capsys):
     assert "tiles/s, 0:00:00 left" in line
     plan(case, None)
     assert capsys.readouterr().err == ""
+
+
+def test_a_folder_of_version_0_1_is_not_continued(case, folder):
+    request = json.loads((folder / "survey.json").read_text())
+    (folder / "survey.json").write_text(json.dumps({**request, "method": "balanced"}))
+    with pytest.raises(rs.InputError, match=r"was begun by version 0\.1, which recorded other options"):
+        plan(case, folder, resume=True)
+
+
+def test_what_cannot_be_read_or_is_left_over_in_a_folder(case, folder, undisturbed):
+    """A folder in the place of a file causes an error of the operating system."""
+    (folder / "tiles" / ".rfpsurvey-5x").write_bytes(b"half of a part")
+    part = folder / "tiles" / "000" / "000007.fits"
+    part.unlink()
+    part.mkdir()
+    with pytest.raises(rs.InputError, match=r"000007\.fits is damaged \(Is a directory\)"):
+        rs.Survey.read(folder).visits(7)
+    part.rmdir()
+    (folder / "index.csv").unlink()  # without it, no file is trusted
+    with pytest.raises(rs.InputError, match="is damaged"):
+        rs.Survey.read(folder)
+    plan(case, folder, resume=True)
+    assert content(folder) == undisturbed

@@ -5,8 +5,9 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import FK5, SkyCoord
-from astropy.table import QTable
+from astropy.table import MaskedColumn, QTable
 from astropy.time import Time
+from astropy.utils.masked import Masked
 
 import rfpsurvey as rs
 from oracles import segment_distances
@@ -115,6 +116,12 @@ def test_tiles_that_differ_are_not_equal(small):
     second.table["tip_x"][18] += 1e-12 * MM
     assert second != first
     assert first != "a tile"
+    second = rs.Tile(first.table.copy())
+    second.table["tip_x"] = second.table["tip_x"].value * u.cm
+    assert second != first
+    second = rs.Tile(first.table.copy())
+    second.table["target_id"][np.flatnonzero(~second.table["target_id"].mask)[0]] = np.ma.masked
+    assert second != first
 
 
 def test_provenance_says_how_to_make_it_again(small, sky):
@@ -339,3 +346,21 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
     lonely = rs.Instrument("lonely", far, plate_scale=300 * u.mm / u.deg)
     tile = rs.plan_tile(rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1), lonely, CENTER)
     assert "No two arms can touch (collision type 1), so that no pair was tested" in tile.summary["model"]
+
+
+def test_a_file_that_does_not_hold_a_tile_is_named(small, tmp_path):
+    tile = rs.plan_tile(CENTER.directional_offset_by([0, 90] * u.deg, 0.1 * u.deg), small, CENTER)
+    path, table = tmp_path / "tile.ecsv", tile.table.copy()
+    table["phi"] = Masked(table["phi"], mask=np.arange(len(table)) == 3)
+    table["in_collision"] = MaskedColumn(np.ones(len(table), dtype=bool), mask=np.arange(len(table)) == 3)
+    table.write(path)
+    back = rs.Tile.read(path).table  # without masks, as a tile has them
+    assert np.isnan(back["phi"][3])
+    assert back["in_collision"].tolist() == [k != 3 for k in range(len(table))]
+    table.meta = {**table.meta, "provenance": {**tile.provenance, "instrument": {}}}
+    table.write(path, overwrite=True)
+    message = (
+        r"tile\.ecsv does not hold a tile: the meta of a tile must have the entry provenance\.instrument\.\w+, got"
+    )
+    with pytest.raises(rs.InputError, match=message):
+        rs.Tile.read(path)

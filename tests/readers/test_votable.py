@@ -1,0 +1,108 @@
+"""Binary streams of VOTables: columns of variable length, incomplete rows, and other content."""
+
+import base64
+import struct
+
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from refusals import refusal
+from rfpsurvey._readers import read_table
+
+VOTABLE = """<?xml version="1.0"?><VOTABLE version="1.4" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE><TABLE>
+{}<DATA><{kind}><STREAM {how}>{}</STREAM></{kind}></DATA></TABLE></RESOURCE></VOTABLE>"""
+COORDINATES = '<FIELD name="ra" datatype="double" unit="deg"/><FIELD name="dec" datatype="double" unit="deg"/>'
+FIELDS = (
+    '<FIELD name="id" datatype="char" arraysize="*"/><FIELD name="note" datatype="unicodeChar" arraysize="9*"/>'
+    '<FIELD name="flux" datatype="float" arraysize="*"/><FIELD name="pairs" datatype="short" arraysize="2x*"/>'
+    '<FIELD name="bits" datatype="bit" arraysize="10"/>'
+)
+TARGETS = (("a", "Größe", [1.5, 2.5], [[1, 2], [3, 4], [5, 6]]), ("star 2", "", [], [[7, 8]]))
+
+
+def row(number, text, note, flux, pairs):
+    """Return the bytes of a row: each array of variable length is preceded by the number of its elements."""
+    numbers = [n for pair in pairs for n in pair]
+    return b"".join(
+        [
+            struct.pack(">dd", number, 20.0),
+            struct.pack(">I", len(text)) + text.encode("ascii"),
+            struct.pack(">I", len(note)) + note.encode("utf-16-be"),
+            struct.pack(f">I{len(flux)}f", len(flux), *flux),
+            struct.pack(f">I{len(numbers)}h", len(pairs), *numbers),
+            b"\xff\xc0",  # ten bits
+        ]
+    )
+
+
+def write(path, content, kind="BINARY", fields=COORDINATES + FIELDS, how='encoding="base64"'):
+    text = content if isinstance(content, str) else base64.b64encode(content).decode()
+    path.write_text(VOTABLE.format(fields, text, kind=kind, how=how))
+    return path
+
+
+@pytest.mark.parametrize(("kind", "before"), [("BINARY", b""), ("BINARY2", b"\0")])
+def test_columns_of_variable_length_are_read(tmp_path, kind, before):
+    content = b"".join(before + row(k, *target) for k, target in enumerate(TARGETS))
+    path = write(tmp_path / "a.vot", content, kind)
+    table = read_table(path)
+    for k, (text, note, flux, pairs) in enumerate(TARGETS):
+        assert (table["id"][k], table["note"][k]) == (text, note)
+        assert np.asarray(table["flux"][k]).tolist() == flux
+        assert np.asarray(table["pairs"][k]).tolist() == pairs
+        assert table["bits"][k].tolist() == [True] * 10
+    catalog = rs.Catalog.read(path)
+    assert catalog.id.tolist() == ["a", "star 2"]
+    assert catalog.coord.ra.deg.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(("kind", "before"), [("BINARY", b""), ("BINARY2", b"\0")])
+def test_a_stream_with_columns_of_variable_length_must_end_after_a_row(tmp_path, kind, before):
+    content = b"".join(before + row(k, *target) for k, target in enumerate(TARGETS))
+    first = len(before + row(0, *TARGETS[0]))
+    for end in (*range(1, first, 7), first - 1, first + 1, len(content) - 3, len(content) - 1):
+        n = int(end > first)
+        text = refusal(write(tmp_path / "a.vot", content[:end], kind))
+        assert text == f": STREAM must hold whole rows, got a rest after {n} rows"
+    many = struct.pack(">ddI", 1, 2, 2**32 - 1) + content  # a number of elements beyond the stream
+    assert "a rest after 0 rows" in refusal(write(tmp_path / "a.vot", before + many, kind))
+
+
+def test_text_of_any_length_that_astropy_writes_is_read(tmp_path):
+    """Astropy writes a column of objects with arraysize="*"."""
+    names = np.array(["a", "a longer name", "Ä"], dtype=object)
+    path = tmp_path / "a.vot"
+    QTable({"id": names, "ra": [1.0, 2.0, 3.0], "dec": [1.0, 2.0, 3.0]}).write(
+        path, format="votable", tabledata_format="binary2"
+    )
+    assert 'arraysize="*"' in path.read_text()
+    catalog = rs.Catalog.read(path, units={"ra": "deg", "dec": "deg"})
+    assert catalog.id.tolist() == ["a", "a longer name", "Ä"]
+
+
+@pytest.mark.parametrize(
+    ("how", "content", "message"),
+    [
+        ('encoding="gzip"', "", "the encoding of STREAM must be base64, got 'gzip' (line 2)"),
+        ("", "", "the encoding of STREAM must be base64, got None (line 2)"),
+        ('encoding="base64"', "no base64!", "STREAM must be in base64: "),
+        ('encoding="base64"', "AAA", "STREAM must be in base64: "),
+    ],
+)
+def test_a_stream_must_be_in_base64(tmp_path, how, content, message):
+    assert refusal(write(tmp_path / "a.vot", content, how=how)).startswith(f": {message}")
+
+
+def test_the_number_of_tables_and_columns_of_a_votable(tmp_path):
+    path = write(tmp_path / "a.vot", row(1, *TARGETS[0]))
+    table = path.read_text().partition("<TABLE>")[2].partition("</TABLE>")[0]
+    path.write_text(path.read_text().replace("</TABLE>", f"</TABLE><TABLE>{table}</TABLE>"))
+    assert refusal(path) == ": the file must hold one table, got 2"
+    path.write_text(path.read_text().partition("<TABLE>")[0] + "</RESOURCE></VOTABLE>")
+    assert refusal(path) == ": the file must hold one table, got 0"
+    fields = '<FIELD name="a" datatype="short"/>' * 10_001
+    assert "a table must have at most 10000 columns, got more" in refusal(write(path, b"", fields=fields))
+    write(path, row(1, *TARGETS[0]), fields=COORDINATES + '<FIELD name="id" datatype="text" arraysize="*"/>')
+    assert "the column id must have a datatype and an arraysize of VOTable, got 'text' and '*'" in refusal(path)
