@@ -16,7 +16,7 @@ class Circles:
         self._tree = cKDTree(rows[:, :2]) if len(rows) else None
 
     def contain(self, points: np.ndarray) -> np.ndarray:
-        """Return whether each point (mm) is in one of the circles or on its edge; NaN is not."""
+        """Return whether each point (mm) is inside or on the edge of a circle; the result is False for NaN."""
         found = np.zeros(len(points), dtype=bool)
         if self._tree is not None:
             finite = np.flatnonzero(np.isfinite(points).all(axis=1))

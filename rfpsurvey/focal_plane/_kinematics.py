@@ -1,4 +1,4 @@
-"""Positions of fibers for joint angles, and joint angles for positions, of all positioners of a focal plane."""
+"""Conversion between joint angles and positions of fibers, for all positioners of a focal plane."""
 
 import astropy.units as u
 import numpy as np
@@ -48,7 +48,7 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
 
 
 def _fibers(plane, fiber_type):
-    """Return the index of a fiber of each positioner, and whether the positioner lacks it."""
+    """Return the index of a fiber of each positioner, and whether the positioner lacks this fiber."""
     n, columns = len(plane), plane.arrays
     fibers = columns.fibers
     names = plane.fiber_types if fibers is None else fibers.names

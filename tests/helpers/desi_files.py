@@ -1,4 +1,4 @@
-"""Files of DESI, written from the data models of desimodel, desimeter and fiberassign; values are random."""
+"""Files of DESI with random values, which follow the data models of desimodel, desimeter and fiberassign."""
 
 import gzip
 import json
@@ -15,7 +15,7 @@ PHI = [[-1.0, -0.5], [3.5, -0.9], [3.7, 0.0], [3.5, 0.8], [-1.0, 0.5]]
 
 
 def locations(per_petal=500):
-    """Locations and CS5 positions (mm) of positioners: the lattice of the preset, with numbered devices."""
+    """Return locations and CS5 positions (mm) of positioners on the lattice of the preset, with numbered devices."""
     plane = rs.Instrument.preset("desi").focal_plane
     petal, xy = plane.spectrograph, plane.xy.to_value("mm")
     rows = np.concatenate([np.flatnonzero(petal == p)[:per_petal] for p in range(10)])
@@ -24,7 +24,7 @@ def locations(per_petal=500):
 
 
 def metrology(path, *, per_petal=500, others=True, edit=None):
-    """Write a metrology as desimeter does, with two rows of other devices."""
+    """Write a file of the metrology in the format of desimeter, with two rows of other devices."""
     ids, xy = locations(per_petal)
     table = Table({"PETAL_ID": ids // 1000 + 2, "PETAL_LOC": ids // 1000, "DEVICE_LOC": ids % 1000})
     table["DEVICE_TYPE"], table["PINHOLE_ID"] = "POS", 0
@@ -40,7 +40,7 @@ def metrology(path, *, per_petal=500, others=True, edit=None):
 
 
 def focal_plane(path, *, per_petal=500, equal=False, edit=None, seed=1):
-    """Write the table of a focal plane of desimodel, with a row of a fiducial."""
+    """Write the table of a focal plane of desimodel, which includes the row of a fiducial."""
     ids, xy = locations(per_petal)
     rng, n = np.random.default_rng(seed), len(ids)
     table = Table({"PETAL": ids // 1000, "DEVICE": ids % 1000, "LOCATION": ids, "PETAL_ID": ids // 1000 + 2})
@@ -62,7 +62,10 @@ def focal_plane(path, *, per_petal=500, equal=False, edit=None, seed=1):
 
 
 def state(path, plane, events=(), *, edit=None):
-    """Write a log of events: all positioners work at first; an event is a dict with TIME, LOCATION and changes."""
+    """Write a log of events.
+
+    All positioners work at first; an event is a dict with TIME, LOCATION and the changed values.
+    """
     n = len(plane)
     table = Table({"TIME": np.full(n, START, dtype="U25"), "LOCATION": np.array(plane["LOCATION"])})
     table["STATE"], table["POS_T"], table["POS_P"] = np.zeros(n, int), 0.0, 0.0

@@ -1,4 +1,4 @@
-"""DESI as built, from files written from the data models and from the real metrology."""
+"""DESI as built, from test files that follow the data models, and from the real metrology."""
 
 import gzip
 
@@ -21,7 +21,7 @@ partial = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
 
 @pytest.fixture
 def folder(tmp_path):
-    """A focal plane with few positioners, its state with three events, and its exclusions."""
+    """Return the folder of a focal plane with few positioners, its state with three events, and its exclusions."""
     table = desi_files.focal_plane(tmp_path / "desi-focalplane_2020-01-01T00:00:00.ecsv", per_petal=FEW)
     events = [
         {"TIME": "2021-01-01T00:00:00+00:00", "LOCATION": 1003, "STATE": 2, "POS_T": 10.0, "POS_P": 100.0},
@@ -53,7 +53,9 @@ def test_the_metrology_gives_centers_ids_and_petals(tmp_path, presets):
 
 
 def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
-    """Arms that the preset places at (x, y) are those that the instrument as built places at (-x, y)."""
+    """If the preset reaches (x, y) with a pose, the instrument as built reaches (-x, y) with the mirror image of this
+    pose.
+    """
     desi_files.metrology(tmp_path / "fp.csv", others=False)
     built, nominal = rs.Instrument.from_desi(tmp_path / "fp.csv").focal_plane, presets["desi"].focal_plane
     order = np.argsort(nominal.spectrograph, kind="stable")
@@ -68,7 +70,7 @@ def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
 
 @partial
 def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
-    """Forward kinematics of desimeter in CS5: x = R1 cos(t) + R2 cos(t + p), with t = POS_T + OFFSET_T."""
+    """The forward kinematics of desimeter in CS5 is x = R1 cos(t) + R2 cos(t + p), with t = POS_T + OFFSET_T."""
     table = Table.read(next(folder.glob("desi-focalplane*")), format="ascii.ecsv")[:-1]
     plane = rs.Instrument.from_desi(folder).focal_plane
     rng = np.random.default_rng(4)
@@ -82,7 +84,7 @@ def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
     assert_allclose(there.to_value(u.mm), np.column_stack([-x, y]), atol=1e-10)
     theta, phi = plane.inverse(there)
     assert_allclose(plane.theta_range.to_value(u.deg), np.tile([-190, 185], (len(plane), 1)))
-    free = plane.id != 1005  # its reach is restricted
+    free = plane.id != 1005  # the reach of this positioner is restricted
     assert_allclose(np.cos(theta.to_value(u.rad) + np.deg2rad(t))[free], 1, atol=1e-9)
     assert_allclose(phi.to_value(u.deg)[free], -p[free], atol=1e-6)
 
@@ -373,7 +375,10 @@ def test_the_real_metrology(real_data):
 
 
 def test_the_optics_agree_with_the_ray_trace(real_data, presets):
-    """CS5 has the signs of the tangent plane. Without the dispersion compensator, the radial map is good to 0.07 mm."""
+    """CS5 has the signs of the tangent plane.
+
+    Without the dispersion compensator, errors of the radial map are below 0.07 mm.
+    """
     rays = Table.read(real_data("desi/raytrace-tan2fp-4957-v18.csv.gz"), format="ascii.csv")
     rays = rays[rays["ADC1"] == 0]
     angle, radius = np.arctan(np.hypot(rays["X_TAN"], rays["Y_TAN"])), np.hypot(rays["X_FP"], rays["Y_FP"])

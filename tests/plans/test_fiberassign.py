@@ -1,4 +1,4 @@
-"""Files of fiberassign, written from its data model."""
+"""Files of fiberassign that the test writes according to its data model."""
 
 import gzip
 
@@ -28,7 +28,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def built(tmp_path):
-    """The instrument whose positioners the files assign."""
+    """Return the instrument whose positioners the files assign."""
     desi_files.metrology(tmp_path / "fp.csv", per_petal=FEW)
     return rs.Instrument.from_desi(tmp_path / "fp.csv")
 
@@ -59,7 +59,7 @@ def test_the_common_columns_are_those_of_the_file(path):
     bits = native["FA_TYPE"]
     kind = np.where((bits & 20) > 0, "sky", np.where(bits & 2, "standard", np.where(bits & 1, "science", "")))
     assert_array_equal(plan["kind"], kind)
-    # stuck positioners and broken fibers have no target; restricted ones (8) may have one
+    # stuck positioners and broken fibers have no target; restricted positioners (8) can have one
     assert_array_equal(plan["assigned"], ~np.isin(native["FIBERSTATUS"], (1, 2, 4)))
     assert plan["assigned"][3]
     meta = {"format": "fiberassign", "instrument": "desi", "racen": 170.239, "deccen": -7.093, "epoch": "J2015.500"}
@@ -87,14 +87,16 @@ def test_a_plan_that_is_written_and_read_again_is_the_same(path, tmp_path, name)
 
 
 def test_sky_positions_agree_with_those_on_the_focal_plane(tmp_path, presets):
-    """The signs of x and of the position angle: sky positions computed as radec2xy of fiberassign does, with CS5."""
+    """Sky positions are computed as by radec2xy of fiberassign, with CS5. This tests the signs of x and of the position
+    angle.
+    """
     desi = presets["desi"]
     center, rotation = SkyCoord(170.239 * u.deg, -7.093 * u.deg), 0.3 * u.deg
 
     def place(table):
         x, y = table["FIBERASSIGN_X"], table["FIBERASSIGN_Y"]
-        # the direction of a target from the field center: the angle from west toward north is that of (x, y) in CS5,
-        # less the field rotation
+        # the angle of a target from west toward north, seen from the field center, is that of (x, y) in CS5 minus the
+        # field rotation
         angle = np.arctan2(y, x) * u.rad - rotation
         away = desi.distortion.to_angle(np.hypot(x, y) * u.mm)
         sky = center.directional_offset_by(270 * u.deg + angle, away)
