@@ -15,9 +15,7 @@ def convert(
     target: Annotated[Path, typer.Argument(help="New file, such as confSummary-26.par.gz or plan.ecsv.")],
     format: Annotated[  # noqa: A002
         str | None,
-        typer.Option(
-            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the format with the ending of the file."
-        ),
+        typer.Option(help="Format: confsummary, fiberassign, pfsdesign or table. By default, that of the file ending."),
     ] = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
