@@ -120,6 +120,11 @@ def test_a_plan_can_be_scored(path, built):
     assert_array_equal(tile.table["target_id"][used], native["TARGETID"][used])
 
 
+def test_scoring_requires_the_instrument_as_built(path, presets):
+    with pytest.raises(rs.errors.InputError, match="give the instrument as built, whose files have the ids"):
+        rs.score_tile(plans.read_plan(path), presets["desi"])
+
+
 def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     center = SkyCoord(170 * u.deg, -7 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=900 / u.deg**2, rng=5)
