@@ -16,7 +16,7 @@ def convert(
     format: Annotated[  # noqa: A002
         str | None,
         typer.Option(
-            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the format with the ending of the file."
+            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the ending of the file decides."
         ),
     ] = None,
     overwrite: _options.OverwriteOption = False,
