@@ -1,5 +1,7 @@
 """Positions of fibers relative to the elbow, and zero points and limits of joints, if positioners differ in these."""
 
+from functools import cached_property
+
 import numpy as np
 
 from rfpsurvey._units import to_points_mm, to_radian
@@ -93,13 +95,17 @@ class Joints:
         low, high, phi_low, phi_high = self.limits[:, own]
         return _within(theta, low, high) & _within(phi, phi_low, phi_high)
 
-    def free(self, side: float) -> bool:
-        """Return whether the limits allow the whole patrol areas with an elbow (+1: right, -1: left)."""
+    @cached_property
+    def free(self) -> dict[float, np.ndarray]:
+        """Whether the limits allow the whole patrol areas of each positioner, for the elbow 1 (right) and -1 (left)."""
         low, high, phi_low, phi_high = self.limits
         offset = self.phi_zero if self.angle is None else self.phi_zero + self.angle
-        first, last = (-np.pi, 0.0) if side < 0 else (0.0, np.pi)
-        turns = np.all(high - low >= 2 * np.pi)
-        return bool(turns and np.all(phi_low <= first - offset) and np.all(phi_high >= last - offset))
+        offset = offset.reshape(-1, len(low))
+        turns = high - low >= 2 * np.pi
+        return {
+            side: turns & ((phi_low <= first - offset) & (phi_high >= last - offset)).all(axis=0)
+            for side, first, last in ((1.0, 0.0, np.pi), (-1.0, -np.pi, 0.0))
+        }
 
 
 def _within(angle, low, high):
