@@ -36,9 +36,13 @@ def frames(nominal, built):
     rest = np.abs(turned - factor * plain - shift)
     print("dots relative to nominal centers")
     print(f"  mean offset ({offset[:, 0].mean():.3f}, {offset[:, 1].mean():.3f}) mm")
-    print(f"  scale {abs(factor):.5f}, rotation {np.rad2deg(np.angle(factor)):.4f} deg, rest {rest.max():.3f} mm at most")
+    print(
+        f"  scale {abs(factor):.5f}, rotation {np.rad2deg(np.angle(factor)):.4f} deg, rest {rest.max():.3f} mm at most"
+    )
     moved = np.hypot(*(built.focal_plane.xy.value - centers).T)
-    print(f"  centers from dots differ from nominal ones by {np.median(moved):.3f} mm (median), {moved.max():.3f} at most")
+    print(
+        f"  centers from dots differ from nominal ones by {np.median(moved):.3f} mm (median), {moved.max():.3f} at most"
+    )
     table = interference()
     for name, xy in (("nominal", centers), ("from dots", built.focal_plane.xy.value)):
         off = []
@@ -109,7 +113,7 @@ def differences(nominal, built):
         mean = (share * np.arange(len(share))).sum()
         print(f"{name}: in reach {1 - share[0]:.4f}, of several {share[2:].sum():.4f}, multiplicity {mean:.4f}")
     for name, one in {"nominal lattice": nominal, "as built": built}.items():
-        found = rs.collision_probability(one, tolerance=0.0005, rng=1)
+        found = rs.collision_probability(one, precision=0.0003, rng=1)
         print(f"{name}: {found}")
     print()
 
@@ -124,7 +128,7 @@ def design(nominal, built):
     for name, one in {"nominal lattice": nominal, "as built": built}.items():
         tile = rs.score_tile(plan, one)
         keys = ("n_assigned", "n_out_of_reach", "n_colliding", "n_colliding_pairs", "n_obstacle_collisions")
-        print(f"  {name}: {({key: tile.summary[key] for key in keys})}")
+        print(f"  {name}: { ({key: tile.summary[key] for key in keys}) }")
     apart = np.hypot(*(xy - built.focal_plane.xy.value[rows]).T)
     print(f"  within 4.75 mm of the center of its cobra: {(apart <= 4.75).sum()}; farthest {apart.max():.2f} mm")
     print(f"  behind a dot: {built.focal_plane.arrays.is_hidden(xy).sum()}")
@@ -143,7 +147,9 @@ def design(nominal, built):
         reached += count.max()
         found.append(start + shifts[count.argmax()])
     found = np.hypot(*np.array(found).T)
-    print(f"  with a displacement of each of 42 modules ({found.min():.1f} to {found.max():.1f} mm): {reached} in reach")
+    print(
+        f"  with a displacement of each of 42 modules ({found.min():.1f} to {found.max():.1f} mm): {reached} in reach"
+    )
     few = np.isin(np.arange(len(plan)), np.flatnonzero(apart <= 4.75))
     tile = rs.score_tile(plan[few], built)
     print(f"  collisions among the {few.sum()} fibers within 4.75 mm: {tile.summary['n_colliding']} arms")
