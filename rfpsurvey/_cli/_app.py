@@ -31,6 +31,7 @@ from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, is_example
 from rfpsurvey.errors import check_choice
 from rfpsurvey.instrument import as_instrument
+from rfpsurvey.plans import is_plan, native_format, read_plan
 from rfpsurvey.plot import COLORINGS
 from rfpsurvey.report import check_report
 
@@ -181,6 +182,8 @@ def instrument_of(table, name: str | None) -> "rs.Instrument":
     """Return the instrument with a given name; without a name, return the instrument of a tile of this package."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
+    if own is None and is_plan(table):
+        return as_instrument(name or table.meta["instrument"])
     if name is None and own is None:
         known = ", ".join(rs.available_instruments())
         raise rs.InputError(f"--instrument must say what the assignment was made for: {known}, or a TOML file")
@@ -253,7 +256,7 @@ def allocation_options(
 
 def read_assignment(path: Path, select: list[str] | None):
     """Read a table, and select the rows whose columns have the given values; values are compared as text."""
-    table = read_table(path)
+    table = read_table(path) if native_format(path) is None else read_plan(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
             raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {', '.join(table.colnames)}")

@@ -67,7 +67,9 @@ ObjectiveOption = Annotated[
     ),
 ]
 TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the search (s), for sdss and optimal.")]
-InstrumentOption = Annotated[str, typer.Option(help="Name of a preset, or path of a TOML file.")]
+InstrumentOption = Annotated[
+    str, typer.Option(help="Name of a preset, or path of a TOML file or of an instrument as built.")
+]
 EquinoxOption = Annotated[
     str | None, typer.Option(help="Measure the position angle from north at this equinox, such as J2026.0.")
 ]
@@ -303,8 +305,17 @@ Examples:
   rfpsurvey compare lamost desi pfs --density 1000 --realizations 2 --report comparison.html
 """
 
+CONVERT_EXAMPLES = """\b
+Examples:
+  rfpsurvey convert confSummary-26.par plan.ecsv
+  rfpsurvey convert tile.fits confSummary-26.par.gz
+  rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign --overwrite
+"""
+
 SCORE_EXAMPLES = """\b
 Examples:
+  rfpsurvey score confSummary-26.par.gz
+  rfpsurvey score confSummary-26.par.gz --instrument sloanFlatCMM
   rfpsurvey score plan.ecsv --instrument sdss_apo
   rfpsurvey score designs.ecsv --instrument sdss_lco --select design_id=503246 --equinox J2022.0
 """

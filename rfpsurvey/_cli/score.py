@@ -13,10 +13,15 @@ from rfpsurvey.tile import north_of_date
 
 @_app.app.command(epilog=_options.SCORE_EXAMPLES)
 def score(
-    assignment: Annotated[Path, typer.Argument(help="Table: positioner (or hole) and position of each target.")],
+    assignment: Annotated[
+        Path,
+        typer.Argument(help="Plan of another program, or a table: positioner (or hole) and position of each target."),
+    ],
     instrument: Annotated[
         str | None,
-        typer.Option(help="Preset, or path of a TOML file. By default, the instrument in a tile of rfpsurvey."),
+        typer.Option(
+            help="Preset, or path of a TOML file or of an instrument as built. By default, that of the plan or tile."
+        ),
     ] = None,
     center: Annotated[
         str | None, typer.Option(help="Field center, ICRS. By default, racen and deccen in the table.")

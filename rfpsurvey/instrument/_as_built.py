@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from astropy.time import Time
 
-from rfpsurvey.instrument import _desi
+from rfpsurvey.instrument import _desi, _sdssv
 from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ class AsBuilt:
         """Return the instrument in a file or folder of an observatory, or None for any other file or folder."""
         if _desi.recognizes(path):
             return cls.from_desi(path)
+        if _sdssv.recognizes(path):
+            return cls.from_sdssv(path)
         files = find_pfs_files(path) if path.is_dir() else None
         return None if files is None else cls.from_pfs(**files)
 
@@ -113,3 +115,44 @@ class AsBuilt:
             If a file is incomplete, lacks a column, or has values that cannot be those of PFS.
         """
         return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
+
+    @classmethod
+    def from_sdssv(
+        cls, folder: str | os.PathLike, *, site: str | None = None, disabled: list[str] | tuple[str, ...] = ()
+    ) -> "Instrument":
+        """Read SDSS-V as built: the calibration of the focal plane system at Apache Point or Las Campanas.
+
+        The ids of the positioners are those of their holes, such as R-1C14, theta and phi are alpha and beta of the
+        robots, and positions are wok coordinates. Values that the files do not contain are those of the presets
+        ``sdss_apo`` and ``sdss_lco``.
+
+        Parameters
+        ----------
+        folder : str or path-like
+            Folder with ``positionerTable.csv`` and ``wokCoords.csv`` and, optionally, ``fiberAssignments.csv`` (fibers
+            of each robot), ``fiducialCoords.csv`` (obstacles), ``focalPlaneModel.csv`` (radial maps) and
+            ``wokOrientation.csv``, whose values must be 0.
+        site : {"APO", "LCO"}, optional
+            Site of the rows to use; it is required if ``positionerTable.csv`` has rows of several sites.
+        disabled : sequence of str, optional
+            Holes of robots that take no target and are parked.
+
+        Returns
+        -------
+        Instrument
+            The instrument. Its ``notes`` count the rows that are not used, and name the robots that are disabled
+            because values are missing.
+
+        Raises
+        ------
+        InputError
+            If a required file is missing, a file is incomplete or lacks a column, or the site is unknown.
+
+        Examples
+        --------
+        >>> import rfpsurvey as rs
+        >>> sdss = rs.Instrument.from_sdssv("sloanFlatCMM")  # doctest: +SKIP
+        >>> sdss.name, sdss.layout, len(sdss.focal_plane)  # doctest: +SKIP
+        ('sdss_apo', 'as built', 500)
+        """
+        return _sdssv.read(cls.preset, folder, site=site, disabled=disabled)

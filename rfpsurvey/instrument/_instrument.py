@@ -208,12 +208,12 @@ class Instrument(AsBuilt):
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Instrument":
-        """Read an instrument from a TOML file with the layout of the included presets.
+        """Read an instrument from a TOML file with the layout of the included presets, or as built.
 
         Parameters
         ----------
         path : str or path-like
-            Path of the file.
+            Path of a TOML file, or of a file or folder that `from_sdssv`, `from_desi` or `from_pfs` reads.
 
         Returns
         -------
@@ -305,8 +305,8 @@ class Instrument(AsBuilt):
 
 
 def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return an instrument from an instrument, the name of a preset or the path of a TOML file."""
-    if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and instrument.endswith(".toml")):
+    """Return an instrument from an instrument, the name of a preset or a path that `Instrument.read` accepts."""
+    if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and _is_path(instrument)):
         return Instrument.read(instrument)
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
@@ -314,6 +314,13 @@ def as_instrument(instrument: Instrument | str) -> Instrument:
         text = "instrument must be an Instrument, the name of a preset or the path of a TOML file"
         raise InputTypeError(f"{text}, got {short(instrument)}")
     return instrument
+
+
+def _is_path(text: str) -> bool:
+    """Return whether a text is a path, and not the name of a preset."""
+    if text.endswith(".toml"):
+        return True
+    return text not in _shipped() and (os.sep in text or os.path.exists(text)) and text not in plugin_names(GROUP)
 
 
 def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:

@@ -21,8 +21,8 @@ from rfpsurvey.plans._plan import make_plan, text_of_lost
 
 __all__ = ["design_id", "lost", "read", "recognizes", "write"]
 
-# Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, but for a rotation by 0.1 deg,
-# which pfiNominal of the design 0x2a3e0e7f53f47587 has relative to its coordinates.
+# Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, except for a rotation by 0.1 deg
+# between pfiNominal and the coordinates of the design 0x2a3e0e7f53f47587.
 PFI_ANGLE = -89.898
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
 """Kinds of targets by ``targetType``; other types are no targets."""
@@ -175,7 +175,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return what this format cannot hold."""
+    """Return a description of the data that this format cannot represent."""
     names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE, *FORMATS, *FLUXES, "filterName"}
     names |= {*plan.meta.get("formats", ())} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
@@ -248,7 +248,7 @@ def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
 
 
 def _cards(header) -> dict:
-    """Return the cards of a header but for those that describe the structure of the file, by keyword."""
+    """Return the cards of a header by keyword, except for those that describe the structure of the file."""
     return {card.keyword: card for card in header.cards if not STRUCTURE.fullmatch(card.keyword)}
 
 
@@ -298,7 +298,7 @@ def _rows(plan: QTable, path: Path) -> dict:
 
 
 def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
-    """Return the columns of DESIGN for a plan that does not stem from a design."""
+    """Return the columns of DESIGN for a plan that was not read from a design."""
     fiber, _ = pfs_fibers()
     ids = plain["positioner"]
     known = np.isin(ids.astype(str), np.arange(1, len(fiber) + 1).astype(str))
@@ -419,7 +419,7 @@ def _flux_rows(plan: QTable) -> dict:
 
 
 def _guide_stars(plan: QTable):
-    """Return the header-data unit of the guide stars: those of the file that was read, or none."""
+    """Return the header-data unit of the guide stars of the file that was read; it is empty if there are none."""
     stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == "pfsdesign" else {}
     formats = stars.get("formats", GUIDE_STARS)
     columns = {}

@@ -20,6 +20,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.plans import plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
 from rfpsurvey.tile._tile import Tile
@@ -50,7 +51,8 @@ def score_tile(
     table : Table, QTable or DataFrame
         A row for each assigned fiber: the positioner's id (``positioner``, ``hole_id``, ``robot_id``, ...) and either
         its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows without a
-        positioner, and rows with 0 in the column ``assigned``, are ignored.
+        positioner, and rows with 0 in the column ``assigned``, are ignored. The columns of a plan that
+        `~rfpsurvey.plans.read_plan` returned are known.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
@@ -105,13 +107,14 @@ def score_tile(
             "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("
             f'equinox="{equinox}"))'
         )
+    columns = {**plan_roles(table), **(columns or {})}
     plane = instrument.focal_plane
-    full = Finder(table, columns or {}, units or {})
+    full = Finder(table, columns, units or {})
     rows, who, name = _positioners(full, plane)
     if len(rows) == 0:
         raise InputError("the table must assign at least one positioner, got none")
     part = table[rows]
-    find = Finder(part, columns or {}, units or {})
+    find = Finder(part, columns, units or {})
     xy_names = [find.name_of(role) for role in ("x", "y")]
     if positions is None:
         positions = "focal_plane" if None not in xy_names else "sky"

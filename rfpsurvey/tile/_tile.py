@@ -17,6 +17,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
+from rfpsurvey.plans import write_plan
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
 from rfpsurvey.tile._targets import completeness_table
 
@@ -185,7 +186,13 @@ class Tile:
             return tile
         return cls(tile.table, describe(_plain(_io.read_table(path, number=1)), OUTCOMES_COLUMNS, KEPT_COLUMN))
 
-    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+    def write(
+        self,
+        path: str | os.PathLike,
+        *,
+        format: str | None = None,  # noqa: A002
+        overwrite: bool = False,
+    ) -> None:
         """Write the tile as FITS or ECSV; if writing fails, no incomplete file remains.
 
         The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
@@ -196,6 +203,8 @@ class Tile:
         ----------
         path : str or path-like
             Path that ends in ``.fits`` or ``.ecsv``, optionally followed by ``.gz``.
+        format : str, optional
+            Format of another program, as in `~rfpsurvey.plans.write_plan`, instead of FITS or ECSV.
         overwrite : bool, optional
             Whether to replace an existing file.
 
@@ -204,6 +213,8 @@ class Tile:
         InputError
             If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
         """
+        if format is not None:
+            return write_plan(self, path, format=format, overwrite=overwrite)
         parameters = self.provenance["parameters"]
         cards = {
             "INSTRUME": (self.instrument, "instrument"),
@@ -219,7 +230,7 @@ class Tile:
         }
         cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
-        _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
+        return _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
 
     def __len__(self):
         return len(self.table)

@@ -1,0 +1,28 @@
+"""``rfpsurvey convert``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rfpsurvey._cli import _app, _options
+from rfpsurvey.plans import read_plan, write_plan
+
+
+@_app.app.command(epilog=_options.CONVERT_EXAMPLES)
+def convert(
+    source: Annotated[Path, typer.Argument(help="Plan of another program, or a tile (.fits or .ecsv).")],
+    target: Annotated[Path, typer.Argument(help="New file, such as confSummary-26.par.gz or plan.ecsv.")],
+    format: Annotated[  # noqa: A002
+        str | None,
+        typer.Option(
+            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the ending of the file decides."
+        ),
+    ] = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Convert a plan to the format of another program."""
+    plan = read_plan(source)
+    write_plan(plan, target, format=format, overwrite=overwrite)
+    n_assigned, n = int(plan["assigned"].sum()), len(plan)
+    print(f"{target}: {n_assigned} of {n} fibers of {plan.meta['instrument']} have a target")

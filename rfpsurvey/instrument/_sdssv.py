@@ -1,0 +1,332 @@
+"""SDSS-V as built: the calibration tables of the focal plane system at Apache Point or Las Campanas.
+
+Angles are those of the tables: alpha is theta, beta is phi. With a = alpha + alphaOffset, b = beta + betaOffset and the
+place (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is
+tx = alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
+coordinates, it is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are (0, -1) and (1, 0).
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._io import to_path
+from rfpsurvey._readers import read_table
+from rfpsurvey._units import to_plain
+from rfpsurvey.errors import InputError, check_choice, number_of, warn
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["PRESETS", "read", "recognizes"]
+
+PRESETS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
+TABLE = "positionerTable.csv"
+OFFSETS = ("alphaOffset", "betaOffset", "dx", "dy")
+FIBERS = {"BOSS": ("bossX", "bossY"), "APOGEE": ("apX", "apY"), "METROLOGY": ("metX", "metY")}
+VECTORS = ("ix", "iy", "iz", "jx", "jy", "jz")
+COEFFICIENTS = ("c0", "c1", "c2", "c3", "c4")
+HOLE = re.compile(r"R[+-]?\d+C\d+")
+LARGEST = 1000.0  # mm; the wok has a radius of about 350 mm
+
+
+def recognizes(path: Path) -> bool:
+    """Return whether a folder contains the table of the robots of SDSS-V."""
+    return (path / TABLE).is_file()
+
+
+def read(preset, folder, *, site: str | None = None, disabled=()):
+    """Return the instrument in a folder; ``preset`` maps a name to the instrument with the values that files lack."""
+    folder = to_path(folder)
+    if not folder.is_dir():
+        what = "this is a file" if folder.exists() else "there is no such folder"
+        raise InputError(f"{folder}: {what}; give the folder with {TABLE}")
+    robots = _Rows(folder / TABLE, ("site", "holeID", "alphaArmLen", *OFFSETS, *sum(FIBERS.values(), ())))
+    site = robots.keep_site(site)
+    nominal = preset(PRESETS[site])
+    notes = [f"{number_of(len(robots), 'robot')} of {folder.name}/{TABLE}, site {site}."]
+    robots.order_as(nominal.focal_plane.id)
+    ids = robots.text("holeID")
+    robots.check_unique("holeID")
+    xy, axis = _bases(folder, site, robots, notes)
+    types = _fiber_types(folder, site, robots, notes)
+    plane = _plane(nominal.focal_plane, robots, ids, xy, axis, types, notes)
+    plane = replace(plane, obstacles=_obstacles(folder, site, nominal.focal_plane.obstacles, ids, notes))
+    if len(disabled):
+        plane = replace(plane, disabled=plane.disabled | _named(disabled, ids))
+    maps = _maps(folder, site, nominal.distortion, notes)
+    _check_orientation(folder, site, notes)
+    dropped = ("layout.", "positioner.eccentric_arm", "positioner.arm_angle", "positioner.theta", "positioner.phi")
+    kept = {name: entry for name, entry in nominal.values.items() if not name.startswith(dropped)}
+    return replace(
+        nominal,
+        focal_plane=plane,
+        plate_scale=None,
+        distortion=maps,
+        layout="as built",
+        values={**kept, **_entries(plane, nominal, maps, folder)},
+        notes="\n".join(notes),
+    )
+
+
+class _Rows:
+    """The rows of a table of one site, with columns checked on access."""
+
+    def __init__(self, path: Path, names: tuple[str, ...]):
+        self.path, self.table = path, read_table(path)
+        for name in names:
+            if name not in self.table.colnames:
+                got = ", ".join(self.table.colnames)
+                raise InputError(f"{path}: the table must have the column {name!r}, got {got}")
+        if len(self.table) == 0:
+            raise InputError(f"{path}: the table must have at least one row, got none")
+
+    def __len__(self):
+        return len(self.table)
+
+    def has(self, name: str) -> bool:
+        return name in self.table.colnames
+
+    def text(self, name: str) -> np.ndarray:
+        """Return a column as text; missing values are empty."""
+        column = self.table[name]
+        values = to_plain(column, f"{self.path}: column {name!r}").astype(str)
+        return np.char.strip(np.where(np.ma.getmaskarray(np.ma.asarray(column)), "", values))
+
+    def numbers(self, name: str, *, finite: bool = False) -> np.ndarray:
+        """Return a column as numbers; missing values are NaN, or an error."""
+        texts = self.text(name)
+        try:
+            values = np.array([float(text) if text else np.nan for text in texts.tolist()])
+        except ValueError as error:
+            raise InputError(f"{self.path}: column {name!r} must hold numbers, {error}") from None
+        wrong = np.abs(values) > 1e6
+        wrong |= ~np.isfinite(values) if finite else np.isinf(values)
+        if wrong.any():
+            k = int(np.flatnonzero(wrong)[0])
+            raise InputError(f"{self.path}: column {name!r} must hold finite numbers, got {texts[k]!r} in row {k + 1}")
+        return values
+
+    def keep_site(self, site: str | None) -> str:
+        """Keep the rows of a site, and return it; None stands for the only site of the table."""
+        found = self.text("site")
+        if site is None:
+            sites = np.unique(found).tolist()
+            if len(sites) > 1:
+                raise InputError(f"{self.path}: site must be one of {', '.join(sites)}, because the table has several")
+            site = sites[0]
+        if site not in PRESETS:
+            raise InputError(f"{self.path}: site must be {' or '.join(PRESETS)}, got {site!r}")
+        if not (found == site).any():
+            raise InputError(f"{self.path}: the table must have rows of the site {site}, got {', '.join(set(found))}")
+        self.table = self.table[found == site]
+        return site
+
+    def keep(self, mask: np.ndarray) -> None:
+        self.table = self.table[mask]
+
+    def order_as(self, ids: np.ndarray) -> None:
+        """Sort rows by the order of holes in the preset; others follow."""
+        place = {name: k for k, name in enumerate(ids.tolist())}
+        order = [place.get(hole, len(place)) for hole in self.text("holeID").tolist()]
+        self.table = self.table[np.argsort(order, kind="stable")]
+
+    def check_unique(self, name: str) -> None:
+        values, counts = np.unique(self.text(name), return_counts=True)
+        if (counts > 1).any():
+            raise InputError(f"{self.path}: column {name!r} must have unique values, got {values[counts > 1][0]} twice")
+        if "" in values:
+            raise InputError(f"{self.path}: column {name!r} must have a value in each row, got an empty one")
+
+    def rows_of(self, holes: np.ndarray) -> np.ndarray:
+        """Return the row of each hole, or -1."""
+        self.check_unique("holeID")
+        row = {hole: k for k, hole in enumerate(self.text("holeID").tolist())}
+        return np.array([row.get(hole, -1) for hole in holes.tolist()])
+
+
+def _optional(folder: Path, file: str, site: str, names: tuple[str, ...], notes: list[str]) -> _Rows | None:
+    """Return the rows of a site of a file that may be missing."""
+    path = folder / file
+    if not path.is_file():
+        notes.append(f"There is no {file}; its values are those of the preset.")
+        return None
+    rows = _Rows(path, ("site", *names))
+    rows.keep_site(site)
+    return rows
+
+
+def _bases(folder, site, robots, notes):
+    """Return the positions of the robots' holes (mm), and the direction of i (rad) at each hole."""
+    wok = _Rows(folder / "wokCoords.csv", ("site", "holeID", "xWok", "yWok"))
+    wok.keep_site(site)
+    if wok.has("wokID") and robots.has("wokID"):
+        wok.keep(np.isin(wok.text("wokID"), robots.text("wokID")))
+    rows = wok.rows_of(robots.text("holeID"))
+    if (rows < 0).any():
+        hole = robots.text("holeID")[rows < 0][0]
+        raise InputError(f"{wok.path}: the table must have all holes of {TABLE}, but {hole} is missing")
+    notes.append(f"{number_of(len(wok) - len(rows), 'hole')} of wokCoords.csv hold no robot.")
+    xy = np.column_stack([wok.numbers(name, finite=True) for name in ("xWok", "yWok")])[rows]
+    if not all(wok.has(name) for name in VECTORS):
+        return xy, np.full(len(rows), -np.pi / 2)
+    i_x, i_y, i_z, j_x, j_y, j_z = (wok.numbers(name, finite=True)[rows] for name in VECTORS)
+    bad = (np.abs([i_z, j_z, j_x + i_y, j_y - i_x, np.hypot(i_x, i_y) - 1]) > 1e-6).any(axis=0)
+    if bad.any():
+        raise InputError(
+            f"{wok.path}: the robots must stand perpendicular to the focal plane, with unit vectors i and j in it, "
+            f"got others for {robots.text('holeID')[bad][0]}"
+        )
+    return xy, np.arctan2(i_y, i_x)
+
+
+def _fiber_types(folder, site, robots, notes) -> np.ndarray:
+    """Return whether each robot has the fibers BOSS and APOGEE, shape (n, 2)."""
+    holes = robots.text("holeID")
+    path = folder / "fiberAssignments.csv"
+    if not path.is_file():
+        wok = _Rows(folder / "wokCoords.csv", ("holeID", "holeType"))
+        kind = np.char.lower(wok.text("holeType")[wok.rows_of(holes)])
+        notes.append("There is no fiberAssignments.csv; the fibers of a robot are those of holeType in wokCoords.csv.")
+        return np.column_stack([np.char.find(kind, word) >= 0 for word in ("boss", "apogee")])
+    rows = _Rows(path, ("site", "holeID", "Device", "BOSSFiber", "APOGEEFiber"))
+    rows.keep_site(site)
+    is_robot = np.char.lower(rows.text("Device")) == "positioner"
+    others = int((~is_robot).sum())
+    rows.keep(is_robot)
+    index = rows.rows_of(holes)
+    notes.append(f"{number_of(others, 'row')} of fiberAssignments.csv that are no positioners were not used.")
+    lacking, extra = holes[index < 0], len(rows) - int((index >= 0).sum())
+    if len(lacking):
+        notes.append(f"Without a row in fiberAssignments.csv, and therefore without fibers: {', '.join(lacking)}.")
+    if extra:
+        notes.append(f"{number_of(extra, 'positioner')} of fiberAssignments.csv not in {TABLE} were not used.")
+    fibers = np.column_stack([rows.text(name) != "" for name in ("BOSSFiber", "APOGEEFiber")])
+    return fibers[index] & (index >= 0)[:, None]
+
+
+def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
+    """Return the focal plane; robots without complete values are disabled and have nominal ones."""
+    places = {name: np.column_stack([robots.numbers(column) for column in columns]) for name, columns in FIBERS.items()}
+    own = {name: robots.numbers(name) for name in ("alphaArmLen", *OFFSETS)}
+    bad = (own["alphaArmLen"] <= 0) | ~np.isfinite(list(own.values())).all(axis=0)
+    standard = {"alphaArmLen": nominal.arrays.central_arm[0], **dict.fromkeys(OFFSETS, 0.0)}
+    values = {name: np.where(bad, standard[name], v) for name, v in own.items()}
+    if bad.any():
+        notes.append(f"Disabled, because values in {TABLE} are missing: {', '.join(ids[bad])}.")
+    names = ("BOSS", "APOGEE")
+    for k, name in enumerate(names):
+        lost = types[:, k] & ~np.isfinite(places[name]).all(axis=1)
+        types[:, k] &= ~lost
+        if lost.any():
+            notes.append(f"Without the fiber {name}, because its place in {TABLE} is missing: {', '.join(ids[lost])}.")
+    none = ~types.any(axis=1)
+    if none.any():
+        notes.append(f"Disabled, because they have no fiber: {', '.join(ids[none])}.")
+        arm = nominal.arrays.eccentric_arm[0]
+        places["BOSS"][none & ~np.isfinite(places["BOSS"]).all(axis=1)] = arm, 0.0
+        types[none, 0] = True
+    # (tx + dx) i + (ty + dy) j, where j is i rotated by +90 deg
+    c, s = np.cos(axis), np.sin(axis)
+    base = xy + np.column_stack([c * values["dx"] - s * values["dy"], s * values["dx"] + c * values["dy"]])
+    if (np.abs(base) > LARGEST).any():
+        raise InputError(
+            f"{robots.path}: robots must be within {LARGEST:g} mm of the center, got {np.abs(base).max():g}"
+        )
+    zeros = np.column_stack([axis + np.deg2rad(values["alphaOffset"]), np.deg2rad(values["betaOffset"])])
+    return FocalPlane(
+        base * u.mm,
+        replace(nominal.positioner, arm_angle=None, theta_range=[0, 360] * u.deg, phi_range=[0, 180] * u.deg),
+        id=ids,
+        spectrograph=np.tile(np.arange(2), (len(ids), 1)),
+        fiber_type=np.array(["+".join(np.array(names)[row]) for row in types]),
+        central_arm=values["alphaArmLen"] * u.mm,
+        disabled=bad | none,
+        fiber_xy={name: place * u.mm for name, place in places.items()},
+        zero_points=np.rad2deg(zeros) * u.deg,
+    )
+
+
+def _obstacles(folder, site, nominal, ids, notes):
+    """Return the fiducials between the robots as circles with the radius of the preset."""
+    rows = _optional(folder, "fiducialCoords.csv", site, ("holeID", "xWok", "yWok"), notes)
+    if rows is None:
+        return nominal
+    between = np.array([HOLE.fullmatch(hole) is not None for hole in rows.text("holeID").tolist()])
+    xy = np.column_stack([rows.numbers(name, finite=True) for name in ("xWok", "yWok")])[between]
+    radius = nominal[0, 2].to_value(u.mm)
+    notes.append(
+        f"{number_of(len(xy), 'fiducial')} of fiducialCoords.csv between the robots are obstacles of radius "
+        f"{radius:g} mm; the {int((~between).sum())} on the rim and the guide cameras are not."
+    )
+    return np.column_stack([xy, np.full(len(xy), radius)]) * u.mm
+
+
+def _maps(folder, site, nominal, notes):
+    """Return the radial map of each fiber type; the field angle limit and the factor are those of the preset."""
+    rows = _optional(folder, "focalPlaneModel.csv", site, ("direction", "waveCat", "R", *COEFFICIENTS), notes)
+    if rows is None:
+        return nominal
+    rows.keep(rows.text("direction") == "focal")
+    kinds, maps = np.char.upper(rows.text("waveCat")), {}
+    for name, old in nominal.items():
+        found = np.flatnonzero(kinds == name)
+        if len(found) != 1:
+            raise InputError(
+                f"{rows.path}: there must be one row with direction focal, site {site} and waveCat {name.title()}, "
+                f"got {len(found)}"
+            )
+        radius, *terms = (float(rows.numbers(c, finite=True)[found[0]]) for c in ("R", *COEFFICIENTS))
+        maps[name] = replace(old, coefficients=tuple(terms), radius=radius * u.mm)
+    return maps
+
+
+def _check_orientation(folder, site, notes) -> None:
+    """Warn if the wok is shifted or tilted on the focal plane, which projections of the sky do not include."""
+    names = ("x", "y", "xTilt", "yTilt")
+    rows = _optional(folder, "wokOrientation.csv", site, names, notes)
+    if rows is None:
+        return
+    values = {name: rows.numbers(name, finite=True)[0] for name in names}
+    if any(values.values()):
+        given = ", ".join(f"{name} = {value:g}" for name, value in values.items() if value)
+        text = f"{rows.path}: the wok is shifted or tilted ({given}), which projections of the sky do not include"
+        notes.append(f"The wok is shifted or tilted ({given}), which projections of the sky do not include.")
+        warn(text)
+
+
+def _named(disabled, ids) -> np.ndarray:
+    """Mark the robots in a list."""
+    names = np.atleast_1d(to_plain(disabled, "disabled")).astype(str)
+    for name in names.tolist():
+        check_choice(name, ids.tolist(), "robot to disable")
+    return np.isin(ids, names)
+
+
+def _entries(plane, nominal, maps, folder) -> dict:
+    """Return the values that were read, with their sources."""
+
+    def entry(value, status, source, unit=None):
+        unit = {} if unit is None else {"unit": unit}
+        return {"value": value, **unit, "status": status, "source": f"{folder.name}/{source}"}
+
+    arm = float(np.median(plane.arrays.central_arm))
+    places = {name: np.nanmedian(xy.to_value(u.mm), axis=0).tolist() for name, xy in plane.fiber_xy.items()}
+    jaeger = "https://github.com/sdss/jaeger src/jaeger/etc/jaeger_APO.yml"
+    found = {
+        "positioner.central_arm": entry(arm, "derived", f"{TABLE}, median of alphaArmLen", "mm"),
+        "positioner.fiber_xy": entry(places, "derived", f"{TABLE}, medians of the places of the fibers", "mm"),
+        "positioner.theta_range": {"value": [0.0, 360.0], "unit": "deg", "status": "published", "source": jaeger},
+        "positioner.phi_range": {"value": [0.0, 180.0], "unit": "deg", "status": "published", "source": jaeger},
+        "layout.robots": entry(len(plane), "published", f"{TABLE}; positions from wokCoords.csv"),
+        "layout.fiducials": entry(len(plane.arrays.obstacles), "published", "fiducialCoords.csv"),
+        "layout.fiducial_radius": nominal.values["layout.fiducial_radius"],
+    }
+    if maps is not nominal.distortion:
+        value = {
+            name: {"form": m.form, "radius": m.radius.to_value(u.mm), "coefficients": list(m.coefficients)}
+            for name, m in maps.items()
+        }
+        found["optics.radial_map"] = entry(value, "published", "focalPlaneModel.csv")
+    return found
