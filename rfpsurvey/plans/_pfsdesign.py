@@ -22,7 +22,7 @@ from rfpsurvey.plans._plan import make_plan, text_of_lost
 __all__ = ["design_id", "lost", "read", "recognizes", "write"]
 
 # Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, except for a rotation by 0.1 deg
-# between the positions and the coordinates of a design of 2022.
+# between pfiNominal and the coordinates of the design 0x2a3e0e7f53f47587.
 PFI_ANGLE = -89.898
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
 """Kinds of targets by ``targetType``; other types are no targets."""

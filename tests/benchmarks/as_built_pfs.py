@@ -113,7 +113,7 @@ def differences(nominal, built):
         mean = (share * np.arange(len(share))).sum()
         print(f"{name}: in reach {1 - share[0]:.4f}, of several {share[2:].sum():.4f}, multiplicity {mean:.4f}")
     for name, one in {"nominal lattice": nominal, "as built": built}.items():
-        found = rs.collision_probability(one, tolerance=0.0005, rng=1)
+        found = rs.collision_probability(one, precision=0.0003, rng=1)
         print(f"{name}: {found}")
     print()
 

@@ -208,6 +208,16 @@ def test_the_frame_of_the_plan_is_that_of_the_sky(real_data, presets):
     assert np.abs(scale * xy - given).max() < 0.02
 
 
+def test_the_fiber_map_assigns_each_fiber_of_the_design_to_a_cobra_nearby(real_data):
+    """The calibration of the design differs by millimeters, but wrong boards would be farther than 10 mm."""
+    plan = rs.plans.read_plan(real_data(REAL))
+    plan = plan[plan["assigned"]]
+    xy = np.column_stack([plan["x"].value, plan["y"].value])
+    apart = np.hypot(*(xy - centers()[plan["positioner"] - 1]).T)
+    assert apart.max() < 10
+    assert np.median(apart) < 4
+
+
 def test_a_design_of_another_instrument_or_with_text_identifiers_is_refused(presets, tmp_path):
     lamost = presets["lamost"]
     x, y = lamost.focal_plane.xy[:2].T
