@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey.focal_plane._circles import Circles
-from rfpsurvey.focal_plane._fibers import Fibers, Joints
+from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import joints_allow
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
@@ -19,7 +19,7 @@ __all__ = ["FocalPlaneArrays"]
 
 IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "geometry", "bounds", "angles")
 """Names of the arrays that depend on the fiber types in use."""
-SHARED = ("grid", "runs", "limits", "obstacle_pairs")
+SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of costly arrays that do not depend on the fiber types in use."""
 
 
@@ -114,11 +114,11 @@ class FocalPlaneArrays:
 
     @cached_property
     def inner_radius(self) -> np.ndarray:
-        return locked(np.where(self.equal_arms, 0.0, np.abs(self.central_arm - self.eccentric_arm)))
+        return locked(patrol_radii(self)[0])
 
     @cached_property
     def outer_radius(self) -> np.ndarray:
-        return locked(self.central_arm + self.eccentric_arm)
+        return locked(patrol_radii(self)[1])
 
     @cached_property
     def fibers(self) -> Fibers | None:
@@ -272,18 +272,13 @@ class FocalPlaneArrays:
     @cached_property
     def bounds(self) -> arms.Bounds:
         """Limits of the tips that each positioner can reach."""
-        return self._bounds(self.central_arm, self.eccentric_arm, self.usable.copy())
+        return self.bounds_of(None)
 
-    def bounds_of(self, own: np.ndarray, fiber: np.ndarray | None = None) -> arms.Bounds:
+    def bounds_of(self, own: np.ndarray | None, fiber: np.ndarray | None = None) -> arms.Bounds:
         """Return the same data for a list of positioners, and for the fiber types that they use (by index)."""
-        if fiber is None or self.fibers is None:
-            return arms.Bounds(*(c[own] for c in self.bounds))
-        return self._bounds(self.central_arm[own], self.fibers.length[fiber, own], self.usable[own])
-
-    def _bounds(self, l1, l2, usable):
-        inner = np.abs(l1 - l2)
-        low = np.maximum(np.where(inner < arms.EQUAL_ARMS, 0.0, inner) - self.reach_slack, 0.0) ** 2
-        return arms.Bounds(low, (l1 + l2 + self.reach_slack) ** 2, usable)
+        inner, outer = patrol_radii(self, own, fiber)
+        low = np.maximum(inner - self.reach_slack, 0.0) ** 2
+        return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
 
     @cached_property
     def reach_slack(self) -> float:
@@ -343,7 +338,8 @@ class FocalPlaneArrays:
         """Zero points and limits of the joints; None if the angles of the joints are those of the kernels."""
         plane = self.plane
         own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
-        return None if all(values is None for values in own) else Joints(plane, self.fibers)
+        lengths = self.eccentric_arm[None] if self.fibers is None else self.fibers.length
+        return None if all(values is None for values in own) else Joints(plane, self.fibers, self.central_arm, lengths)
 
     def joints_free_for(self, side: float) -> bool:
         """Return whether the joint limits allow the whole patrol areas with an elbow: +1 is right, -1 is left."""
@@ -365,17 +361,17 @@ class FocalPlaneArrays:
         """Return the angles of the joints for those of the kernels."""
         if self.joints is None:
             return theta, phi
-        own, fiber = self._rows(own, fiber)
+        own, fiber = self.rows_of(own, fiber)
         return self.joints.from_kernel(theta, phi, own, fiber)
 
     def from_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles of the kernels for those of the joints."""
         if self.joints is None:
             return theta, phi
-        theta_zero, phi_zero = self.joints.zeros(*self._rows(own, fiber))
+        theta_zero, phi_zero = self.joints.zeros(*self.rows_of(own, fiber))
         return theta + theta_zero, phi + phi_zero
 
-    def _rows(self, own, fiber):
+    def rows_of(self, own, fiber):
         """Return rows of positioners and indices of fiber types; None means all rows, and the fibers in use."""
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber

@@ -1,12 +1,11 @@
 """Positions of fibers relative to the elbow, and zero points and limits of joints, if positioners differ in these."""
 
-from functools import cached_property
-
 import numpy as np
 
+from rfpsurvey._kernels.arms import EQUAL_ARMS
 from rfpsurvey._units import to_points_mm, to_radian
 
-__all__ = ["Fibers", "Joints"]
+__all__ = ["Fibers", "Joints", "patrol_radii"]
 
 
 class Fibers:
@@ -46,9 +45,19 @@ class Joints:
         The focal plane, which has ``zero_points``, ``fiber_xy``, or joint limits of single positioners.
     fibers : Fibers or None
         The positions of the fibers.
+    l1, l2 : ndarray of float, shape (n,) and (k, n)
+        Lengths of the central arms, and distances from the elbow to the fiber of each type, mm.
+
+    Attributes
+    ----------
+    inner, outer : ndarray of float, shape (k, n)
+        Least and greatest distance of the fiber from the center that the limits of phi allow, mm; 0 and infinity where
+        they allow all distances.
+    free : dict of float to ndarray of bool, shape (n,)
+        Whether the limits allow all points between ``inner`` and ``outer``, for the elbow 1 (right) and -1 (left).
     """
 
-    def __init__(self, plane, fibers: Fibers | None):
+    def __init__(self, plane, fibers: Fibers | None, l1: np.ndarray, l2: np.ndarray):
         n = len(plane)
         zeros = np.zeros((n, 2)) if plane.zero_points is None else to_radian(plane.zero_points, "zero_points")
         self.theta_zero, self.phi_zero = zeros.T.copy()
@@ -63,6 +72,11 @@ class Joints:
                 pair = np.where(np.isfinite(given), given, pair)
             limits += list(pair)
         self.limits = np.array(limits)
+        self.inner, self.outer = np.zeros_like(l2), np.full_like(l2, np.inf)
+        self.free = {side: self._allow_all(side) for side in (1.0, -1.0)}
+        if plane.positioner.handedness != "both":
+            side = -1.0 if plane.positioner.handedness == "left" else 1.0
+            self.free[side] |= self._cut(l1, l2, side)
 
     def zeros(self, own, fiber):
         """Return the offsets of theta and phi of the kernels from those of the joints, for positioners (by row)."""
@@ -95,17 +109,52 @@ class Joints:
         low, high, phi_low, phi_high = self.limits[:, own]
         return _within(theta, low, high) & _within(phi, phi_low, phi_high)
 
-    @cached_property
-    def free(self) -> dict[float, np.ndarray]:
-        """Whether the limits allow the whole patrol areas of each positioner, for the elbow 1 (right) and -1 (left)."""
+    def _allow_all(self, side):
+        """Return whether the limits of a positioner allow the whole patrol area with an elbow (1: right, -1: left)."""
         low, high, phi_low, phi_high = self.limits
         offset = self.phi_zero if self.angle is None else self.phi_zero + self.angle
-        offset = offset.reshape(-1, len(low))
-        turns = high - low >= 2 * np.pi
-        return {
-            side: turns & ((phi_low <= first - offset) & (phi_high >= last - offset)).all(axis=0)
-            for side, first, last in ((1.0, 0.0, np.pi), (-1.0, -np.pi, 0.0))
-        }
+        first, last = (-np.pi, 0.0) if side < 0 else (0.0, np.pi)
+        allowed = (phi_low <= first - offset) & (phi_high >= last - offset)
+        return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
+
+    def _cut(self, l1, l2, side):
+        """Replace limits of phi by limits of the distance; return the positioners (n,) for which this is possible.
+
+        If theta is free, the limits allow a ring, because the distance of the fiber from the center depends on phi
+        alone. This requires that the allowed part of phi is one interval.
+        """
+        low, high, phi_low, phi_high = self.limits
+        offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)
+        start = -np.pi if side < 0 else 0.0
+        with np.errstate(invalid="ignore"):
+            # phi from the start of the range of this elbow, [0, pi]; intervals may continue beyond 2 pi
+            first = np.mod(phi_low + offset - start, 2 * np.pi)
+            last = first + (phi_high - phi_low)
+        before, after = first <= np.pi, last >= 2 * np.pi
+        begin, end = np.where(before, first, 0.0), np.where(before, np.minimum(last, np.pi), last - 2 * np.pi)
+        one, end = np.isfinite(first) & (before ^ after), np.minimum(end, np.pi)
+        phi = start + np.array([begin - 1e-12, end + 1e-12]).clip(0.0, np.pi)
+        squared = np.sort(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(phi), axis=0)
+        possible = one.all(axis=0) & (high - low >= 2 * np.pi)
+        inner, outer = np.sqrt(np.maximum(squared, 0.0))
+        # an end of the range is not a limit of the distance
+        near, far = (begin, end) if side < 0 else (np.pi - end, np.pi - begin)
+        self.inner = np.where(possible & (near > 1e-9), inner, self.inner)
+        self.outer = np.where(possible & (far < np.pi - 1e-9), outer, self.outer)
+        return possible
+
+
+def patrol_radii(columns, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inner and outer radii of patrol areas (mm), for positioners (by row) and the fiber types in use."""
+    own, fiber = columns.rows_of(own, fiber)
+    l1 = columns.central_arm[own]
+    l2 = columns.eccentric_arm[own] if columns.fibers is None else columns.fibers.length[fiber, own]
+    inner = np.abs(l1 - l2)
+    inner, outer = np.where(inner < EQUAL_ARMS, 0.0, inner), l1 + l2
+    if columns.joints is None:
+        return inner, outer
+    kind = 0 if columns.fibers is None else fiber
+    return np.maximum(inner, columns.joints.inner[kind, own]), np.minimum(outer, columns.joints.outer[kind, own])
 
 
 def _within(angle, low, high):

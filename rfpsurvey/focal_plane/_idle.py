@@ -34,7 +34,8 @@ def find_idle(columns) -> dict[bool, Idle]:
     theta, phi = (np.ascontiguousarray(v) for v in columns.from_joints(*home))
     segments = np.empty((4, n))
     arms.pose(theta, phi, columns.geometry, segments)
-    nearly = columns.plane.positioner.equal_arms & (columns.inner_radius <= NEARLY_EQUAL * columns.outer_radius)
+    l1, l2 = columns.central_arm, columns.eccentric_arm
+    nearly = columns.plane.positioner.equal_arms & (np.abs(l1 - l2) <= NEARLY_EQUAL * (l1 + l2))
     folded = ~stuck & columns.equal_arms & (np.abs(phi - np.pi) < 1e-12)
     segments[2:, folded] = columns.xy[folded].T  # in floating-point numbers, sin(pi) is not 0
     states = {}

@@ -216,5 +216,8 @@ def _in_annulus_exactly(columns, i, point):
     """Return whether a point is in a patrol area, decided in rational arithmetic."""
     r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, columns.xy[i], strict=True))
     l1, l2 = Fraction(columns.central_arm[i]), Fraction(columns.eccentric_arm[i])
-    inner = 0 if columns.equal_arms[i] else abs(l1 - l2)
-    return inner**2 <= r2 <= (l1 + l2) ** 2
+    inner, outer = 0 if columns.equal_arms[i] else abs(l1 - l2), l1 + l2
+    if columns.joints is not None:
+        inner = max(inner, Fraction(columns.inner_radius[i]))
+        outer = min(outer, Fraction(columns.outer_radius[i]))
+    return inner**2 <= r2 <= outer**2

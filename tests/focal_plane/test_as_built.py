@@ -188,22 +188,30 @@ def test_probabilities_agree_with_the_same_instrument_without_columns(method):
     assert values[0] == pytest.approx(values[1], rel=1e-9)
 
 
-def test_joint_limits_of_single_positioners():
+@pytest.mark.parametrize("handedness", ["right", "left"])
+@pytest.mark.parametrize("turn", [90, 179, 180])
+def test_joint_limits_of_single_positioners(turn, handedness):
+    """Limits of phi are limits of the distance if theta is free, and are otherwise tested for each target."""
     rng = np.random.default_rng(5)
     low = rng.uniform(0, 60, 60)
     limits = np.column_stack([low, low + 100]) * DEG
     limits[::4] = np.nan
-    plane = random_plane(phi_range=limits, unit={"phi_range": [0, 170] * DEG, "theta_range": [-180, 180] * DEG})
+    common = np.array([0, 170]) if handedness == "right" else np.array([-170, 0])
+    limits = limits if handedness == "right" else -limits[:, ::-1]
+    unit = {"phi_range": common * DEG, "theta_range": [-turn, turn] * DEG, "handedness": handedness}
+    plane = random_plane(phi_range=limits, unit=unit)
+    assert plane.arrays.joints_free == (turn == 180)
     points = rng.uniform(-20, 180, (600, 2)) * MM
-    free = replace(plane, phi_range=None, positioner=replace(plane.positioner, phi_range=None))
+    unit = replace(plane.positioner, phi_range=None, theta_range=None)
+    free = replace(plane, phi_range=None, positioner=unit)
     for name in ("A", "B"):
         found = plane.reachable(points, np.full(600, name)).toarray()
         within = free.reachable(points, np.full(600, name)).toarray()
         for j in range(600):
-            _, phi = free.inverse(np.tile(points[j], (60, 1)), name)
-            phi = np.mod(phi.value + 90, 360) - 90
-            ends = np.where(np.isfinite(limits.value), limits.value, [0, 170])
-            expected = within[:, j] & (phi >= ends[:, 0]) & (phi <= ends[:, 1])
+            theta, phi = free.inverse(np.tile(points[j], (60, 1)), name)
+            phi = np.mod(phi.value + 270, 360) - 270 if handedness == "left" else np.mod(phi.value + 90, 360) - 90
+            ends = np.where(np.isfinite(limits.value), limits.value, common)
+            expected = within[:, j] & (phi >= ends[:, 0]) & (phi <= ends[:, 1]) & (np.abs(theta.value) <= turn)
             np.testing.assert_array_equal(found[:, j], expected)
     assert not np.array_equal(found, within)
 
@@ -335,3 +343,17 @@ def test_counts_of_configurations_with_other_fibers():
     counts = rs.count_collisions(plane, u.Quantity(tips), fiber_type=names)
     assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
     assert counts.n_pairs.sum() > 20
+
+
+def test_limits_of_phi_give_the_same_probability_in_compiled_code():
+    """The same limits are tested for each target if theta cannot make a full turn."""
+    values = []
+    for turn in (180, 180 - 1e-9):
+        unit = {"theta_range": [-turn, turn] * DEG}
+        plane = random_plane(phi_range=np.tile([20.0, 140.0], (60, 1)) * DEG, unit=unit)
+        assert plane.arrays.joints_free == (turn == 180)
+        precision = rs.probability.Precision(max_iterations=1000)
+        values.append(rs.collision_probability(plane, precision=precision, rng=1))
+    apart = values[0].value - values[1].value
+    assert abs(apart) < 4 * np.hypot(values[0].standard_error, values[1].standard_error) < 0.06
+    assert values[0].value > 0.1
