@@ -56,6 +56,24 @@ def test_one_file_is_enough(folder):
     assert "layout.fiducials" not in pfs.values
 
 
+def test_a_file_of_dots_is_recognized_by_its_content(folder, tmp_path):
+    path = tmp_path / "positions.csv"
+    path.write_text((folder / DOTS).read_text())
+    assert rs.Instrument.read(path).layout == "as built"
+    path.write_text("x,y\n1,2\n")
+    with pytest.raises(InputError, match="cannot be read as TOML"):
+        rs.Instrument.read(path)
+
+
+def test_files_in_the_folders_of_the_repository_are_found(folder, tmp_path):
+    for name, place in {DOTS: "dot", FIDUCIALS: "fiducials", INTERFERENCE: "fiducials"}.items():
+        (tmp_path / place).mkdir(exist_ok=True)
+        (tmp_path / place / name).write_text((folder / name).read_text())
+    plane = rs.Instrument.read(tmp_path).focal_plane
+    assert len(plane.arrays.obstacles) == 95
+    assert plane.theta_range is not None
+
+
 def test_a_compressed_file_of_dots_is_read(folder, tmp_path):
     path = tmp_path / f"{DOTS}.gz"
     path.write_bytes(gzip.compress((folder / DOTS).read_bytes()))
