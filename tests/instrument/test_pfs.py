@@ -6,6 +6,7 @@ import re
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from pfs_files import OFFSET, centers, cobra_columns, write_cobras, write_files
 
 import rfpsurvey as rs
@@ -321,3 +322,14 @@ def test_the_real_files_agree_with_each_other(real_data):
         assert abs(off[-1]) < width / 2 + 1.5
     assert abs(np.mean(off)) < 1
     assert 0.9 < pfs.facts()["coverage"] < 0.96
+
+
+def test_a_planned_tile_uses_no_target_behind_a_dot(folder):
+    pfs, center = rs.Instrument.read(folder), SkyCoord(150 * u.deg, 2 * u.deg)
+    sky = rs.synthetic_catalog("uniform", center, pfs.field_radius, n_targets=4000, rng=3)
+    tile = rs.plan_tile(sky, pfs, center)
+    arrays = pfs.focal_plane.arrays
+    assert arrays.is_hidden(np.column_stack([tile.outcomes["x"].value, tile.outcomes["y"].value])).sum() > 50
+    taken = tile.table[tile.table["status"] == "assigned"]
+    assert len(taken) > 1000
+    assert not arrays.is_hidden(np.column_stack([taken["tip_x"].value, taken["tip_y"].value])).any()
