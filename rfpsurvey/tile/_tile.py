@@ -214,7 +214,8 @@ class Tile:
             If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
         """
         if format is not None:
-            return write_plan(self, path, format=format, overwrite=overwrite)
+            write_plan(self, path, format=format, overwrite=overwrite)
+            return
         parameters = self.provenance["parameters"]
         cards = {
             "INSTRUME": (self.instrument, "instrument"),
@@ -230,7 +231,7 @@ class Tile:
         }
         cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
-        return _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
+        _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
 
     def __len__(self):
         return len(self.table)

@@ -12,6 +12,8 @@ from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
 import rfpsurvey as rs
+from damaged_files import FINE, damage, outcome
+from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 partial = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -97,6 +99,9 @@ def test_the_last_event_before_a_time_applies(folder):
     assert "all positioners work" in start.notes
     assert_allclose(stuck.focal_plane.stuck[row_of(stuck, 1003)].to_value(u.deg), [-10, -100])
     assert stuck.focal_plane.arrays.usable.sum() == 10 * FEW - 1
+    k = row_of(stuck, 1003)
+    place = stuck.focal_plane.forward(np.full(10 * FEW, -10) * u.deg, np.full(10 * FEW, -100) * u.deg)[k]
+    assert_allclose(stuck.focal_plane.arrays.idle(True).segments[2:, k], place.to_value(u.mm))
     assert broken.focal_plane.disabled.sum() == 1
     assert broken.focal_plane.arrays.usable[row_of(broken, 1003)]
     assert_allclose(broken.focal_plane.stuck[row_of(broken, 1004)].to_value(u.deg), [-1, -90])
@@ -382,3 +387,24 @@ def test_the_optics_agree_with_the_ray_trace(real_data, presets):
     assert (along[inside & (angle > 0.005)] > 0).all()
     expected = presets["desi"].distortion.to_radius(angle[inside] * u.rad).to_value(u.mm)
     assert 0.05 < np.abs(radius[inside] - expected).max() < 0.07
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_damaged_files_are_refused_with_a_sentence(folder, tmp_path, seed):
+    desi_files.metrology(folder / "fp.csv", per_petal=FEW)
+    plane, log = (next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state"))
+    polygons = folder / "polygons.yaml"
+    desi_files.exclusions(polygons)
+    readers = {
+        folder / "fp.csv": rs.Instrument.from_desi,
+        plane: rs.Instrument.from_desi,
+        log: lambda path: rs.Instrument.from_desi(plane, state=path),
+        polygons: lambda path: rs.Instrument.from_desi(plane, exclusions=path),
+    }
+    for number, (path, read) in enumerate(readers.items()):
+        sample = Sample("DESI", path, lambda path, read=read: len(read(path).focal_plane), lambda path: None)
+        away = tmp_path / f"damaged {number}"
+        away.mkdir()
+        damaged, done = damage(np.random.default_rng([7, seed, number]), sample, away)
+        what, words = outcome(sample, damaged)
+        assert what in FINE, f"{path.name} ({done}): {what}: {words}"

@@ -12,7 +12,9 @@ from astropy.table import QTable
 from numpy.testing import assert_array_equal
 
 import rfpsurvey as rs
+from damaged_files import FINE, damage, outcome
 from rfpsurvey import plans
+from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 pytestmark = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -118,12 +120,17 @@ def test_a_plan_can_be_scored(path, built):
     assert_array_equal(tile.table["target_id"][used], native["TARGETID"][used])
 
 
+def test_scoring_requires_the_instrument_as_built(path, presets):
+    with pytest.raises(rs.errors.InputError, match="give the instrument as built, whose files have the ids"):
+        rs.score_tile(plans.read_plan(path), presets["desi"])
+
+
 def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     center = SkyCoord(170 * u.deg, -7 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=900 / u.deg**2, rng=5)
     sky = rs.Catalog(sky.coord, id=np.arange(1, len(sky) + 1), epoch=2026.5)
     tile = rs.plan_tile(sky, built, center, position_angle=10 * u.deg)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="this format cannot hold the columns theta, phi"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold it: the columns theta, phi"):
         plans.write_plan(tile, tmp_path / "tile.fits", format="fiberassign")
     plan = plans.read_plan(tmp_path / "tile.fits")
     assert plan.meta["position_angle"] == 10
@@ -198,7 +205,7 @@ def test_the_format_is_recognized(path, tmp_path):
 
 def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):
     plan = plans.read_plan(path)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold the other tables of its file"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold it: the other tables of its file"):
         plans.write_plan(plan, tmp_path / "plan.ecsv")
     again = plans.read_plan(tmp_path / "plan.ecsv")
     assert_array_equal(plan["x"], again["x"])
@@ -277,3 +284,28 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
         plans.write_plan(plan, tmp_path / "no.fits", format="fiberassign")
     assert not list(tmp_path.glob("no*"))
     assert not list(tmp_path.glob(".rfpsurvey*"))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_other_damaged_files_are_refused_with_a_sentence(path, tmp_path, seed):
+    sample = Sample("DESI", path, lambda path: len(plans.read_plan(path, format="fiberassign")), lambda path: None)
+    (tmp_path / "damaged").mkdir()
+    damaged, done = damage(np.random.default_rng([8, seed]), sample, tmp_path / "damaged")
+    what, words = outcome(sample, damaged)
+    assert what in FINE, f"{done}: {what}: {words}"
+
+
+def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_data, tycho):
+    desi = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
+    center = SkyCoord(95 * u.deg, 23 * u.deg)
+    stars = rs.Catalog.read(tycho)
+    tile = rs.plan_tile(rs.Catalog(stars.coord, id=np.arange(len(stars))), desi, center)
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold"):
+        plans.write_plan(tile, tmp_path / "tile.fits.gz", format="fiberassign")
+    again = rs.score_tile(plans.read_plan(tmp_path / "tile.fits.gz"), desi)
+    assert tile.summary["n_assigned"] > 700
+    for name in ("id", "spectrograph", "status", "in_collision", "colliding_with"):
+        assert_array_equal(tile.table[name], again.table[name], name)
+    has = tile.table["status"] == "assigned"
+    assert_array_equal(tile.table["target_id"][has], again.table["target_id"][has])
+    assert np.abs(tile.table["tip_x"] - again.table["tip_x"])[has].max() < 2e-5 * u.mm
