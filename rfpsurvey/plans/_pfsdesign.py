@@ -85,17 +85,16 @@ def read(path: Path) -> QTable:
     guides = units.get("GUIDESTARS")
     meta = {
         "comments": _comments(primary),
-        "formats": dict(zip(rows.dtype.names, _forms(rows), strict=True)),
+        "formats": _forms(rows),
         "rows_id": design_id(fiber, rows["ra"], rows["dec"]),
     }
     if guides is not None:
         stars = {name: guides[1][name].tolist() for name in guides[1].dtype.names}
-        formats = dict(zip(stars, _forms(guides[1]), strict=True))
         meta["guide_stars"] = {
             "header": _values(guides[0]),
             "comments": _comments(guides[0]),
             "columns": stars,
-            "formats": formats,
+            "formats": _forms(guides[1]),
         }
     epochs = np.unique(rows["epoch"][columns["assigned"]]) if "epoch" in rows.dtype.names else ()
     return make_plan(
@@ -115,7 +114,7 @@ def read(path: Path) -> QTable:
 def lost(plan: QTable) -> list[str]:
     """Return a description of the data that this format cannot represent."""
     names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE, *FORMATS, *FLUXES, "filterName"}
-    names |= {*plan.meta.get("formats", ())} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
+    names |= {*dict(plan.meta.get("formats", ()))} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if plan.meta["format"] not in ("pfsdesign", "tile") and plan.meta["header"]:
         found.append("the keywords of the header")
@@ -172,13 +171,13 @@ def _comments(header) -> dict:
     return {name: card.comment for name, card in _cards(header).items() if card.comment}
 
 
-def _forms(rows: np.ndarray) -> list[str]:
-    """Return the FITS formats of columns."""
+def _forms(rows: np.ndarray) -> list[list[str]]:
+    """Return the names and FITS formats of columns; ECSV files do not preserve the order of a dict."""
     letters = {"i1": "B", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "b1": "L"}
     forms = []
     for name in rows.dtype.names:
         dtype = rows[name].dtype
         n = int(np.prod(rows[name].shape[1:]))
         form = f"{dtype.itemsize // 4}A" if dtype.kind == "U" else letters[dtype.str[1:]]
-        forms.append(form if n == 1 else f"{n}{form}")
+        forms.append([name, form if n == 1 else f"{n}{form}"])
     return forms

@@ -114,7 +114,7 @@ def _rows(plan: QTable, path: Path) -> dict:
     if plan.meta["format"] != "pfsdesign":
         return _new_rows(plan, plain, path)
     found = {}
-    for native, form in plan.meta["formats"].items():
+    for native, form in plan.meta["formats"]:
         name = next((n for n, other in NATIVE.items() if other == native), native)
         if native == "pfiNominal":
             values = np.column_stack([plain["x"], plain["y"]])
@@ -250,7 +250,7 @@ def _flux_rows(plan: QTable) -> dict:
 def _guide_stars(plan: QTable):
     """Return the header-data unit of the guide stars of the file that was read; it is empty if there are none."""
     stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == "pfsdesign" else {}
-    formats = stars.get("formats", GUIDE_STARS)
+    formats = dict(stars.get("formats", GUIDE_STARS))
     columns = {}
     for name, form in formats.items():
         columns[name] = (

@@ -114,6 +114,19 @@ def test_reading_writing_and_reading_preserves_everything(tmp_path):
         assert_same(plan, rs.plans.read_plan(tmp_path / name))
 
 
+def test_a_design_that_was_stored_as_ecsv_can_be_written_unchanged(tmp_path):
+    path = write_design(tmp_path / "d.fits")
+    rs.plans.write_plan(rs.plans.read_plan(path), tmp_path / "d.ecsv")
+    rs.plans.write_plan(rs.plans.read_plan(tmp_path / "d.ecsv"), tmp_path / "e.fits")
+    with fits.open(path) as one, fits.open(tmp_path / "e.fits") as two:
+        assert [unit.name for unit in one] == [unit.name for unit in two]
+        for k in (1, 2, 3):
+            assert one[k].columns.names == two[k].columns.names
+            assert one[k].columns.formats == two[k].columns.formats
+            assert one[k].data.tobytes() == two[k].data.tobytes()
+        assert dict(one[0].header) == dict(two[0].header)
+
+
 def test_the_real_design_is_preserved_to_the_byte(real_data, tmp_path):
     path = real_data(REAL)
     plan = rs.plans.read_plan(path)
