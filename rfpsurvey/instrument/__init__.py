@@ -8,7 +8,7 @@ from rfpsurvey.instrument._instrument import (
     available_instruments,
     every_instrument,
 )
-from rfpsurvey.instrument._pfs import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey.instrument._pfs_map import pfs_engineering_fibers, pfs_fibers
 
 __all__ = [
     "Instrument",

@@ -25,7 +25,7 @@ class AsBuilt:
             return cls.from_desi(path)
         if _sdssv.recognizes(path):
             return cls.from_sdssv(path)
-        files = find_pfs_files(path) if path.is_dir() else None
+        files = find_pfs_files(path)
         return None if files is None else cls.from_pfs(**files)
 
     @classmethod

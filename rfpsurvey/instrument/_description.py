@@ -10,7 +10,7 @@ from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
-from rfpsurvey.instrument._pfs import cobra_ids
+from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 

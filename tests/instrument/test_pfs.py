@@ -6,6 +6,7 @@ import re
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from pfs_files import OFFSET, centers, cobra_columns, write_cobras, write_files
 
 import rfpsurvey as rs
@@ -54,6 +55,24 @@ def test_one_file_is_enough(folder):
     assert len(pfs.focal_plane.arrays.obstacles) == 0
     assert pfs.focal_plane.theta_range is None
     assert "layout.fiducials" not in pfs.values
+
+
+def test_a_file_of_dots_is_recognized_by_its_content(folder, tmp_path):
+    path = tmp_path / "positions.csv"
+    path.write_text((folder / DOTS).read_text())
+    assert rs.Instrument.read(path).layout == "as built"
+    path.write_text("x,y\n1,2\n")
+    with pytest.raises(InputError, match="cannot be read as TOML"):
+        rs.Instrument.read(path)
+
+
+def test_files_in_the_folders_of_the_repository_are_found(folder, tmp_path):
+    for name, place in {DOTS: "dot", FIDUCIALS: "fiducials", INTERFERENCE: "fiducials"}.items():
+        (tmp_path / place).mkdir(exist_ok=True)
+        (tmp_path / place / name).write_text((folder / name).read_text())
+    plane = rs.Instrument.read(tmp_path).focal_plane
+    assert len(plane.arrays.obstacles) == 95
+    assert plane.theta_range is not None
 
 
 def test_a_compressed_file_of_dots_is_read(folder, tmp_path):
@@ -303,3 +322,14 @@ def test_the_real_files_agree_with_each_other(real_data):
         assert abs(off[-1]) < width / 2 + 1.5
     assert abs(np.mean(off)) < 1
     assert 0.9 < pfs.facts()["coverage"] < 0.96
+
+
+def test_a_planned_tile_uses_no_target_behind_a_dot(folder):
+    pfs, center = rs.Instrument.read(folder), SkyCoord(150 * u.deg, 2 * u.deg)
+    sky = rs.synthetic_catalog("uniform", center, pfs.field_radius, n_targets=4000, rng=3)
+    tile = rs.plan_tile(sky, pfs, center)
+    arrays = pfs.focal_plane.arrays
+    assert arrays.is_hidden(np.column_stack([tile.outcomes["x"].value, tile.outcomes["y"].value])).sum() > 50
+    taken = tile.table[tile.table["status"] == "assigned"]
+    assert len(taken) > 1000
+    assert not arrays.is_hidden(np.column_stack([taken["tip_x"].value, taken["tip_y"].value])).any()

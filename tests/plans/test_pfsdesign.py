@@ -10,7 +10,7 @@ from pfs_files import centers
 import rfpsurvey as rs
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import pfs_fibers
-from rfpsurvey.plans._pfsdesign import PFI_ANGLE, design_id
+from rfpsurvey.plans._pfsdesign_write import PFI_ANGLE, design_id
 
 REAL = "pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz"
 
@@ -114,6 +114,19 @@ def test_reading_writing_and_reading_preserves_everything(tmp_path):
         assert_same(plan, rs.plans.read_plan(tmp_path / name))
 
 
+def test_a_design_that_was_stored_as_ecsv_can_be_written_unchanged(tmp_path):
+    path = write_design(tmp_path / "d.fits")
+    rs.plans.write_plan(rs.plans.read_plan(path), tmp_path / "d.ecsv")
+    rs.plans.write_plan(rs.plans.read_plan(tmp_path / "d.ecsv"), tmp_path / "e.fits")
+    with fits.open(path) as one, fits.open(tmp_path / "e.fits") as two:
+        assert [unit.name for unit in one] == [unit.name for unit in two]
+        for k in (1, 2, 3):
+            assert one[k].columns.names == two[k].columns.names
+            assert one[k].columns.formats == two[k].columns.formats
+            assert one[k].data.tobytes() == two[k].data.tobytes()
+        assert dict(one[0].header) == dict(two[0].header)
+
+
 def test_the_real_design_is_preserved_to_the_byte(real_data, tmp_path):
     path = real_data(REAL)
     plan = rs.plans.read_plan(path)
@@ -176,7 +189,7 @@ def test_a_tile_becomes_a_design_with_the_same_assignment_and_collisions(presets
     sky = rs.synthetic_catalog("uniform", center, pfs.field_radius, n_targets=3000, rng=2)
     tile = rs.plan_tile(sky, pfs, center, position_angle=30 * u.deg)
     path = tmp_path / "d.fits"
-    with pytest.warns(rs.RfpsurveyWarning, match="cannot hold the column"):
+    with pytest.warns(rs.RfpsurveyWarning, match="cannot hold it: the columns theta, phi"):
         rs.plans.write_plan(tile, path, format="pfsdesign")
     plan = rs.plans.read_plan(path)
     assert len(plan) == 2394 + 64
@@ -295,5 +308,5 @@ def test_a_failure_leaves_no_file(tmp_path):
 def test_columns_that_a_design_cannot_hold_are_named(tmp_path):
     plan = rs.plans.read_plan(write_design(tmp_path / "d.fits"))
     plan["priority"] = 1.0
-    with pytest.warns(rs.RfpsurveyWarning, match="cannot hold the column priority"):
+    with pytest.warns(rs.RfpsurveyWarning, match="cannot hold it: the column priority"):
         rs.plans.write_plan(plan, tmp_path / "e.fits")

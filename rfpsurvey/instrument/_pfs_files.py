@@ -1,0 +1,198 @@
+"""Readers of the files of PFS: dots, fiducials, interference limits and calibration models of the cobras."""
+
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._readers import content_of, read_table, sentence, to_path
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
+
+__all__ = ["GOOD", "read_cobras", "read_dots", "read_fiducials", "read_interference", "to_paths"]
+
+N_FIDUCIALS = 96
+# Largest distance (mm) of a dot from the nominal center of its cobra; a neighbor is at 8 mm.
+FARTHEST_DOT = 4.0
+FARTHEST_CENTER = 3.0
+GOOD = 1  # status of a cobra without a defect
+KINEMATICS = {
+    "x": "Global_base_pos_x",
+    "y": "Global_base_pos_y",
+    "theta_low": "CCW_Global_base_ori_z",
+    "theta_high": "CW_Global_base_ori_z",
+    "phi_low": "Joint2_CCW_limit_angle",
+    "phi_high": "Joint2_CW_limit_angle",
+    "central_arm": "Link1_Link_Length",
+    "eccentric_arm": "Link2_Link_Length",
+}
+HEADER = {"module": "Module_Id", "cobra": "Positioner_Id", "status": "Status"}
+
+
+def read_dots(path: Path) -> np.ndarray:
+    """Return x, y and radius (mm) of the dots, by cobra."""
+    table = _read(path, ("spotId", "x", "y", "r"))
+    _check_ids(path, table["spotId"], "spotId", N)
+    circles = np.column_stack([table[name] for name in ("x", "y", "r")])[np.argsort(table["spotId"])]
+    _check_finite(path, circles, "x, y and r")
+    apart = np.hypot(*(circles[:, :2] - nominal_centers()).T)
+    if apart.max() > FARTHEST_DOT:
+        raise InputError(
+            f"{path}: each dot must be within {FARTHEST_DOT:g} mm of the nominal center of its cobra, got "
+            f"{apart.max():.3g} mm for dot {int(apart.argmax()) + 1}; x, y and r are in mm on the PFI"
+        )
+    if not ((circles[:, 2] > 0) & (circles[:, 2] < FARTHEST_DOT)).all():
+        raise InputError(f"{path}: r must be radii above 0 and below {FARTHEST_DOT:g} mm, got {circles[:, 2].max():g}")
+    return circles
+
+
+def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
+    """Return the positions of the fiducials as circles of radius 0, and a note."""
+    table = _read(path, ("fiducialId", "x_mm", "y_mm", "flag"))
+    _check_ids(path, table["fiducialId"], "fiducialId", N_FIDUCIALS)
+    xy = np.column_stack([table["x_mm"], table["y_mm"]])
+    seen = np.isfinite(xy).all(axis=1)
+    if (seen != np.isfinite(xy).any(axis=1)).any():
+        raise InputError(f"{path}: x_mm and y_mm must be given together, got only one for a fiducial")
+    extent = np.hypot(*xy[seen].T).max(initial=0.0)
+    if not 150 < extent < 300:
+        raise InputError(f"{path}: the outermost fiducial must be 150 to 300 mm from the center, got {extent:.4g}")
+    circles = np.column_stack([xy[seen], np.zeros(seen.sum())]) * u.mm
+    none = [str(int(k)) for k in np.sort(table["fiducialId"][~seen])]
+    text = (
+        f"{path.name}: {seen.sum()} fiducials are obstacles of radius 0, because the file has no radii; their flags "
+        "concern their light and are not used."
+    )
+    return circles, text + (f" Fiducials without a position: {', '.join(none)}." if none else "")
+
+
+def read_interference(path: Path) -> np.ndarray:
+    """Return the limits of each cobra (deg): begin and end of the window of directions, and largest local phi."""
+    names = ("theta_limit_1", "theta_limit_2", "max_phi_angle")
+    table = _read(path, ("cobra_id", *names))
+    _check_ids(path, table["cobra_id"], "cobra_id", N)
+    limits = np.column_stack([table[name] for name in names])[np.argsort(table["cobra_id"])]
+    given = np.isfinite(limits)
+    if (given.any(axis=1) != given.all(axis=1)).any():
+        row = int(np.flatnonzero(given.any(axis=1) != given.all(axis=1))[0]) + 1
+        raise InputError(f"{path}: a cobra must have all three limits or none, got some for cobra {row}")
+    some = limits[given.all(axis=1)]
+    if len(some) and (some.min() < 0 or some.max() > 360 or some[:, 2].max() < 2 * np.pi):
+        raise InputError(
+            f"{path}: the limits must be angles from 0 to 360 in degrees, got {some.min():g} to {some.max():g} "
+            f"with max_phi_angle up to {some[:, 2].max():g}"
+        )
+    return limits
+
+
+def read_cobras(paths) -> dict:
+    """Return the columns of the calibration model of all cobras, by cobra (lengths in mm, angles in deg)."""
+    rows = [row for path in to_paths(paths) for row in _containers(path)]
+    names = ", ".join(str(path) for path in to_paths(paths))
+    columns = {name: np.array([row[name] for row in rows]) for name in (*HEADER, *KINEMATICS)}
+    ids = N_COBRAS * (columns["module"] - 1) + columns["cobra"]
+    if ((columns["cobra"] < 1) | (columns["cobra"] > N_COBRAS)).any():
+        raise InputError(f"{names}: Positioner_Id must be 1 to {N_COBRAS}, got {columns['cobra'].max():g}")
+    _check_ids(names, ids, "57 (Module_Id - 1) + Positioner_Id", N)
+    columns = {name: values[np.argsort(ids)] for name, values in columns.items()}
+    for name in ("central_arm", "eccentric_arm"):
+        middle = np.median(columns[name])
+        if not 1 < middle < 5:
+            raise InputError(
+                f"{names}: {KINEMATICS[name]} must be in mm, about 2.4, got {middle:.4g} in the median; models in "
+                "pixels of a camera cannot be used"
+            )
+    good = columns["status"] == GOOD
+    apart = np.hypot(*(np.column_stack([columns["x"], columns["y"]]) - nominal_centers()).T)
+    if good.any() and apart[good].max() > FARTHEST_CENTER:
+        row = int(np.flatnonzero(good)[apart[good].argmax()])
+        raise InputError(
+            f"{names}: each cobra must be within {FARTHEST_CENTER:g} mm of its nominal center on the PFI, got "
+            f"{apart[row]:.3g} mm for cobra {row + 1}"
+        )
+    return columns
+
+
+def _containers(path: Path):
+    """Yield the values of each cobra in a calibration file."""
+    from xml.etree import ElementTree
+
+    if not path.is_file():
+        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    content = content_of(path)
+    if b"<!DOCTYPE" in content[:4096] or b"<!ENTITY" in content:
+        raise InputError(f"{path}: the XML must have no document type and no entities, got one")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{path} cannot be read as XML: {sentence(error)}") from None
+    found = root.findall("ARM_DATA_CONTAINER")
+    if not found:
+        raise InputError(f"{path}: the XML must have elements ARM_DATA_CONTAINER, one per cobra, got none")
+    for number, container in enumerate(found, 1):
+        row = {}
+        for section, names in (("DATA_HEADER", HEADER), ("KINEMATICS", KINEMATICS)):
+            for name, tag in names.items():
+                text = container.findtext(f"{section}/{tag}")
+                try:
+                    row[name] = float("missing" if text is None else text)
+                except ValueError:
+                    got = "no such element" if text is None else repr(text)
+                    raise InputError(f"{path}: {tag} of element {number} must be a number, got {got}") from None
+                if not np.isfinite(row[name]):
+                    raise InputError(f"{path}: {tag} of element {number} must be finite, got {text}")
+        for name in HEADER:
+            if row[name] != int(row[name]):
+                raise InputError(f"{path}: {HEADER[name]} of element {number} must be a whole number, got {row[name]}")
+            row[name] = int(row[name])
+        yield row
+
+
+def to_paths(paths) -> list[Path]:
+    """Return a list of paths from one path or several."""
+    return [to_path(path) for path in (paths if isinstance(paths, list | tuple) else [paths])]
+
+
+def _read(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Return columns of numbers, with NaN for missing values."""
+    table, columns = read_table(path), {}
+    if len(table) == 0:
+        raise InputError(f"{path}: the table must have at least one row, got none")
+    for name in names:
+        if name not in table.colnames:
+            raise InputError(f"{path}: the table must have the column {name!r}, got {', '.join(table.colnames)}")
+        column = table[name]
+        if np.asarray(column).dtype.kind not in "if":
+            text = [str(v) for v in np.ma.asarray(column).compressed().tolist()]
+            strange = next((v for v in text if not _is_float(v)), text[0] if text else "no number")
+            raise InputError(f"{path}: the column {name!r} must hold numbers, got {strange!r}")
+        columns[name] = np.ma.filled(np.ma.asarray(np.ma.asanyarray(column), dtype=float), np.nan)
+    return columns
+
+
+def _is_float(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_ids(path, ids: np.ndarray, name: str, n: int) -> None:
+    """Raise an error unless identifiers are the numbers 1 to n, without repetition."""
+    if len(ids) != n:
+        raise InputError(f"{path}: the file must have {n} rows, one for each {name} from 1 to {n}, got {len(ids)}")
+    values, counts = np.unique(ids, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(f"{path}: {name} must be unique, but {values[counts > 1][0]:g} occurs more than once")
+    if not np.array_equal(values, np.arange(1, n + 1)):
+        strange = values[~np.isin(values, np.arange(1, n + 1))][0]
+        raise InputError(f"{path}: {name} must be 1 to {n}, got {strange:g}")
+
+
+def _check_finite(path, values: np.ndarray, names: str) -> None:
+    bad = ~np.isfinite(values).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"{path}: {names} must be finite, got {values[bad][0].tolist()} in row {np.flatnonzero(bad)[0] + 1}"
+        )

@@ -1,0 +1,261 @@
+"""Writer of designs of PFS, with the names and formats of their columns."""
+
+import hashlib
+import re
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._io import output_path
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
+
+__all__ = ["FLUXES", "FORMATS", "NATIVE", "PFI_ANGLE", "design_id", "wrapped", "write"]
+
+# Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, except for a rotation by 0.1 deg
+# between pfiNominal and the coordinates of the design 0x2a3e0e7f53f47587.
+PFI_ANGLE = -89.898
+TYPES = {"science": 1, "sky": 2, "standard": 3}
+UNASSIGNED, ENGINEERING, GOOD, NO_COBRA = 4, 5, 1, 65533
+NATIVE = {"target_id": "objId", "ra": "ra", "dec": "dec", "pm_ra": "pmRa", "pm_dec": "pmDec"}
+FORMATS = {
+    "fiberId": "J",
+    "cobraId": "J",
+    "tract": "J",
+    "patch": "A",
+    "ra": "D",
+    "dec": "D",
+    "catId": "J",
+    "objId": "K",
+    "targetType": "J",
+    "epoch": "A",
+    "pmRa": "E",
+    "pmDec": "E",
+    "parallax": "E",
+    "proposalId": "A",
+    "obCode": "A",
+    "pfiNominal": "2E",
+    "fiberStatus": "J",
+}
+"""Columns of a new file."""
+FLUXES = ("fiberFlux", "psfFlux", "totalFlux", "fiberFluxErr", "psfFluxErr", "totalFluxErr")
+FLUX_UNITS = dict.fromkeys(FLUXES, "nJy")
+GUIDE_STARS = {
+    "objId": "K", "epoch": "7A", "ra": "D", "dec": "D", "pmRa": "E", "pmDec": "E", "parallax": "E", "magnitude": "E",
+    "passband": "1A", "color": "E", "agId": "J", "agX": "E", "agY": "E", "mask": "J",
+}  # fmt: skip
+GUIDE_UNITS = {
+    "ra": "degrees", "dec": "degrees", "pmRa": "mas/year", "pmDec": "mas/year", "parallax": "mas", "agX": "pixels",
+    "agY": "pixels",
+}  # fmt: skip
+GUIDE_COMMENTS = {"TEL_ELEV": "[degree] elevation of the telescope", "GS_CATID": "catalog of the guide stars"}
+COMMENTS = {
+    "RA": "[degree] field center",
+    "DEC": "[degree] field center",
+    "POSANG": "[degree] position angle of the PFI",
+    "ARMS": "arms to expose",
+    "DSGN_NAM": "name of the design",
+    "DAMD_VER": "version of the data model",
+    "W_PFDSGN": "identifier of the design",
+}
+NAME = re.compile(r"pfsDesign-0x([0-9a-f]{16})\.fits(\.gz)?", re.IGNORECASE)
+
+
+def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
+    """Write a plan; a name such as ``pfsDesign-0x*.fits`` must contain the identifier of the design."""
+    from astropy.io import fits
+
+    rows, header = _rows(plan, path), _header(plan, path)
+    number = _identifier(plan, rows)
+    header["W_PFDSGN"] = number
+    match = NAME.fullmatch(path.name)
+    if match and int(match[1], 16) != number:
+        raise InputError(f"{path}: the file of this design must have the name pfsDesign-0x{number:016x}.fits")
+    comments = plan.meta.get("comments", {}) if plan.meta["format"] == "pfsdesign" else COMMENTS
+    with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
+        try:
+            units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
+            # tables repeat the cards of the primary header
+            units.append(_table("DESIGN", rows, _fits_header(header, comments)))
+            units.append(_table("PHOTOMETRY", _flux_rows(plan), _fits_header(header, comments), FLUX_UNITS))
+            units.append(_guide_stars(plan))
+            units.writeto(temporary)
+        except (ValueError, TypeError) as error:
+            raise InputError(f"{path}: the plan cannot be written as FITS: {error}") from error
+
+
+def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
+    """Return the identifier of a design: the last 63 bits of a SHA-1 of its fibers and coordinates in arcsec.
+
+    The text is the Python list of one text for each fiber, with fiberId, ra and dec rounded to arcsec in degrees.
+    """
+    if np.all(ra == 0) and np.all(dec == 0):
+        return 0
+
+    def rounded(value):
+        return value if np.isnan(value) else int(value * 3600 + 0.5) / 3600
+
+    texts = [f"{f:d} {rounded(a):0.6f} {rounded(d):0.6f}" for f, a, d in zip(fiber.tolist(), ra, dec, strict=True)]
+    return int.from_bytes(hashlib.sha1(str(texts).encode(), usedforsecurity=False).digest()[-8:]) & (2**63 - 1)
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in degrees from -180 (exclusive) to 180, rounded to 1e-9."""
+    return round(180 - (180 - angle) % 360, 9)
+
+
+def _rows(plan: QTable, path: Path) -> dict:
+    """Return the columns of DESIGN with their formats."""
+    if plan.meta["instrument"] != "pfs":
+        raise InputError(f"{path}: a design of PFS must be a plan of pfs, got one of {plan.meta['instrument']}")
+    plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
+    if plan.meta["format"] != "pfsdesign":
+        return _new_rows(plan, plain, path)
+    found = {}
+    for native, form in plan.meta["formats"]:
+        name = next((n for n, other in NATIVE.items() if other == native), native)
+        if native == "pfiNominal":
+            values = np.column_stack([plain["x"], plain["y"]])
+        elif name not in plain:
+            raise InputError(f"{path}: the plan must have the column {name!r}, got {', '.join(plan.colnames)}")
+        else:
+            values = plain[name]
+        found[native] = values, _text_form(values) if form.endswith("A") else form
+    return found
+
+
+def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
+    """Return the columns of DESIGN for a plan that was not read from a design."""
+    fiber, _ = pfs_fibers()
+    ids = plain["positioner"]
+    known = np.isin(ids.astype(str), np.arange(1, len(fiber) + 1).astype(str))
+    if not known.all():
+        raise InputError(f"{path}: positioner must be a cobraId from 1 to {len(fiber)}, got {ids[~known][0]!r}")
+    cobra = ids.astype(np.int64)
+    target = plain["target_id"]
+    has_target = plain["assigned"].astype(bool)
+    if target.dtype.kind == "U":
+        if not np.char.isdecimal(target[has_target]).all():
+            raise InputError(f"{path}: objId must be whole numbers, got text identifiers of targets")
+        target = np.where(has_target, target, "-1").astype(np.int64)
+    kinds = np.where(plain["kind"] == "", "science", plain["kind"])
+    types = np.where(has_target, [TYPES.get(kind, 1) for kind in kinds.tolist()], UNASSIGNED)
+    spare = np.setdiff1d(pfs_engineering_fibers(), fiber[cobra - 1])
+    order = np.argsort(np.concatenate([fiber[cobra - 1], spare]))
+    n = len(spare)
+
+    def numbers(name, default=np.nan):
+        values = plain.get(name, np.full(len(plan), default)).astype(float)
+        return np.concatenate([np.where(has_target, values, default), np.full(n, default)])[order]
+
+    def texts(value):
+        return np.full(len(order), value)
+
+    def whole(values, default):
+        return np.concatenate([values, np.full(n, default)])[order]
+
+    found = {
+        "fiberId": np.concatenate([fiber[cobra - 1], spare])[order],
+        "cobraId": whole(cobra, NO_COBRA),
+        "tract": np.full(len(order), -1),
+        "patch": texts("0,0"),
+        "ra": numbers("ra"),
+        "dec": numbers("dec"),
+        "catId": whole(np.where(has_target, 0, -1), -1),
+        "objId": whole(np.where(has_target, target, -1), -1),
+        "targetType": whole(types, ENGINEERING),
+        "epoch": texts(str(plan.meta.get("epoch") or "J2000.0")),
+        "pmRa": numbers("pm_ra", 0.0),
+        "pmDec": numbers("pm_dec", 0.0),
+        "parallax": np.full(len(order), 1e-8),
+        "proposalId": texts("N/A"),
+        "obCode": texts("N/A"),
+        "pfiNominal": np.column_stack([numbers("x"), numbers("y")]),
+        "fiberStatus": np.full(len(order), GOOD),
+    }
+    return {name: (v, _text_form(v) if FORMATS[name] == "A" else FORMATS[name]) for name, v in found.items()}
+
+
+def _text_form(values: np.ndarray) -> str:
+    return f"{max(int(np.char.str_len(values.astype(str)).max(initial=1)), 1)}A"
+
+
+def _header(plan: QTable, path: Path) -> dict:
+    """Return the keywords of the primary header."""
+    if plan.meta["format"] == "pfsdesign":
+        return dict(plan.meta["header"])
+    for name in ("racen", "deccen", "position_angle"):
+        if plan.meta.get(name) is None:
+            raise InputError(f"{path}: the plan must have {name} in its meta, got none; score or plan it on the sky")
+    return {
+        "RA": float(plan.meta["racen"]),
+        "DEC": float(plan.meta["deccen"]),
+        "POSANG": wrapped(float(plan.meta["position_angle"]) - PFI_ANGLE),
+        "ARMS": "brn",
+        "DSGN_NAM": "",
+        "DAMD_VER": 4,
+        "W_PFDSGN": 0,
+        "VARIANT": 0,
+        "PFDSGN0": 0,
+        "W_DSGVER": "",
+    }
+
+
+def _identifier(plan: QTable, rows: dict) -> int:
+    """Return the identifier of the file that was read if fibers and coordinates are unchanged, otherwise a new one."""
+    number = design_id(*(np.asarray(rows[name][0]) for name in ("fiberId", "ra", "dec")))
+    if plan.meta["format"] == "pfsdesign" and number == plan.meta["rows_id"]:
+        return int(plan.meta["header"].get("W_PFDSGN", number))
+    return number
+
+
+def _fits_header(values: dict, comments: dict):
+    from astropy.io import fits
+
+    header = fits.Header()
+    for name, value in values.items():
+        key = name if len(name) <= 8 and re.fullmatch(r"[A-Z0-9_-]+", name) else f"HIERARCH {name}"
+        header[key] = value, comments.get(name, "")
+    return header
+
+
+def _table(name: str, columns: dict, header, units: dict | None = None):
+    """Return a header-data unit with a table of columns, given with their formats."""
+    from astropy.io import fits
+
+    made = [
+        fits.Column(name=k, format=form, array=values, unit=(units or {}).get(k))
+        for k, (values, form) in columns.items()
+    ]
+    return fits.BinTableHDU.from_columns(made, header, name=name)
+
+
+def _flux_rows(plan: QTable) -> dict:
+    """Return the columns of PHOTOMETRY, with one row for each fiber and filter."""
+    names = [name for name in FLUXES if name in plan.colnames]
+    form = dict.fromkeys(names or FLUXES, "E")
+    if plan.meta["format"] != "pfsdesign" or "filterName" not in plan.colnames:
+        none = {name: (np.empty(0, dtype=np.float32), "E") for name in form}
+        return {"fiberId": (np.empty(0, dtype=np.int32), "J"), **none, "filterName": (np.empty(0, dtype="U1"), "1A")}
+    filters = np.asarray(plan["filterName"]).reshape(len(plan), -1)
+    keep = filters != ""
+    found = {"fiberId": (np.repeat(np.asarray(plan["fiberId"]), keep.sum(axis=1)), "J")}
+    for name in names:
+        found[name] = u.Quantity(plan[name]).to_value(u.nJy).reshape(keep.shape)[keep], "E"
+    return {**found, "filterName": (filters[keep], _text_form(filters[keep]))}
+
+
+def _guide_stars(plan: QTable):
+    """Return the header-data unit of the guide stars of the file that was read; it is empty if there are none."""
+    stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == "pfsdesign" else {}
+    formats = dict(stars.get("formats", GUIDE_STARS))
+    columns = {}
+    for name, form in formats.items():
+        columns[name] = (
+            np.array(stars["columns"][name] if stars else [], dtype=str if form.endswith("A") else None),
+            form,
+        )
+    header = stars.get("header", {"DAMD_VER": 1, "TEL_ELEV": 0.0, "GS_CATID": 0})
+    return _table("GUIDESTARS", columns, _fits_header(header, stars.get("comments", GUIDE_COMMENTS)), GUIDE_UNITS)
