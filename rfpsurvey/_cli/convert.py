@@ -15,7 +15,9 @@ def convert(
     target: Annotated[Path, typer.Argument(help="New file, such as confSummary-26.par.gz or plan.ecsv.")],
     format: Annotated[  # noqa: A002
         str | None,
-        typer.Option(help="Format: confsummary, fiberassign, pfsdesign or table. By default, that of the file ending."),
+        typer.Option(
+            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the ending of the file decides."
+        ),
     ] = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:

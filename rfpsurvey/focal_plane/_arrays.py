@@ -11,6 +11,7 @@ from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints
 from rfpsurvey.focal_plane._idle import Idle, find_idle
+from rfpsurvey.focal_plane._kinematics import joints_allow
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
@@ -347,7 +348,7 @@ class FocalPlaneArrays:
     def joints_free_for(self, side: float) -> bool:
         """Return whether the joint limits allow the whole patrol areas with an elbow: +1 is right, -1 is left."""
         numbers = self.plane.positioner.numbers
-        return numbers.joints_free_for(side) if self.joints is None else self.joints.free(side)
+        return numbers.joints_free_for(side) if self.joints is None else bool(self.joints.free[side].all())
 
     @cached_property
     def joints_free(self) -> bool:
@@ -358,11 +359,7 @@ class FocalPlaneArrays:
         self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
     ) -> np.ndarray:
         """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
-        theta, phi = np.empty((2, len(own)))
-        arms.solve(points, self.geometry_of(own, fiber), np.broadcast_to(side, len(own)).astype(float), theta, phi)
-        if self.joints is None:
-            return self.plane.positioner.numbers.joints_allowed(theta, phi)
-        return self.joints.allowed(*self.to_joints(theta, phi, own, fiber), own)
+        return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles of the joints for those of the kernels."""

@@ -80,7 +80,7 @@ def check_columns(plane) -> None:
 
 
 def _check_fibers(plane, n):
-    """Check the places of fibers on the eccentric arms, and convert them to a dict."""
+    """Check the positions of fibers relative to the elbows, and convert them to a dict."""
     places = plane.fiber_xy
     if places is None:
         return

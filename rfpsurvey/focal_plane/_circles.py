@@ -1,28 +1,28 @@
 """Circles on the focal plane where fibers receive no light."""
 
-from itertools import chain
-
 import numpy as np
-from scipy.spatial import cKDTree
+
+from rfpsurvey._kernels import reach
+from rfpsurvey.focal_plane._reach import make_grid
 
 __all__ = ["Circles"]
 
 
 class Circles:
-    """Circles (x, y, radius) in mm, with an index of their centers."""
+    """Circles (x, y, radius) in mm, with the cells of a grid that they touch."""
 
     def __init__(self, rows: np.ndarray):
-        self.rows = rows
-        self._tree = cKDTree(rows[:, :2]) if len(rows) else None
+        self.x, self.y, self.radius = rows.T.copy()
+        self._grid = make_grid(rows[:, :2], self.radius) if len(rows) else None
 
     def contain(self, points: np.ndarray) -> np.ndarray:
         """Return whether each point (mm) is in one of the circles or on its edge; NaN is not."""
-        found = np.zeros(len(points), dtype=bool)
-        if self._tree is not None:
-            finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-            near = self._tree.query_ball_point(points[finite], self.rows[:, 2].max())
-            size = np.fromiter(map(len, near), dtype=np.int64, count=len(finite))
-            point = np.repeat(finite, size)
-            circle = self.rows[np.fromiter(chain.from_iterable(near), dtype=np.int64, count=size.sum())]
-            found[point[((points[point] - circle[:, :2]) ** 2).sum(axis=1) <= circle[:, 2] ** 2]] = True
-        return found
+        if self._grid is None:
+            return np.zeros(len(points), dtype=bool)
+        n, (x, y) = len(self.x), points.T.copy()
+        any_type = np.broadcast_to(np.int64(-1), len(points)), np.broadcast_to(np.int64(-1), n)
+        start, empty = np.empty(len(points) + 1, dtype=np.int64), np.empty(0)
+        circles = self.x, self.y, np.zeros(n), self.radius, any_type[1].copy()
+        pairs = np.empty(0, dtype=np.int64), empty, np.empty(0, dtype=np.int8)
+        reach.reachable_pairs(x, y, any_type[0].copy(), *circles, *self._grid, start, *pairs)
+        return np.diff(start) > 0

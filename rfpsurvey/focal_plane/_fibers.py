@@ -1,4 +1,6 @@
-"""Places of fibers on the eccentric arms, and zero points and limits of joints, of positioners that differ."""
+"""Positions of fibers relative to the elbow, and zero points and limits of joints, if positioners differ in these."""
+
+from functools import cached_property
 
 import numpy as np
 
@@ -13,10 +15,10 @@ class Fibers:
     Attributes
     ----------
     names : tuple of str
-        The fiber types of the focal plane, followed by those that take no target.
+        The fiber types of the focal plane, followed by the types of fibers that take no target.
     length : ndarray of float, shape (k, n)
-        Distance from the elbow to the fiber of each type, mm. Where a positioner lacks the fiber, the values are those
-        of its first fiber type.
+        Distance from the elbow to the fiber of each type, mm. If a positioner lacks the fiber, the value is that of its
+        first fiber type.
     angle : ndarray of float, shape (k, n)
         Angle from the mechanical axis of the eccentric arm to the direction of the fiber, in radians.
     missing : ndarray of bool, shape (k, n)
@@ -34,16 +36,16 @@ class Fibers:
 
 
 class Joints:
-    """Conversion between the angles that the kernels use and those of the joints.
+    """Conversion between the angles of the kernels and the angles of the joints.
 
-    The kernels count theta from +x, and phi from the direction of the central arm to that of the fiber.
+    The kernels measure theta from +x, and phi from the direction of the central arm to the direction of the fiber.
 
     Parameters
     ----------
     plane : FocalPlane
-        The focal plane; it has ``zero_points``, ``fiber_xy`` or joint limits of single positioners.
+        The focal plane, which has ``zero_points``, ``fiber_xy``, or joint limits of single positioners.
     fibers : Fibers or None
-        The places of the fibers.
+        The positions of the fibers.
     """
 
     def __init__(self, plane, fibers: Fibers | None):
@@ -63,12 +65,12 @@ class Joints:
         self.limits = np.array(limits)
 
     def zeros(self, own, fiber):
-        """Return what is added to theta and phi of the joints of positioners (by row) to get those of the kernels."""
+        """Return the offsets of theta and phi of the kernels from those of the joints, for positioners (by row)."""
         phi = self.phi_zero[own]
         return self.theta_zero[own], phi if self.angle is None else phi + self.angle[fiber, own]
 
     def home(self, home, fiber, *, folded: bool):
-        """Return the angles of parked positioners, moved to the nearest joint limits; or those of folded arms."""
+        """Return the angles of parked positioners, within the joint limits, or of folded arms if ``folded``."""
         own = np.arange(self.limits.shape[1])
         angles = np.repeat(np.asarray(home)[:, None], len(own), axis=1)
         if folded:
@@ -81,7 +83,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return the angles of the joints of positioners (by row), within 360 deg above the low limit or -180 deg."""
+        """Return the joint angles of positioners (by row), each within 360 deg above its low limit or -180 deg."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -93,17 +95,21 @@ class Joints:
         low, high, phi_low, phi_high = self.limits[:, own]
         return _within(theta, low, high) & _within(phi, phi_low, phi_high)
 
-    def free(self, side: float) -> bool:
-        """Return whether the limits allow the whole patrol areas with an elbow: +1 is right, -1 is left."""
+    @cached_property
+    def free(self) -> dict[float, np.ndarray]:
+        """Whether the limits allow the whole patrol areas of each positioner, for the elbow 1 (right) and -1 (left)."""
         low, high, phi_low, phi_high = self.limits
         offset = self.phi_zero if self.angle is None else self.phi_zero + self.angle
-        first, last = (-np.pi, 0.0) if side < 0 else (0.0, np.pi)
-        turns = np.all(high - low >= 2 * np.pi)
-        return bool(turns and np.all(phi_low <= first - offset) and np.all(phi_high >= last - offset))
+        offset = offset.reshape(-1, len(low))
+        turns = high - low >= 2 * np.pi
+        return {
+            side: turns & ((phi_low <= first - offset) & (phi_high >= last - offset)).all(axis=0)
+            for side, first, last in ((1.0, 0.0, np.pi), (-1.0, -np.pi, 0.0))
+        }
 
 
 def _within(angle, low, high):
-    """Return whether angles are in [low, high], modulo 360 deg."""
+    """Return whether angles are in the interval [low, high], modulo 360 deg."""
     free = np.isinf(low) | (high - low >= 2 * np.pi)
     with np.errstate(invalid="ignore"):
         return np.where(free, ~np.isnan(angle), np.mod(angle - low + 1e-12, 2 * np.pi) <= high - low + 2e-12)

@@ -219,9 +219,12 @@ class FocalPlane:
 
         Returns
         -------
-        theta, phi : Quantity, shape (n,)
-            Joint angles in deg, within 360 deg above the low joint limit or, without a limit, above -180 deg. They are
-            NaN where the point is NaN, out of reach or beyond the joint limits, or the positioner lacks the fiber.
+        theta : Quantity, shape (n,)
+            Angles of the central arms in deg, within 360 deg above the low joint limit or, without limits, above
+            -180 deg. An angle is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner
+            lacks the fiber.
+        phi : Quantity, shape (n,)
+            Angles of the eccentric arms, in the same form.
 
         Raises
         ------

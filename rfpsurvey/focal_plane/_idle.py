@@ -11,7 +11,7 @@ __all__ = ["Idle", "find_idle"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Poses of arms without a target; NaN for arms that are no obstacles because they avoid all other arms."""
+    """Poses of arms without a target; NaN for arms that avoid all other arms and are therefore not obstacles."""
 
     theta: np.ndarray
     phi: np.ndarray
@@ -22,12 +22,12 @@ class Idle:
 
 
 NEARLY_EQUAL = 0.05
-"""Arms of a common geometry with equal arms are parked if their measured lengths differ by at most this times their
-sum."""
+"""If the nominal arms have equal lengths, measured arms are parked if their lengths differ by at most this fraction of
+their sum."""
 
 
 def find_idle(columns) -> dict[bool, Idle]:
-    """Return the idle arms if parked arms are no obstacles (False), and if they are (True)."""
+    """Return a dict from whether parked arms are obstacles (False or True) to the poses of idle arms."""
     n, stuck = len(columns.plane), columns.is_stuck
     home = columns.home.copy()
     home[:, stuck] = columns.stuck[stuck].T
@@ -36,7 +36,7 @@ def find_idle(columns) -> dict[bool, Idle]:
     arms.pose(theta, phi, columns.geometry, segments)
     nearly = columns.plane.positioner.equal_arms & (columns.inner_radius <= NEARLY_EQUAL * columns.outer_radius)
     folded = ~stuck & columns.equal_arms & (np.abs(phi - np.pi) < 1e-12)
-    segments[2:, folded] = columns.xy[folded].T  # sin(pi) is not 0
+    segments[2:, folded] = columns.xy[folded].T  # in floating-point numbers, sin(pi) is not 0
     states = {}
     for parked_obstacles in (False, True):
         parked = columns.usable & (columns.equal_arms | nearly) & parked_obstacles

@@ -1,4 +1,4 @@
-"""Positions of fibers for joint angles, and joint angles for positions, of all positioners of a focal plane."""
+"""Conversion between joint angles and positions of fibers, for all positioners of a focal plane."""
 
 import astropy.units as u
 import numpy as np
@@ -7,7 +7,7 @@ from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["forward", "inverse"]
+__all__ = ["forward", "inverse", "joints_allow"]
 
 
 def forward(plane, theta, phi, fiber_type) -> u.Quantity:
@@ -47,8 +47,25 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
     return tuple(np.rad2deg(np.where(reached, v, np.nan)) << u.deg for v in columns.to_joints(*angles, own, fiber))
 
 
+def joints_allow(columns, own, points, side, fiber=None) -> np.ndarray:
+    """Return whether joint limits allow poses; see `FocalPlaneArrays.joints_allow`."""
+    side = np.broadcast_to(side, len(own)).astype(float)
+    if columns.joints is not None:
+        allowed = np.isfinite(points).all(axis=1)
+        free = np.where(side < 0, columns.joints.free[-1.0][own], columns.joints.free[1.0][own])
+        rows = np.flatnonzero(allowed & ~free)
+        own, points, side = own[rows], points[rows], side[rows]
+        fiber = columns.fiber_index[own] if fiber is None else fiber[rows]
+    theta, phi = np.empty((2, len(own)))
+    arms.solve(points, columns.geometry_of(own, fiber), side, theta, phi)
+    if columns.joints is None:
+        return columns.plane.positioner.numbers.joints_allowed(theta, phi)
+    allowed[rows] = columns.joints.allowed(*columns.to_joints(theta, phi, own, fiber), own)
+    return allowed
+
+
 def _fibers(plane, fiber_type):
-    """Return the index of a fiber of each positioner, and whether the positioner lacks it."""
+    """Return the index of a fiber of each positioner, and whether the positioner lacks this fiber."""
     n, columns = len(plane), plane.arrays
     fibers = columns.fibers
     names = plane.fiber_types if fibers is None else fibers.names

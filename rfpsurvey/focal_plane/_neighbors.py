@@ -1,4 +1,4 @@
-"""Pairs of neighbors in the forms that the kernels read."""
+"""Conversion of pairs of neighbors to the forms that the kernels read."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ __all__ = ["both_ways", "find_runs"]
 
 
 def find_runs(pairs: np.ndarray) -> np.ndarray:
-    """Return neighbors as sorted rows (i, j, n); each stands for n pairs: i and j, i + 1 and j + 1, and so on.
+    """Return runs of neighbors as sorted rows (i, j, n); each stands for the n pairs (i, j), (i + 1, j + 1), and so on.
 
     On a lattice that is numbered row by row, a few runs contain thousands of pairs.
     """
@@ -20,7 +20,10 @@ def find_runs(pairs: np.ndarray) -> np.ndarray:
 
 
 def both_ways(pairs: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the start of the row of each of n positioners, and the neighbors of all rows (never an empty array)."""
+    """Return the neighbors of each of n positioners in compressed rows: start of each row, and all neighbors.
+
+    The array of neighbors is never empty, as arrays on a GPU must not be.
+    """
     both = np.vstack([pairs, pairs[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
     return np.searchsorted(both[:, 0], np.arange(n + 1)), np.append(both[:, 1], 0)

@@ -22,6 +22,7 @@ LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
 STUCK, BROKEN, RESTRICTED = 2, 4, 8
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
 MOST_BYTES = 2**28
+MOST_WIDTH = 1000
 
 
 def moment_of(value: object, what: str) -> datetime:
@@ -140,8 +141,8 @@ def _half_width(polygon: object, what: str) -> float:
         width = max(reach)
     except (KeyError, IndexError, TypeError, ValueError):
         raise InputError(f"{what} must be lists of segments (x, y) and circles, got others") from None
-    if not 0 < width < np.inf:
-        raise InputError(f"{what} must have a width above 0, got {width}")
+    if not 0 < width < MOST_WIDTH:
+        raise InputError(f"{what} must have a half width above 0 and below {MOST_WIDTH} mm, got {width:g}")
     return width
 
 

@@ -297,6 +297,8 @@ class Instrument(AsBuilt):
             columns += [arrays.joints.theta_zero, arrays.joints.phi_zero, arrays.joints.limits]
         if arrays.fibers is not None:
             columns += [arrays.fibers.length, arrays.fibers.angle]
+        if len(arrays.hidden):
+            columns += [arrays.hidden]
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}

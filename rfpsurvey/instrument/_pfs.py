@@ -323,8 +323,8 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     zero = np.zeros(len(rows)) if arms is None else arms["theta_low"][rows]
     span = np.full(len(rows), 360.0) if arms is None else columns["theta_range"][rows, 1].to_value(u.deg)
     extended = folded + most  # the limit, measured from the extended arm
-    # the fiber is clockwise of the central arm, by at most half of the largest bend of phi that the window concerns
-    width = (end - begin) % 360 - np.minimum(extended, 0) / 2
+    lengths = (1.0, 1.0) if arms is None else (columns[f"{name}_arm"][rows].value for name in ("central", "eccentric"))
+    width = (end - begin) % 360 + _largest_lag(extended, *lengths)
     by_theta = (1 - width / 360 >= np.cos(np.deg2rad(extended) / 2) ** 2) & (span >= 360) & (width < 360)
     theta, phi = (
         columns.get(name, np.full((N, 2), np.nan) * u.deg).to_value(u.deg).copy()
@@ -340,6 +340,12 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
         f"by a range of theta for {by_theta.sum()} and by a range of phi for {(~by_theta).sum()} cobras, each of "
         "which forbids more than the limit does."
     )
+
+
+def _largest_lag(extended: np.ndarray, l1, l2) -> np.ndarray:
+    """Return the largest angle (deg) by which the fiber is clockwise of the central arm, for phi above a limit."""
+    phi = np.deg2rad(np.linspace(np.minimum(extended, 0), 0, 200))
+    return np.rad2deg(np.arctan2(-l2 * np.sin(phi), l1 + l2 * np.cos(phi))).max(axis=0)
 
 
 def _note_on_dots(path: Path, circles: np.ndarray, offset: np.ndarray) -> str:

@@ -6,7 +6,7 @@ use its first half.
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
 from rfpsurvey.pipeline._constraints import are_among, mark_required
-from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, assign_field, field_radius_rad, plan_field, project_field
+from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field, project_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 
 __all__ = [
@@ -16,7 +16,6 @@ __all__ = [
     "FieldTargets",
     "Outcome",
     "are_among",
-    "assign_field",
     "blank_ids",
     "category_classes",
     "field_radius_rad",

@@ -15,7 +15,7 @@ from rfpsurvey.pipeline._blank_sky import BlankIds
 from rfpsurvey.pipeline._constraints import with_keep_out
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["FieldPlan", "FieldTargets", "assign_field", "field_radius_rad", "plan_field", "project_field"]
+__all__ = ["FieldPlan", "FieldTargets", "field_radius_rad", "plan_field", "project_field"]
 
 
 class FieldTargets(NamedTuple):
@@ -74,17 +74,6 @@ def project_field(
         given = np.full(len(vectors), "") if fiber_type is None else fiber_type
         fiber_type = np.where(given == "", first, given)
     return projection.project(vectors, fiber_type), fiber_type
-
-
-def assign_field(
-    instrument: Instrument,
-    projection: FieldProjection,
-    targets: FieldTargets,
-    options: AllocationOptions,
-    rng: np.random.Generator,
-) -> Allocation:
-    """Project the targets of a field and assign them to positioners: the first half of `plan_field`."""
-    return _assign(with_keep_out(instrument, projection, options), projection, targets, options, rng)
 
 
 def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:

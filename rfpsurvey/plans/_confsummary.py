@@ -48,7 +48,7 @@ NATIVE = {
     "ra_fiber": "ra",
     "dec_fiber": "dec",
 }
-"""Columns of a plan that are the same in the file but for their name and the value of missing numbers."""
+"""Columns that differ between a plan and a file only in their name and in the value of missing numbers."""
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
 
@@ -142,7 +142,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return what this format cannot hold."""
+    """Return a description of the data that this format cannot represent."""
     names = {*_struct(plan), *NATIVE, "kind", "assigned", "x", "y"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if _is_nominal(plan):
@@ -155,7 +155,7 @@ def lost(plan: QTable) -> list[str]:
 def to_wok(x, y, position_angle: float) -> tuple:
     """Return wok coordinates from focal coordinates, whose +y axis points north; the angle is in degrees.
 
-    The two frames differ by the position angle: focal coordinates are wok coordinates rotated clockwise by it.
+    Focal coordinates are wok coordinates rotated clockwise by the position angle.
     """
     c, s = np.cos(np.deg2rad(position_angle)), np.sin(np.deg2rad(position_angle))
     return c * x - s * y, s * x + c * y
@@ -163,7 +163,7 @@ def to_wok(x, y, position_angle: float) -> tuple:
 
 @contextmanager
 def _yanny():
-    """Provide the module that reads yanny files, without the warnings that its import and its code issue."""
+    """Provide the module that reads yanny files; the warnings of its import and of its code are ignored."""
     with warnings.catch_warnings():
         text = r"[\s\S]*The TestRunner(Base)? class is deprecated"
         warnings.filterwarnings("ignore", text, AstropyDeprecationWarning)
@@ -228,7 +228,10 @@ def _is_nominal(plan: QTable) -> bool:
 
 
 def _struct(plan: QTable) -> dict[str, str]:
-    """Return the columns of the file and their types: those of the file that was read, or those of a new file."""
+    """Return the columns of a file and their types.
+
+    They are those of the file that was read, or those of a new file.
+    """
     if "struct" in plan.meta:
         return {name: kind for kind, name in (entry.split() for entry in plan.meta["struct"])}
     pairs = (entry.split() for entry in STRUCT.replace("\n", " ").split(";") if entry.strip())

@@ -57,7 +57,7 @@ COMMON = {
     "pm_dec": "PMDEC",
     "priority": "PRIORITY",
 }
-"""Common columns, and the columns of the file that they replace."""
+"""Common columns of plans, and the columns of the file with the same content."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
@@ -119,7 +119,7 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan; columns that a plan of another format does not have are written as unknown."""
+    """Write a plan. If the plan has another format, columns that are missing in it are written as unknown."""
     from astropy.io import fits
 
     if suffix_of(path) != ".fits":
@@ -138,7 +138,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return what a file of fiberassign cannot hold."""
+    """Return a description of the data that a file of fiberassign cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
     names = [name for name in plan.colnames if name not in known]
     return text_of_lost([name for name in names if not _is_own(plan) or name in ("theta", "phi")])
@@ -174,7 +174,7 @@ def _check_ids(ids, path):
 
 
 def _is_assigned(status, target) -> np.ndarray:
-    """Return whether fibers are on targets: those of stuck positioners may be on blank sky, but do not move there."""
+    """Return whether fibers are on targets. Fibers of stuck positioners are not, although they may be on blank sky."""
     return ((status & (UNASSIGNED | STUCK | BROKEN)) == 0) & (target >= 0)
 
 
@@ -209,7 +209,7 @@ def _epoch(years):
 
 
 def _header(plan) -> dict:
-    """Return the keywords of the first header; those of a plan of another format are the least that is required."""
+    """Return the keywords of the first header. For a plan of another format, only the required keywords are written."""
     header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
@@ -321,7 +321,7 @@ def _to_hdu(name, columns, header, path):
 def _add(header, keywords, path) -> None:
     """Add keywords to a header."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about names with more than eight characters
+        warnings.simplefilter("ignore")  # ignore warnings about names with more than eight characters
         for name, value in keywords.items():
             try:
                 header[name] = value

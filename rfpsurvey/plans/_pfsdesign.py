@@ -21,8 +21,8 @@ from rfpsurvey.plans._plan import make_plan, text_of_lost
 
 __all__ = ["design_id", "lost", "read", "recognizes", "write"]
 
-# Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, but for a rotation by 0.1 deg,
-# which the positions of a design of 2022 have relative to its coordinates.
+# Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, except for a rotation by 0.1 deg
+# between pfiNominal and the coordinates of the design 0x2a3e0e7f53f47587.
 PFI_ANGLE = -89.898
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
 """Kinds of targets by ``targetType``; other types are no targets."""
@@ -87,7 +87,9 @@ def read(path: Path) -> QTable:
     """
     units = read_fits_units(path)
     primary, tables = units[None][0], {name: rows for name, (_, rows) in units.items() if name is not None}
-    for name in ("DESIGN", "PHOTOMETRY"):
+    version = primary.get("DAMD_VER", 0)
+    has_stars = isinstance(version, int | float) and version >= 2  # older files have no guide stars
+    for name in ("DESIGN", "PHOTOMETRY", *(("GUIDESTARS",) if has_stars else ())):
         if name not in tables:
             raise InputError(f"{path}: the file must have the extension {name}, got {', '.join(tables)}")
     rows = tables["DESIGN"]
@@ -161,21 +163,19 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
         raise InputError(f"{path}: the file of this design must have the name pfsDesign-0x{number:016x}.fits")
     comments = plan.meta.get("comments", {}) if plan.meta["format"] == "pfsdesign" else COMMENTS
     with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
-        units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
-        # tables repeat the cards of the primary header
-        units.append(_table("DESIGN", rows, _fits_header(header, comments)))
-        units.append(
-            _table("PHOTOMETRY", _flux_rows(plan, rows["fiberId"][0]), _fits_header(header, comments), FLUX_UNITS)
-        )
-        units.append(_guide_stars(plan))
         try:
+            units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
+            # tables repeat the cards of the primary header
+            units.append(_table("DESIGN", rows, _fits_header(header, comments)))
+            units.append(_table("PHOTOMETRY", _flux_rows(plan), _fits_header(header, comments), FLUX_UNITS))
+            units.append(_guide_stars(plan))
             units.writeto(temporary)
-        except (ValueError, UnicodeEncodeError) as error:
+        except (ValueError, TypeError) as error:
             raise InputError(f"{path}: the plan cannot be written as FITS: {error}") from error
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return what this format cannot hold."""
+    """Return a description of the data that this format cannot represent."""
     names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE, *FORMATS, *FLUXES, "filterName"}
     names |= {*plan.meta.get("formats", ())} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
@@ -248,7 +248,7 @@ def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
 
 
 def _cards(header) -> dict:
-    """Return the cards of a header but for those that describe the structure of the file, by keyword."""
+    """Return the cards of a header by keyword, except for those that describe the structure of the file."""
     return {card.keyword: card for card in header.cards if not STRUCTURE.fullmatch(card.keyword)}
 
 
@@ -298,7 +298,7 @@ def _rows(plan: QTable, path: Path) -> dict:
 
 
 def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
-    """Return the columns of DESIGN for a plan that does not stem from a design."""
+    """Return the columns of DESIGN for a plan that was not read from a design."""
     fiber, _ = pfs_fibers()
     ids = plain["positioner"]
     known = np.isin(ids.astype(str), np.arange(1, len(fiber) + 1).astype(str))
@@ -403,23 +403,23 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
     return fits.BinTableHDU.from_columns(made, header, name=name)
 
 
-def _flux_rows(plan: QTable, fiber: np.ndarray) -> dict:
+def _flux_rows(plan: QTable) -> dict:
     """Return the columns of PHOTOMETRY, with one row for each fiber and filter."""
     names = [name for name in FLUXES if name in plan.colnames]
     form = dict.fromkeys(names or FLUXES, "E")
-    if "filterName" not in plan.colnames:
+    if plan.meta["format"] != "pfsdesign" or "filterName" not in plan.colnames:
         none = {name: (np.empty(0, dtype=np.float32), "E") for name in form}
         return {"fiberId": (np.empty(0, dtype=np.int32), "J"), **none, "filterName": (np.empty(0, dtype="U1"), "1A")}
     filters = np.asarray(plan["filterName"]).reshape(len(plan), -1)
     keep = filters != ""
-    found = {"fiberId": (np.repeat(fiber, keep.sum(axis=1)), "J")}
+    found = {"fiberId": (np.repeat(np.asarray(plan["fiberId"]), keep.sum(axis=1)), "J")}
     for name in names:
         found[name] = u.Quantity(plan[name]).to_value(u.nJy).reshape(keep.shape)[keep], "E"
     return {**found, "filterName": (filters[keep], _text_form(filters[keep]))}
 
 
 def _guide_stars(plan: QTable):
-    """Return the header-data unit of the guide stars: those of the file that was read, or none."""
+    """Return the header-data unit of the guide stars of the file that was read; it is empty if there are none."""
     stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == "pfsdesign" else {}
     formats = stars.get("formats", GUIDE_STARS)
     columns = {}

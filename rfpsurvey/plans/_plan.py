@@ -2,7 +2,7 @@
 
 Each format has a module with four functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *,
 overwrite)`` writes one, ``recognizes(path)`` returns whether the first bytes or the names of extensions are those of
-the format, and ``lost(plan)`` lists in words what the format cannot hold.
+the format, and ``lost(plan)`` describes the data that the format cannot represent.
 """
 
 import os
@@ -35,7 +35,8 @@ FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
     "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
     "pfsdesign": ("rfpsurvey.plans._pfsdesign", (".fits",)),
-    "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),  # the last one, because it recognizes any table
+    # this format is the last one, because it recognizes any table
+    "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),
 }
 """Name of each format, with its module and the endings of its files."""
 
@@ -116,7 +117,7 @@ def write_plan(
 ) -> None:
     """Write a plan in the format of another program; if writing fails, no incomplete file remains.
 
-    A warning names what the format cannot hold.
+    A warning names the data that the format cannot represent.
 
     Parameters
     ----------
@@ -143,7 +144,7 @@ def write_plan(
     >>> lamost = rs.Instrument.preset("lamost")
     >>> x, y = lamost.focal_plane.xy[:2].T
     >>> tile = rs.score_tile(QTable({"positioner": [0, 1], "x": x, "y": y}), lamost)
-    >>> rs.plans.write_plan(tile, "plan.ecsv")
+    >>> rs.plans.write_plan(tile, "plan.ecsv", overwrite=True)
     >>> rs.plans.read_plan("plan.ecsv")["positioner"][:2].tolist()
     [0, 1]
     """
@@ -309,7 +310,7 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
 
 def text_of_lost(names: list[str]) -> list[str]:
-    """Return the columns of a plan that a format cannot hold, as one text in a list, or an empty list."""
+    """Return a list with one text, which names columns that a format cannot represent, or an empty list."""
     if not names:
         return []
     return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]
@@ -333,7 +334,7 @@ def _module(name: str):
 
 
 def _format_for(plan: QTable, path: Path) -> str:
-    """Return the format of the plan if it fits the ending of the path, otherwise the only one that does."""
+    """Return the format of the plan if it fits the ending of the path, otherwise the only format with this ending."""
     found = [name for name, (_, endings) in FORMATS.items() if suffix_of(path) in endings]
     if not found:
         endings = sorted({ending for _, many in FORMATS.values() for ending in many})

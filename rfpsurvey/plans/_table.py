@@ -41,5 +41,5 @@ def recognizes(path: Path) -> bool:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return what this format cannot hold."""
+    """Return a description of the data that this format cannot represent."""
     return ["the other tables of its file"] if plan.meta.get("extensions") else []

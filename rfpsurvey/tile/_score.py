@@ -20,7 +20,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.plans import plan_roles
+from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
 from rfpsurvey.tile._tile import Tile
@@ -110,7 +110,7 @@ def score_tile(
     columns = {**plan_roles(table), **(columns or {})}
     plane = instrument.focal_plane
     full = Finder(table, columns, units or {})
-    rows, who, name = _positioners(full, plane)
+    rows, who, name = _positioners(full, instrument)
     if len(rows) == 0:
         raise InputError("the table must assign at least one positioner, got none")
     part = table[rows]
@@ -183,8 +183,9 @@ def score_tile(
     return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
 
 
-def _positioners(find: Finder, plane):
+def _positioners(find: Finder, instrument: Instrument):
     """Return the rows that assign a positioner, their positioners, and the name of the column of positioners."""
+    plane = instrument.focal_plane
     name = find.name_of("positioner")
     if name is None:
         raise find.missing("positioner")
@@ -202,10 +203,12 @@ def _positioners(find: Finder, plane):
     names = names[rows].tolist()
     unknown = [v for v in names if v not in index]
     if unknown:
+        nominal = is_plan(find.table) and instrument.layout == "nominal"
+        hint = "; give the instrument as built, whose files have the ids of this plan" if nominal else ""
         raise InputError(
             f"column {name!r} names positioners that the instrument does not have: "
             f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(names)} rows); "
-            f"its ids are such as {plane.id[0]} and {plane.id[-1]}"
+            f"its ids are such as {plane.id[0]} and {plane.id[-1]}{hint}"
         )
     who = np.array([index[v] for v in names], dtype=int)
     twice, counts = np.unique(who, return_counts=True)

@@ -1,6 +1,6 @@
-"""How much DESI as built differs from its nominal lattice, in reach, multiplicity and collision probability.
+"""Compare DESI as built with its nominal lattice: reach, multiplicity and collision probability.
 
-Run it as ``python tests/benchmarks/as_built_desi.py fp-metrology.csv.gz [raytrace-tan2fp-4957-v18.csv.gz]``.
+Run ``python tests/benchmarks/as_built_desi.py fp-metrology.csv.gz [raytrace-tan2fp-4957-v18.csv.gz]``.
 """
 
 import sys
@@ -44,7 +44,9 @@ def inside(plane, radius):
 
 
 def probability(plane, density):
-    """Return the collision probability of allocated targets with a density per mm2, and of independent ones."""
+    """Return the collision probability of allocated targets with a given density per mm2, and that of independent
+    targets.
+    """
     radius = (np.hypot(*plane.arrays.xy.T) + plane.arrays.outer_radius).max()
     targets = RandomTargets(number=round(density * np.pi * radius**2))
     precision = Precision(standard_error=0.0001)
@@ -53,7 +55,7 @@ def probability(plane, density):
 
 
 def rays(path, radial_map):
-    """Print the residuals of the radial map from the ray trace, for angles of the compensator."""
+    """Print the residuals of the radial map from the ray trace, for several angles of the compensator."""
     table = Table.read(path, format="ascii.csv")
     angle = np.arctan(np.hypot(table["X_TAN"], table["Y_TAN"]))
     table = table[angle < np.deg2rad(1.601)]

@@ -213,3 +213,15 @@ def test_the_instrument_of_a_scan_is_a_star_with_its_name_and_no_other_point():
     assert len(drawn) == len(around) - 1
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     assert [word for word in words if word.startswith("arm ratio")] == ["arm ratio 0.9", "arm ratio 1.1"]
+
+
+def test_a_long_front_is_cut_and_a_comparison_may_be_impossible(run, monkeypatch):
+    def impossible(table):
+        raise rs.InputError("no design is better")
+
+    monkeypatch.setattr(_designs, "MOST_ROWS", 1)
+    monkeypatch.setattr(rs.design, "design_improvements", impossible)
+    out = run("design", "--instrument", "sdss_apo", "--n-designs", 8)[1]
+    n_front = int(out.partition("max, loss min): ")[2].split("\n")[0])
+    assert f"and {n_front - 1} more\n" in out
+    assert "  no comparison: no design is better\n" in out

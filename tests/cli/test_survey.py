@@ -1,6 +1,10 @@
 """The command ``survey``, called with its options."""
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +13,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey._cli import _surveys
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 
@@ -218,3 +223,44 @@ def test_bad_tiles(call, files, tmp_path):
         table.write(tmp_path / "tiles.ecsv", overwrite=True)
         _, err = call("survey", folder / "stars.fits", "--tiles", tmp_path / "tiles.ecsv", code=2)
         assert sentence in err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [((), "without --folder nothing stays"), (("--folder", "plan"), "what was written stays: continue with --resume")],
+)
+def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch, words, sentence):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rs, "plan_survey", interrupted)
+    monkeypatch.chdir(tmp_path)
+    folder, _, _ = files
+    known = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
+    code, _, err = run(*known, *words)
+    assert code == 130
+    assert f"rfpsurvey: interrupted; {sentence}\n" in err
+
+
+def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeypatch):
+    with ThreadPoolExecutor(1) as pool:
+
+        class Client(nullcontext):
+            def __init__(self, address, timeout):
+                assert (address, timeout) == ("tcp://here:1", "10s")
+
+            def __enter__(self):
+                return self
+
+            def get_executor(self):
+                return pool
+
+        monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=Client))
+        with _surveys.workers(1, "tcp://here:1", processes=False) as executor:
+            assert executor is pool
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(rs.InputError, match=r"--scheduler needs dask \(pip install 'rfpsurvey\[distributed\]'\)"),
+        _surveys.workers(1, "tcp://here:1", processes=False),
+    ):
+        pass

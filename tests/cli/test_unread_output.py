@@ -1,5 +1,7 @@
 """Commands whose output is not read or cannot be written: exit codes are standard, and no file is lost."""
 
+import errno
+import io
 import json
 import os
 import subprocess
@@ -9,6 +11,7 @@ import pytest
 
 import rfpsurvey as rs
 from refusals import sentence
+from rfpsurvey._cli import _app
 
 # this program runs commands, each given with whether Python buffers the output, and with the file for the output
 FORKED = """
@@ -81,3 +84,34 @@ def test_a_reader_that_has_gone_is_told_as_any_shell_does(ends, number):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
 def test_a_full_device_is_a_sentence(ends):
     assert "No space left on device" in sentence(*ends[3])
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (BrokenPipeError(), 141, ""),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "rfpsurvey: [Errno 28] No space left on device\n"),
+        (ValueError("I/O operation on closed file"), 0, ""),
+    ],
+)
+def test_errors_on_the_last_flush_decide_the_exit_code(monkeypatch, tmp_path, capsys, error, code, text):
+    class Stream(io.FileIO):
+        def flush(self):
+            raise error
+
+    with (tmp_path / "out").open("w") as file:
+        monkeypatch.setattr(sys, "__stdout__", stream := Stream(os.dup(file.fileno()), "w", closefd=False))
+        assert _app._flush(0) == code
+        os.write(stream.fileno(), b"more")
+        os.close(stream.fileno())
+    assert capsys.readouterr().err == text
+    # after an error, the rest of the output is discarded, so that the flush at the exit succeeds
+    assert (tmp_path / "out").read_bytes() == (b"more" if code == 0 else b"")
+
+
+def test_a_pipe_that_is_closed_during_a_command_has_its_exit_code(run, monkeypatch):
+    def broken():
+        raise BrokenPipeError
+
+    monkeypatch.setattr(_app, "app", broken)
+    assert run("instruments") == (141, "", "")

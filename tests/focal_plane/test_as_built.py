@@ -1,4 +1,4 @@
-"""Positioners with places of fibers, zero points and joint limits of their own."""
+"""Positioners with individual fiber positions, zero points and joint limits."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ PLACES = {"BOSS": [14.965, -0.376], "APOGEE": [14.965, 0.376]}
 
 
 def same_as_preset(**columns):
-    """Return the preset with fibers that stand off the axis of the arm, in place of capsules turned from the fiber."""
+    """Return the preset with fibers beside the axis of the arm; the preset itself has capsules beside the fibers."""
     plane = APO.focal_plane
     places = {name: np.tile(place, (N, 1)) * MM for name, place in PLACES.items()}
     places["APOGEE"][plane.fiber_type == "BOSS"] = np.nan
@@ -27,7 +27,7 @@ def same_as_preset(**columns):
 
 
 def random_plane(seed=0, n=60, **columns):
-    """Return a small plane of positioners that all differ from each other."""
+    """Return a small plane of positioners that all have different properties."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.arange(n // 6), np.arange(6))
     xy = 17 * np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.3, 0.3, (n, 2))
@@ -49,7 +49,7 @@ def random_plane(seed=0, n=60, **columns):
 
 
 def by_hand(plane, theta, phi, name):
-    """Return elbows, and points at given places of the arms, from complex numbers."""
+    """Return the elbows, and the positions of given points of the arms, computed with complex numbers."""
     zero = np.deg2rad(plane.zero_points.value)
     a = np.deg2rad(theta) + zero[:, 0]
     center = plane.xy.value[:, 0] + 1j * plane.xy.value[:, 1]
@@ -170,7 +170,7 @@ def test_counts_and_methods_agree_with_the_same_instrument_without_columns():
     for method in ("exact", "sampled", "scipy"):
         reports = [rs.find_collisions(p, tips[0] * MM, fiber_type=types, method=method) for p in (plane, built)]
         np.testing.assert_array_equal(reports[0].pairs, reports[1].pairs)
-    # the parked poses differ, because phi is not that of the fiber; the areas contain the final poses
+    # the parked poses differ, because phi does not refer to the fiber; the areas contain the final poses
     swept = rs.find_collisions(built, tips[0] * MM, fiber_type=types, method="sweep")
     assert {*map(tuple, reports[1].pairs.tolist())} <= {*map(tuple, swept.pairs.tolist())}
 
@@ -222,7 +222,7 @@ def test_measured_arms_that_are_nominally_equal_are_parked():
     idle = plane.arrays.idle(True)
     elbow, tip = idle.segments.T[:, :2], idle.segments.T[:, 2:]
     np.testing.assert_allclose(np.hypot(*(elbow - plane.xy.value).T)[[0, 1, 3]], l1.value[[0, 1, 3]])
-    # a folded arm has its tip as near to the center as the lengths allow
+    # the tip of a folded arm is as near to the center as the arm lengths allow
     np.testing.assert_allclose(np.hypot(*(tip - plane.xy.value).T)[0], 0.04, atol=1e-12)
     np.testing.assert_allclose(tip[3], [21, 0], atol=0)
 

@@ -1,4 +1,4 @@
-"""Files of DESI, written from the data models of desimodel, desimeter and fiberassign; values are random."""
+"""Files of DESI with random values, which follow the data models of desimodel, desimeter and fiberassign."""
 
 import gzip
 import json
@@ -11,11 +11,11 @@ import rfpsurvey as rs
 
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 START = "2020-01-01T00:00:00"
-PHI = [[-1.0, -0.5], [3.5, -0.9], [3.7, 0.0], [3.5, 0.9], [-1.0, 0.5]]
+PHI = [[-1.0, -0.5], [3.5, -0.9], [3.7, 0.0], [3.5, 0.8], [-1.0, 0.5]]
 
 
 def locations(per_petal=500):
-    """Locations and CS5 positions (mm) of positioners: the lattice of the preset, with numbered devices."""
+    """Return locations and CS5 positions (mm) of positioners on the lattice of the preset, with numbered devices."""
     plane = rs.Instrument.preset("desi").focal_plane
     petal, xy = plane.spectrograph, plane.xy.to_value("mm")
     rows = np.concatenate([np.flatnonzero(petal == p)[:per_petal] for p in range(10)])
@@ -24,7 +24,7 @@ def locations(per_petal=500):
 
 
 def metrology(path, *, per_petal=500, others=True, edit=None):
-    """Write a metrology as desimeter does, with two rows of other devices."""
+    """Write a file of the metrology in the format of desimeter, with two rows of other devices."""
     ids, xy = locations(per_petal)
     table = Table({"PETAL_ID": ids // 1000 + 2, "PETAL_LOC": ids // 1000, "DEVICE_LOC": ids % 1000})
     table["DEVICE_TYPE"], table["PINHOLE_ID"] = "POS", 0
@@ -40,7 +40,7 @@ def metrology(path, *, per_petal=500, others=True, edit=None):
 
 
 def focal_plane(path, *, per_petal=500, equal=False, edit=None, seed=1):
-    """Write the table of a focal plane of desimodel, with a row of a fiducial."""
+    """Write the table of a focal plane of desimodel, which includes the row of a fiducial."""
     ids, xy = locations(per_petal)
     rng, n = np.random.default_rng(seed), len(ids)
     table = Table({"PETAL": ids // 1000, "DEVICE": ids % 1000, "LOCATION": ids, "PETAL_ID": ids // 1000 + 2})
@@ -50,7 +50,7 @@ def focal_plane(path, *, per_petal=500, equal=False, edit=None, seed=1):
     table["LENGTH_R1"], table["LENGTH_R2"] = (
         (np.full(n, 3.0), np.full(n, 3.0)) if equal else rng.normal(3, 0.03, (2, n))
     )
-    table["MAX_T"], table["MIN_T"], table["MAX_P"], table["MIN_P"] = 190.0, -190.0, 190.0, -10.0
+    table["MAX_T"], table["MIN_T"], table["MAX_P"], table["MIN_P"] = 190.0, -185.0, 190.0, -10.0
     for name in table.colnames[7:]:
         table[name].unit = "mm" if name.startswith(("LENGTH", "OFFSET_X", "OFFSET_Y")) else "degrees"
     table.add_row((0, 11, 11, 2, "P018", "FIF", -1, 5, 5, 0, 0, 0, 0, 0, 0, 0, 0))
@@ -62,7 +62,10 @@ def focal_plane(path, *, per_petal=500, equal=False, edit=None, seed=1):
 
 
 def state(path, plane, events=(), *, edit=None):
-    """Write a log of events: all positioners work at first; an event is a dict with TIME, LOCATION and changes."""
+    """Write a log of events.
+
+    All positioners work at first; an event is a dict with TIME, LOCATION and the changed values.
+    """
     n = len(plane)
     table = Table({"TIME": np.full(n, START, dtype="U25"), "LOCATION": np.array(plane["LOCATION"])})
     table["STATE"], table["POS_T"], table["POS_P"] = np.zeros(n, int), 0.0, 0.0
@@ -109,7 +112,7 @@ def tile(path, *, per_petal=500, edit=None, seed=2, header=None):
     idle = np.arange(n) % 7 == 0
     table["FIBERSTATUS"][idle], table["OBJTYPE"][idle], table["FA_TYPE"][idle] = 1, "", 0
     table["TARGETID"][idle] = -(4403 * 5000 + ids[idle])
-    table["FIBERSTATUS"][1], table["FIBERSTATUS"][2], table["FIBERSTATUS"][3] = 2, 5, 8
+    table["FIBERSTATUS"][1], table["FIBERSTATUS"][2], table["FIBERSTATUS"][3] = 2, 4, 8
     if edit is not None:
         edit(table)
     units = {"TARGET_RA": "deg", "TARGET_DEC": "deg", "PMRA": "mas/yr", "PMDEC": "mas/yr", "LAMBDA_REF": "Angstrom"}

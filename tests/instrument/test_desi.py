@@ -1,4 +1,4 @@
-"""DESI as built, from files written from the data models and from the real metrology."""
+"""DESI as built, from test files that follow the data models, and from the real metrology."""
 
 import gzip
 
@@ -12,6 +12,8 @@ from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
 import rfpsurvey as rs
+from damaged_files import FINE, damage, outcome
+from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 partial = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -19,7 +21,7 @@ partial = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
 
 @pytest.fixture
 def folder(tmp_path):
-    """A focal plane with few positioners, its state with three events, and its exclusions."""
+    """Return the folder of a focal plane with few positioners, its state with three events, and its exclusions."""
     table = desi_files.focal_plane(tmp_path / "desi-focalplane_2020-01-01T00:00:00.ecsv", per_petal=FEW)
     events = [
         {"TIME": "2021-01-01T00:00:00+00:00", "LOCATION": 1003, "STATE": 2, "POS_T": 10.0, "POS_P": 100.0},
@@ -51,7 +53,9 @@ def test_the_metrology_gives_centers_ids_and_petals(tmp_path, presets):
 
 
 def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
-    """Arms that the preset places at (x, y) are those that the instrument as built places at (-x, y)."""
+    """If the preset reaches (x, y) with a pose, the instrument as built reaches (-x, y) with the mirror image of this
+    pose.
+    """
     desi_files.metrology(tmp_path / "fp.csv", others=False)
     built, nominal = rs.Instrument.from_desi(tmp_path / "fp.csv").focal_plane, presets["desi"].focal_plane
     order = np.argsort(nominal.spectrograph, kind="stable")
@@ -66,7 +70,7 @@ def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
 
 @partial
 def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
-    """Forward kinematics of desimeter in CS5: x = R1 cos(t) + R2 cos(t + p), with t = POS_T + OFFSET_T."""
+    """The forward kinematics of desimeter in CS5 is x = R1 cos(t) + R2 cos(t + p), with t = POS_T + OFFSET_T."""
     table = Table.read(next(folder.glob("desi-focalplane*")), format="ascii.ecsv")[:-1]
     plane = rs.Instrument.from_desi(folder).focal_plane
     rng = np.random.default_rng(4)
@@ -79,7 +83,8 @@ def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
     there = plane.forward(-t * u.deg, -p * u.deg)
     assert_allclose(there.to_value(u.mm), np.column_stack([-x, y]), atol=1e-10)
     theta, phi = plane.inverse(there)
-    free = plane.id != 1005  # its reach is restricted
+    assert_allclose(plane.theta_range.to_value(u.deg), np.tile([-190, 185], (len(plane), 1)))
+    free = plane.id != 1005  # the reach of this positioner is restricted
     assert_allclose(np.cos(theta.to_value(u.rad) + np.deg2rad(t))[free], 1, atol=1e-9)
     assert_allclose(phi.to_value(u.deg)[free], -p[free], atol=1e-6)
 
@@ -94,6 +99,9 @@ def test_the_last_event_before_a_time_applies(folder):
     assert "all positioners work" in start.notes
     assert_allclose(stuck.focal_plane.stuck[row_of(stuck, 1003)].to_value(u.deg), [-10, -100])
     assert stuck.focal_plane.arrays.usable.sum() == 10 * FEW - 1
+    k = row_of(stuck, 1003)
+    place = stuck.focal_plane.forward(np.full(10 * FEW, -10) * u.deg, np.full(10 * FEW, -100) * u.deg)[k]
+    assert_allclose(stuck.focal_plane.arrays.idle(True).segments[2:, k], place.to_value(u.mm))
     assert broken.focal_plane.disabled.sum() == 1
     assert broken.focal_plane.arrays.usable[row_of(broken, 1003)]
     assert_allclose(broken.focal_plane.stuck[row_of(broken, 1004)].to_value(u.deg), [-1, -90])
@@ -136,13 +144,22 @@ def test_the_clearance_is_that_of_the_polygons(folder, name):
 
 
 @partial
+def test_circles_of_polygons_count(folder):
+    text = '{"default": {"phi": {"segments": [[[0, 0.3]]], "circles": [[[3, -0.2], 0.5]]}}}'
+    (folder / "circle.json").write_text(text)
+    plane = next(folder.glob("desi-focalplane*"))
+    instrument = rs.Instrument.from_desi(plane, exclusions=folder / "circle.json")
+    assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.7)
+
+
+@partial
 def test_the_latest_focal_plane_of_a_folder_is_used(folder):
     def moved(table):
         table["OFFSET_X"] += 1
 
     later = desi_files.focal_plane(folder / "desi-focalplane_2024-01-01T00:00:00+00:00.ecsv", per_petal=FEW, edit=moved)
     desi_files.state(folder / "desi-state_2024-01-01T00:00:00+00:00.ecsv", later)
-    new, old = (rs.Instrument.from_desi(folder, time=time) for time in (None, "2023-12-31"))
+    new, old = (rs.Instrument.from_desi(folder, time=time) for time in ("2024-01-01", "2023-12-31"))
     assert_allclose((old.focal_plane.xy - new.focal_plane.xy).to_value(u.mm)[:, 0], 1)
     assert "2024-01-01" in new.notes
     assert "2020-01-01" in old.notes
@@ -163,7 +180,8 @@ def test_a_tile_can_be_planned_with_measured_arms(folder):
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=600 / u.deg**2, rng=5)
     tile = rs.plan_tile(sky, desi, center)
     assert tile.summary["n_assigned"] > 100
-    assert tile.summary["n_parked"] == len(desi.focal_plane) - tile.summary["n_assigned"]
+    assert tile.summary["n_parked"] == desi.focal_plane.arrays.usable.sum() - tile.summary["n_assigned"]
+    assert tile.summary["n_idle"] == 0
     assert_allclose(
         desi.focal_plane.forward(tile.table["theta"], tile.table["phi"])[tile.table["status"] == "assigned"],
         np.column_stack([tile.table["tip_x"], tile.table["tip_y"]])[tile.table["status"] == "assigned"],
@@ -299,7 +317,11 @@ def test_exclusions_that_are_not_polygons_are_refused(folder):
         ("{}", "there must be polygons with the name 'default'"),
         ('{"default": {"phi": {"segments": [[[0, "x"]]], "circles": []}}}', "must be lists of segments"),
         ('{"default": {"phi": {"segments": [], "circles": []}}}', "must be lists of segments"),
-        ('{"default": {"phi": {"segments": [[[0, 0]]], "circles": []}}}', "must have a width above 0"),
+        (
+            '{"default": {"phi": {"segments": [[[0, 0]]], "circles": []}}}',
+            "must have a half width above 0 and below 1000 mm, got 0",
+        ),
+        ('{"default": {"phi": {"segments": [], "circles": [[[0, 0], 1e9]]}}}', "below 1000 mm, got 1e[+]09"),
     ):
         (folder / "bad.json").write_text(content)
         with pytest.raises(rs.errors.InputError, match=sentence):
@@ -353,7 +375,10 @@ def test_the_real_metrology(real_data):
 
 
 def test_the_optics_agree_with_the_ray_trace(real_data, presets):
-    """CS5 has the signs of the tangent plane. Without the dispersion compensator, the radial map is good to 0.07 mm."""
+    """CS5 has the signs of the tangent plane.
+
+    Without the dispersion compensator, errors of the radial map are below 0.07 mm.
+    """
     rays = Table.read(real_data("desi/raytrace-tan2fp-4957-v18.csv.gz"), format="ascii.csv")
     rays = rays[rays["ADC1"] == 0]
     angle, radius = np.arctan(np.hypot(rays["X_TAN"], rays["Y_TAN"])), np.hypot(rays["X_FP"], rays["Y_FP"])
@@ -362,3 +387,24 @@ def test_the_optics_agree_with_the_ray_trace(real_data, presets):
     assert (along[inside & (angle > 0.005)] > 0).all()
     expected = presets["desi"].distortion.to_radius(angle[inside] * u.rad).to_value(u.mm)
     assert 0.05 < np.abs(radius[inside] - expected).max() < 0.07
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_damaged_files_are_refused_with_a_sentence(folder, tmp_path, seed):
+    desi_files.metrology(folder / "fp.csv", per_petal=FEW)
+    plane, log = (next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state"))
+    polygons = folder / "polygons.yaml"
+    desi_files.exclusions(polygons)
+    readers = {
+        folder / "fp.csv": rs.Instrument.from_desi,
+        plane: rs.Instrument.from_desi,
+        log: lambda path: rs.Instrument.from_desi(plane, state=path),
+        polygons: lambda path: rs.Instrument.from_desi(plane, exclusions=path),
+    }
+    for number, (path, read) in enumerate(readers.items()):
+        sample = Sample("DESI", path, lambda path, read=read: len(read(path).focal_plane), lambda path: None)
+        away = tmp_path / f"damaged {number}"
+        away.mkdir()
+        damaged, done = damage(np.random.default_rng([7, seed, number]), sample, away)
+        what, words = outcome(sample, damaged)
+        assert what in FINE, f"{path.name} ({done}): {what}: {words}"

@@ -75,7 +75,7 @@ def test_the_base_is_good(tmp_path):
         ("layout.fiber_types", figure("[1]"), "layout.fiber_types must be a list of names, got [1]"),
         ("layout.fiber_types", figure('"A"'), "layout.fiber_types must be a list of names, got 'A'"),
         ("layout.rows_along", figure('"z"'), "layout.rows_along must be one of x, y, got 'z'"),
-        ("layout.names", figure("1"), "layout.names must be one of row and column, got 1"),
+        ("layout.names", figure("1"), "layout.names must be one of row and column, cobra, got 1"),
         ("layout.table", figure("1"), "layout.table must be text, got 1"),
         ("positioner.home", figure("[1.0]", "deg"), "positioner.home must be two angles, got [1.0] deg"),
         ("positioner.home", figure("3", "deg"), "positioner.home must be two angles, got 3 deg"),
@@ -98,6 +98,13 @@ def test_the_base_is_good(tmp_path):
         (".status", '"rumored"', "status must be one of published, derived, assumed, got 'rumored'"),
         ("observing.skies", figure("2"), "unknown entry of [observing] 'skies'"),
         (".schema", "true", "schema must be 1, the only one that this version reads, got True"),
+        ("optics.radial_map", figure('{ any = { form = "theta", coefs = [1] } }'), "optics.radial_map must be"),
+        ("layout.spectrographs", figure("20"), "spectrographs must be from 1 to the number of positioners, got 20"),
+        (
+            "layout.rings",
+            '{ value = 2, status = "assumed", source = 3 }',
+            "the source of layout.rings must be text, got 3",
+        ),
         (".name", "3", "name must be text, got 3"),
         (".title", "3", "title must be text, got 3"),
         (".notes", "[]", "notes must be text, got []"),
@@ -120,6 +127,13 @@ def test_no_entry_takes_what_is_of_another_kind(tmp_path, name, value):
         return  # an empty list is a valid list of cells
     unit = getattr(ENTRIES.get(name), "unit", None)
     assert own in refused(tmp_path, with_entry(section, own, figure(value, unit)))
+
+
+def test_entries_that_every_description_must_have(tmp_path):
+    without_name = "\n".join(line for line in BASE.splitlines() if not line.startswith("name"))
+    assert refused(tmp_path, without_name) == "name must be text, got no such entry"
+    without_arm = "\n".join(line for line in BASE.splitlines() if not line.startswith(("central_arm", "clearance")))
+    assert refused(tmp_path, without_arm) == "[positioner] lacks central_arm, clearance"
 
 
 @pytest.mark.parametrize("section", ["positioner", "layout", "optics", "observing"])

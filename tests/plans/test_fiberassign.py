@@ -1,4 +1,4 @@
-"""Files of fiberassign, written from its data model."""
+"""Files of fiberassign that the test writes according to its data model."""
 
 import gzip
 
@@ -12,7 +12,9 @@ from astropy.table import QTable
 from numpy.testing import assert_array_equal
 
 import rfpsurvey as rs
+from damaged_files import FINE, damage, outcome
 from rfpsurvey import plans
+from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 pytestmark = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -26,7 +28,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def built(tmp_path):
-    """The instrument whose positioners the files assign."""
+    """Return the instrument whose positioners the files assign."""
     desi_files.metrology(tmp_path / "fp.csv", per_petal=FEW)
     return rs.Instrument.from_desi(tmp_path / "fp.csv")
 
@@ -57,8 +59,8 @@ def test_the_common_columns_are_those_of_the_file(path):
     bits = native["FA_TYPE"]
     kind = np.where((bits & 20) > 0, "sky", np.where(bits & 2, "standard", np.where(bits & 1, "science", "")))
     assert_array_equal(plan["kind"], kind)
-    # stuck positioners and broken fibers have no target; restricted ones (8) may have one
-    assert_array_equal(plan["assigned"], ~np.isin(native["FIBERSTATUS"], (1, 2, 5)))
+    # stuck positioners and broken fibers have no target; restricted positioners (8) can have one
+    assert_array_equal(plan["assigned"], ~np.isin(native["FIBERSTATUS"], (1, 2, 4)))
     assert plan["assigned"][3]
     meta = {"format": "fiberassign", "instrument": "desi", "racen": 170.239, "deccen": -7.093, "epoch": "J2015.500"}
     assert meta.items() <= plan.meta.items()
@@ -85,14 +87,16 @@ def test_a_plan_that_is_written_and_read_again_is_the_same(path, tmp_path, name)
 
 
 def test_sky_positions_agree_with_those_on_the_focal_plane(tmp_path, presets):
-    """The signs of x and of the position angle: sky positions computed as radec2xy of fiberassign does, with CS5."""
+    """Sky positions are computed as by radec2xy of fiberassign, with CS5. This tests the signs of x and of the position
+    angle.
+    """
     desi = presets["desi"]
     center, rotation = SkyCoord(170.239 * u.deg, -7.093 * u.deg), 0.3 * u.deg
 
     def place(table):
         x, y = table["FIBERASSIGN_X"], table["FIBERASSIGN_Y"]
-        # the direction of a target from the field center: the angle from west toward north is that of (x, y) in CS5,
-        # less the field rotation
+        # the angle of a target from west toward north, seen from the field center, is that of (x, y) in CS5 minus the
+        # field rotation
         angle = np.arctan2(y, x) * u.rad - rotation
         away = desi.distortion.to_angle(np.hypot(x, y) * u.mm)
         sky = center.directional_offset_by(270 * u.deg + angle, away)
@@ -110,17 +114,23 @@ def test_sky_positions_agree_with_those_on_the_focal_plane(tmp_path, presets):
 def test_a_plan_can_be_scored(path, built):
     tile = rs.score_tile(plans.read_plan(path), built)
     native = fits.getdata(path, "FIBERASSIGN")
-    used = ~np.isin(native["FIBERSTATUS"], (1, 2, 5))
+    used = ~np.isin(native["FIBERSTATUS"], (1, 2, 4))
     assert tile.summary["n_assigned"] == used.sum()
     assert tile.summary["n_out_of_reach"] == 0
     assert_array_equal(tile.table["target_id"][used], native["TARGETID"][used])
 
 
+def test_scoring_requires_the_instrument_as_built(path, presets):
+    with pytest.raises(rs.errors.InputError, match="give the instrument as built, whose files have the ids"):
+        rs.score_tile(plans.read_plan(path), presets["desi"])
+
+
 def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     center = SkyCoord(170 * u.deg, -7 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=900 / u.deg**2, rng=5)
+    sky = rs.Catalog(sky.coord, id=np.arange(1, len(sky) + 1), epoch=2026.5)
     tile = rs.plan_tile(sky, built, center, position_angle=10 * u.deg)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="this format cannot hold the columns theta, phi"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold it: the columns theta, phi"):
         plans.write_plan(tile, tmp_path / "tile.fits", format="fiberassign")
     plan = plans.read_plan(tmp_path / "tile.fits")
     assert plan.meta["position_angle"] == 10
@@ -138,6 +148,7 @@ def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     assert native["TARGETID"].dtype == ">i8"
     assert native["FIBERASSIGN_X"].dtype == ">f4"
     assert set(native["OBJTYPE"]) <= {"TGT", ""}
+    assert set(native["REF_EPOCH"]) == {2026.5}
 
 
 def test_changes_of_a_plan_are_written(path, tmp_path):
@@ -156,6 +167,34 @@ def test_changes_of_a_plan_are_written(path, tmp_path):
     assert again["kind"][5] == "sky"
 
 
+def test_a_fiber_that_gets_a_target_is_assigned(path, tmp_path):
+    plan = plans.read_plan(path)
+    assert not plan["assigned"][0]
+    plan["assigned"][0], plan["target_id"][0], plan["kind"][0] = True, 77, "science"
+    plans.write_plan(plan, tmp_path / "new.fits", format="fiberassign")
+    native = fits.getdata(tmp_path / "new.fits", 1)
+    assert (native["FIBERSTATUS"][0], native["TARGETID"][0], native["OBJTYPE"][0]) == (0, 77, "TGT")
+
+
+def test_a_negative_target_is_none(tmp_path):
+    def edit(table):
+        table["TARGETID"][5] = -5
+
+    desi_files.tile(tmp_path / "tile.fits", per_petal=FEW, edit=edit)
+    plan = plans.read_plan(tmp_path / "tile.fits")
+    assert plan["FIBERSTATUS"][5] == 0
+    assert not plan["assigned"][5]
+
+
+def test_positions_in_another_unit_are_converted(path, tmp_path):
+    with fits.open(path) as units:
+        units[1].data["FIBERASSIGN_X"] /= 10
+        units[1].columns.change_unit("FIBERASSIGN_X", "cm")
+        units.writeto(tmp_path / "cm.fits")
+    one, other = plans.read_plan(path), plans.read_plan(tmp_path / "cm.fits")
+    assert np.abs(one["x"] - other["x"]).max() < 1e-4 * u.mm
+
+
 def test_the_format_is_recognized(path, tmp_path):
     assert plans.recognize_plan(path) == "fiberassign"
     (tmp_path / "zipped.fits.gz").write_bytes(gzip.compress(path.read_bytes()))
@@ -166,7 +205,7 @@ def test_the_format_is_recognized(path, tmp_path):
 
 def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):
     plan = plans.read_plan(path)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold the other tables of its file"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold it: the other tables of its file"):
         plans.write_plan(plan, tmp_path / "plan.ecsv")
     again = plans.read_plan(tmp_path / "plan.ecsv")
     assert_array_equal(plan["x"], again["x"])
@@ -245,3 +284,28 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
         plans.write_plan(plan, tmp_path / "no.fits", format="fiberassign")
     assert not list(tmp_path.glob("no*"))
     assert not list(tmp_path.glob(".rfpsurvey*"))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_other_damaged_files_are_refused_with_a_sentence(path, tmp_path, seed):
+    sample = Sample("DESI", path, lambda path: len(plans.read_plan(path, format="fiberassign")), lambda path: None)
+    (tmp_path / "damaged").mkdir()
+    damaged, done = damage(np.random.default_rng([8, seed]), sample, tmp_path / "damaged")
+    what, words = outcome(sample, damaged)
+    assert what in FINE, f"{done}: {what}: {words}"
+
+
+def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_data, tycho):
+    desi = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
+    center = SkyCoord(95 * u.deg, 23 * u.deg)
+    stars = rs.Catalog.read(tycho)
+    tile = rs.plan_tile(rs.Catalog(stars.coord, id=np.arange(len(stars))), desi, center)
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold"):
+        plans.write_plan(tile, tmp_path / "tile.fits.gz", format="fiberassign")
+    again = rs.score_tile(plans.read_plan(tmp_path / "tile.fits.gz"), desi)
+    assert tile.summary["n_assigned"] > 700
+    for name in ("id", "spectrograph", "status", "in_collision", "colliding_with"):
+        assert_array_equal(tile.table[name], again.table[name], name)
+    has = tile.table["status"] == "assigned"
+    assert_array_equal(tile.table["target_id"][has], again.table["target_id"][has])
+    assert np.abs(tile.table["tip_x"] - again.table["tip_x"])[has].max() < 2e-5 * u.mm

@@ -229,3 +229,10 @@ def test_units_of_a_map_and_rotation_of_a_focal_length():
     turned = rs.TangentPlane.from_focal_length(center, 20 * u.m, 90 * u.deg)
     east = turned.to_focal_plane(center.directional_offset_by(90 * u.deg, 1 * u.deg))
     np.testing.assert_allclose(east.value, [[0, 20000 * np.tan(np.deg2rad(1))]], atol=1e-8)
+
+
+def test_fiber_types_must_be_as_many_as_targets(presets):
+    projection = presets["sdss_apo"].projection(SkyCoord(95, 23, unit="deg"))
+    assert isinstance(projection.distortion, dict)
+    with pytest.raises(rs.InputError, match=r"fiber_type must have the shape \(2,\), got \(1,\)"):
+        projection.to_focal_plane(SkyCoord([95, 95.1], [23, 23], unit="deg"), fiber_type=["BOSS"])

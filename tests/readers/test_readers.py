@@ -14,7 +14,7 @@ from astropy.table import MaskedColumn, QTable, Table
 
 import rfpsurvey as rs
 from refusals import refusal, sentence
-from rfpsurvey._readers import read_fits_bytes, read_table
+from rfpsurvey._readers import read_fits_bytes, read_table, read_tables
 
 DEG = u.deg
 GOOD = [f"s{k},{10 + 0.01 * k},20.0" for k in range(100)]
@@ -380,3 +380,24 @@ def test_masked_columns_stay_masked(tmp_path):
     for name in ("a.ecsv", "a.vot"):
         table.write(tmp_path / name, **({"format": "votable"} if name == "a.vot" else {}))
         assert rs.Catalog.read(tmp_path / name).category.tolist() == ["", "b"]
+
+
+# --- all tables of a FITS file ---------------------------------------------------------------------------------------
+
+
+def test_all_tables_of_a_fits_file_are_read_with_their_keywords(tmp_path):
+    units = [fits.PrimaryHDU(), fits.ImageHDU(np.zeros((2, 2)))]
+    for name, n in (("ONE", 3), ("TWO", 0)):
+        units.append(fits.table_to_hdu(Table({"a": np.arange(n), "b": np.full(n, "x")})))
+        units[-1].header.update({"EXTNAME": name, "TILE": n})
+    units[0].header.update({"OBSERVER": "o" * 100})
+    units[0].header["COMMENT"] = "no keyword"
+    fits.HDUList(units).writeto(tmp_path / "a.fits")
+    header, tables = read_tables(tmp_path / "a.fits")
+    assert header == {"OBSERVER": "o" * 100}
+    assert [table.meta for table in tables] == [{"EXTNAME": "ONE", "TILE": 3}, {"EXTNAME": "TWO", "TILE": 0}]
+    assert [len(table) for table in tables] == [3, 0]
+    assert tables[0]["b"].tolist() == ["x"] * 3
+    assert "there is no such file" in refusal(tmp_path / "b.fits", read_tables)
+    (tmp_path / "b.fits").write_text("id,ra,dec")
+    assert "cannot be read as fits: it must begin with SIMPLE" in refusal(tmp_path / "b.fits", read_tables)

@@ -162,3 +162,9 @@ def test_samples_are_the_pixels_inside():
 def test_bad_regions_are_named(make, message):
     with pytest.raises(rs.InputError, match=message):
         make()
+
+
+def test_the_circle_around_the_whole_sky_has_a_radius_of_180_deg():
+    center, radius = circle_around(rs.Region.parse("box 0 360 -90 90"))
+    assert radius == np.pi
+    assert np.linalg.norm(center) == pytest.approx(1)

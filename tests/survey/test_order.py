@@ -56,3 +56,7 @@ def test_rounds_of_many_tiles_on_one_another_take_little_memory():
     tracemalloc.stop()
     assert len(rounds) == 5000  # all tiles overlap
     assert peak < 5e6
+
+
+def test_no_tiles_have_no_rounds():
+    assert make_rounds(np.empty((0, 3)), 0.1, np.empty(0, dtype=int), "given") == []
