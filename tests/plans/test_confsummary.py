@@ -1,6 +1,7 @@
 """confSummary files of SDSS-V: invented ones, and the real ones of 2021 and 2024."""
 
 import gzip
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -209,6 +210,13 @@ def test_without_pydl_the_message_names_the_remedy(path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydl.pydlutils.yanny", None)
     with pytest.raises(rs.InputError, match=r"another package: .* \(pip install 'rfpsurvey\[sdss\]'\)"):
         plans.read_plan(path)
+
+
+def test_reading_issues_no_warning_of_pydl(path):
+    """In a new process, because pydl warns when it is first imported."""
+    code = f"import rfpsurvey as rs; print(len(rs.plans.read_plan({str(path)!r})))"
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr) == ("21", "")
 
 
 def test_formats_are_recognized_by_content(tmp_path, path):
