@@ -1,14 +1,17 @@
 """SDSS-V as built: invented calibrations, and the real ones of 2021 and 2024."""
 
 import shutil
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable
 from numpy.testing import assert_allclose, assert_array_equal
 
 import rfpsurvey as rs
 import sdssv_files
+from rfpsurvey.collision import place_arms
 from rfpsurvey.instrument import as_instrument
 
 PLACES = {"BOSS": "boss", "APOGEE": "ap", "METROLOGY": "met"}
@@ -275,6 +278,29 @@ def test_robots_without_angles_are_those_whose_target_is_out_of_reach_as_built(r
     assert tile.summary["n_assigned"] == 500
     nominal = rs.score_tile(plan, "sdss_apo")
     assert nominal.summary["n_out_of_reach"] == 2
+
+
+def test_a_design_from_the_sky_has_the_same_targets_out_of_reach(real_data):
+    """Design 21636 has the targets of the configuration; its positions on the sky are projected here."""
+    designs = QTable.read(real_data("sdssv_eight_designs.ecsv"))
+    built = rs.Instrument.read(real_data("sdssv_apo_2024"))
+    tile = rs.score_tile(designs[designs["design_id"] == 21636], built, equinox="J2022.0")
+    assert set(tile["id"][tile["status"] == "out_of_reach"]) == NO_ANGLES
+    assert tile.summary["n_colliding_pairs"] <= 2
+
+
+@pytest.mark.parametrize("file", ["confSummary-998", "confSummaryF-998"])
+def test_no_pair_of_a_real_configuration_collides_with_all_robots_as_they_stood(real_data, file):
+    """Robots without a target are included; the fiber through which each is posed does not matter."""
+    plane = rs.Instrument.read(real_data("sdssv_apo_2021")).focal_plane
+    plan = rs.plans.read_plan(real_data(f"sdssv_apo_2021/{file}.par.gz"))
+    _, theta, phi = positions_and_angles(plane, plan, "APOGEE")
+    places = {"APOGEE": plane.fiber_xy["APOGEE"]}
+    free = replace(plane, fiber_type=["APOGEE"] * 500, fiber_xy=places, disabled=None, spectrograph=None)
+    posed = place_arms(free, free.forward(theta, phi))
+    assert posed.assigned.all()
+    report = rs.find_collisions(free, posed)
+    assert len(report.pairs) == len(report.obstacle_pairs) == 0
 
 
 def test_the_nominal_preset_misses_the_fibers_by_a_quarter_of_a_millimeter(real_data):
