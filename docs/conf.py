@@ -68,6 +68,7 @@ def write_help(app):
         "compare",
         "compare-allocators",
         "score",
+        "convert",
         "tile",
         "survey",
         "probability",

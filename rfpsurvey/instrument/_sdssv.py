@@ -105,7 +105,9 @@ class _Rows:
         wrong |= ~np.isfinite(values) if finite else np.isinf(values)
         if wrong.any():
             k = int(np.flatnonzero(wrong)[0])
-            raise InputError(f"{self.path}: column {name!r} must hold finite numbers, got {texts[k]!r} in row {k + 1}")
+            raise InputError(
+                f"{self.path}: column {name!r} must hold finite numbers, got {str(texts[k])!r} in row {k + 1}"
+            )
         return values
 
     def keep_site(self, site: str | None) -> str:
@@ -201,7 +203,9 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
     if len(lacking):
         notes.append(f"Without a row in fiberAssignments.csv, and therefore without fibers: {', '.join(lacking)}.")
     if extra:
-        notes.append(f"{number_of(extra, 'positioner')} of fiberAssignments.csv not in {TABLE} were not used.")
+        text = f"{number_of(extra, 'positioner')} of fiberAssignments.csv without a row in {TABLE}"
+        notes.append(f"Not used: {text}.")
+        warn(f"{folder}: {text}, which may be truncated")
     fibers = np.column_stack([rows.text(name) != "" for name in ("BOSSFiber", "APOGEEFiber")])
     return fibers[index] & (index >= 0)[:, None]
 

@@ -74,13 +74,11 @@ def read(path: Path) -> QTable:
     of the fiber on the sky is in ``ra_fiber`` and ``dec_fiber``.
     """
     rows, struct, header = _parse(path)
-    n = len(rows)
     for name in ("holeId", "fiberType", "assigned"):
         if name not in rows:
             raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {', '.join(rows)}")
     fibers = list(zip(rows["holeId"].tolist(), rows["fiberType"].tolist(), strict=True))
-    if n == 0:
-        raise InputError(f"{path}: the table FIBERMAP must have at least one row, got none")
+    n = len(fibers)
     if len(set(fibers)) < n:
         twice = next(fiber for k, fiber in enumerate(fibers) if fiber in fibers[:k])
         raise InputError(f"{path}: each fiber must have one row, got several for {twice[0]} {twice[1]}")
@@ -93,7 +91,7 @@ def read(path: Path) -> QTable:
     site = header.get("observatory", "")
     if site not in INSTRUMENTS:
         raise InputError(f"{path}: observatory must be APO or LCO, got {site!r}")
-    rotation = _number(header, "pa")
+    rotation = _number(header, "pa", path)
     if "xwok" in rows and "ywok" in rows:
         xy = _filled(rows.pop("xwok")), _filled(rows.pop("ywok"))
     elif "xFocal" in rows and "yFocal" in rows:
@@ -115,18 +113,18 @@ def read(path: Path) -> QTable:
     ids = columns.get("target_id", np.full(n, -1))
     columns["target_id"] = np.where(ids == MISSING, -1, ids)
     rows = {**{name: columns.pop(name) for name in ("ra_fiber", "dec_fiber") if name in columns}, **rows}
-    epoch = _number(header, "epoch")
+    epoch = _number(header, "epoch", path)
     return make_plan(
         columns,
         rows,
         format="confsummary",
         instrument=INSTRUMENTS[site],
         header=header,
-        racen=_number(header, "raCen"),
-        deccen=_number(header, "decCen"),
+        racen=_number(header, "raCen", path),
+        deccen=_number(header, "decCen", path),
         position_angle=rotation,
         epoch=None if epoch is None else f"J{Time(epoch, format='jd').jyear:.6f}",
-        struct=struct,
+        struct=[f"{kind} {name}" for name, kind in struct.items()],  # a list, because ECSV sorts the keys of a dict
     )
 
 
@@ -187,8 +185,11 @@ def _parse(path: Path):
         raise InputError(f"{path} cannot be read as yanny: {sentence(error)}") from None
     if not text.endswith("\n"):
         raise InputError(f"{path}: the last line must end with a line break, got none; the file may be truncated")
+    n = len(re.findall(r"(?mi)^\s*FIBERMAP\s", text))
+    if "FIBERMAP;" in text and n == 0:
+        raise InputError(f"{path}: the table FIBERMAP must have at least one row, got none")
     widths = sum(map(int, re.findall(r"\[(\d{1,12})\]", text.partition("FIBERMAP;")[0])))
-    if 4 * widths * text.count("\nFIBERMAP") > max(MOST_BYTES, 64 * len(text)):
+    if 4 * widths * n > max(MOST_BYTES, 64 * len(text)):
         raise InputError(f"{path}: text columns must be short, got {widths} characters in each row")
     with _yanny() as module, tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy.par"
@@ -209,11 +210,11 @@ def _parse(path: Path):
     return columns, struct, header
 
 
-def _number(header: dict, name: str) -> float | None:
+def _number(header: dict, name: str, path: Path) -> float | None:
     """Return a number of the header, or None if it is missing."""
     text = header.get(name, str(MISSING))
     if not is_number(text):
-        raise InputError(f"{name} in the header must be a number, got {text!r}")
+        raise InputError(f"{path}: {name} in the header must be a number, got {text!r}")
     return None if float(text) == MISSING else float(text)
 
 
@@ -232,7 +233,7 @@ def _struct(plan: QTable) -> dict[str, str]:
     They are those of the file that was read, or those of a new file.
     """
     if "struct" in plan.meta:
-        return dict(plan.meta["struct"])
+        return {name: kind for kind, name in (entry.split() for entry in plan.meta["struct"])}
     pairs = (entry.split() for entry in STRUCT.replace("\n", " ").split(";") if entry.strip())
     return {name.partition("[")[0]: kind + name[name.find("[") :] * ("[" in name) for kind, name in pairs}
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from astropy.table import QTable
+from astropy.table import MaskedColumn, QTable
 
 from rfpsurvey._io import read_table, suffix_of, write_table
 from rfpsurvey.errors import InputError
@@ -16,6 +16,9 @@ def read(path: Path) -> QTable:
     table = read_table(path)
     if not is_plan(table) and not is_tile(table):
         raise InputError(f"{path}: the table must be that of a plan that write_plan wrote, or a tile")
+    for name in table.colnames:  # ECSV files do not distinguish empty text from missing values
+        if isinstance(table[name], MaskedColumn) and table[name].dtype.kind == "U":
+            table[name] = table[name].filled("")
     return as_plan(table)
 
 

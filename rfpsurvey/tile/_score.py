@@ -107,7 +107,8 @@ def score_tile(
             "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("
             f'equinox="{equinox}"))'
         )
-    columns = {**plan_roles(table), **(columns or {})}
+    roles, columns = plan_roles(table), columns or {}
+    columns = {**roles, **columns} if isinstance(columns, dict) else columns
     plane = instrument.focal_plane
     full = Finder(table, columns, units or {})
     rows, who, name = _positioners(full, instrument)

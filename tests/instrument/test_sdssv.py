@@ -1,0 +1,332 @@
+"""SDSS-V as built: invented calibrations, and the real ones of 2021 and 2024."""
+
+import shutil
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from numpy.testing import assert_allclose, assert_array_equal
+
+import rfpsurvey as rs
+import sdssv_files
+from rfpsurvey.collision import place_arms
+from rfpsurvey.instrument import as_instrument
+
+PLACES = {"BOSS": "boss", "APOGEE": "ap", "METROLOGY": "met"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return sdssv_files.calibration(tmp_path / "calibration")
+
+
+def row_of(plane, hole):
+    return plane.id.tolist().index(hole)
+
+
+def changed(hole, **values):
+    """Return a function that changes values in the row of a hole."""
+    return lambda rows: [{**row, **values} if row["holeID"] == hole else row for row in rows]
+
+
+def test_positions_of_all_fibers_follow_the_published_formula(folder):
+    inst = rs.Instrument.from_sdssv(folder)
+    plane, nominal = inst.focal_plane, rs.Instrument.preset("sdss_apo").focal_plane
+    centers = dict(zip(nominal.id.tolist(), nominal.xy.value.tolist(), strict=True))
+    rng = np.random.default_rng(3)
+    alpha, beta = rng.uniform(0, 360, len(plane)), rng.uniform(1, 179, len(plane))
+    for fiber, place in PLACES.items():
+        expected = [
+            sdssv_files.formula(values, centers[hole], alpha[k], beta[k], place)
+            for hole, values in sdssv_files.robot_values().items()
+            for k in [row_of(plane, hole)]
+        ]
+        order = [row_of(plane, hole) for hole in sdssv_files.HOLES]
+        got = plane.forward(alpha * u.deg, beta * u.deg, fiber)
+        assert_allclose(got[order].value, expected, rtol=0, atol=1e-11)
+        theta, phi = plane.inverse(got, fiber)
+        assert_allclose(theta.value, alpha, rtol=0, atol=1e-6)
+        assert_allclose(phi.value, beta, rtol=0, atol=1e-6)
+
+
+def test_the_instrument_combines_the_files_with_the_preset(folder):
+    inst, preset = rs.Instrument.read(folder), rs.Instrument.preset("sdss_apo")
+    plane = inst.focal_plane
+    assert (inst.name, inst.layout, len(plane)) == ("sdss_apo", "as built", 7)
+    order = [preset.focal_plane.id.tolist().index(hole) for hole in plane.id.tolist()]
+    assert order == sorted(order)
+    assert plane.fiber_type[row_of(plane, "R-1C13")] == "BOSS"
+    assert (plane.fiber_type == "BOSS+APOGEE").sum() == 6
+    assert_array_equal(plane.obstacles.value, [[-10.5, -45, 3]])
+    assert inst.distortion["BOSS"].coefficients[0] == 1.3
+    assert inst.distortion["APOGEE"].radius == 8939 * u.mm
+    assert inst.distortion["BOSS"].factor == preset.distortion["BOSS"].factor
+    assert inst.requirements == preset.requirements
+    assert "layout.pitch" not in inst.values
+    assert "1 hole of wokCoords.csv" in inst.notes
+    assert "1 fiducial of fiducialCoords.csv between the robots" in inst.notes
+    assert as_instrument(str(folder)).provenance == inst.provenance
+    assert inst.to_table()
+
+
+@pytest.mark.parametrize("index", ["index", "id", ""])
+def test_the_name_of_the_first_column_does_not_matter(tmp_path, index):
+    a = rs.Instrument.read(sdssv_files.calibration(tmp_path / "a", index=index))
+    b = rs.Instrument.read(sdssv_files.calibration(tmp_path / "b"))
+    assert_array_equal(a.focal_plane.xy, b.focal_plane.xy)
+
+
+def test_only_two_files_are_required(folder):
+    for name in ("fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation"):
+        (folder / f"{name}.csv").unlink()
+    inst, preset = rs.Instrument.read(folder), rs.Instrument.preset("sdss_apo")
+    assert inst.distortion == preset.distortion
+    assert len(inst.focal_plane.obstacles) == len(preset.focal_plane.obstacles)
+    assert (inst.focal_plane.fiber_type == "BOSS+APOGEE").sum() == 6
+    for name in ("fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation"):
+        assert f"There is no {name}.csv" in inst.notes
+    (folder / "wokCoords.csv").unlink()
+    with pytest.raises(rs.InputError, match=r"wokCoords.csv: there is no such file"):
+        rs.Instrument.read(folder)
+
+
+def test_las_campanas_takes_the_other_preset(tmp_path):
+    inst = rs.Instrument.read(sdssv_files.calibration(tmp_path / "lco", site="LCO"))
+    assert inst.name == "sdss_lco"
+    assert inst.distortion["BOSS"].max_angle == 1.1 * u.deg
+
+
+def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
+    folder = sdssv_files.calibration(
+        tmp_path / "gaps",
+        positionerTable=lambda rows: changed("R0C13", alphaOffset="")(
+            changed("R-1C13", bossX="", bossY="")(changed("R0C15", apX="nan")(rows))
+        ),
+    )
+    inst = rs.Instrument.read(folder)
+    plane = inst.focal_plane
+    assert plane.id[plane.disabled].tolist() == ["R-1C13", "R0C13"]
+    assert "Disabled, because values in positionerTable.csv are missing: R0C13." in inst.notes
+    assert "Without the fiber BOSS, because its place in positionerTable.csv is missing: R-1C13." in inst.notes
+    assert "Disabled, because they have no fiber: R-1C13." in inst.notes
+    assert plane.fiber_type[row_of(plane, "R0C15")] == "BOSS"
+
+
+def test_robots_can_be_disabled(folder):
+    plane = rs.Instrument.from_sdssv(folder, disabled=["R0C13"]).focal_plane
+    assert plane.id[plane.disabled].tolist() == ["R0C13"]
+    with pytest.raises(rs.InputError, match="unknown robot to disable 'R9C9'"):
+        rs.Instrument.from_sdssv(folder, disabled=["R9C9"])
+
+
+def test_a_shifted_wok_gives_a_warning(tmp_path):
+    folder = sdssv_files.calibration(tmp_path / "tilt", wokOrientation=lambda rows: [{**rows[0], "xTilt": 0.01}])
+    with pytest.warns(rs.RfpsurveyWarning, match=r"the wok is shifted or tilted \(xTilt = 0.01\)"):
+        inst = rs.Instrument.read(folder)
+    assert "xTilt = 0.01" in inst.notes
+
+
+def test_a_rotated_robot_turns_its_zero_point_and_its_offset(tmp_path):
+    """With i along +x, the robot frame is that of the wok."""
+    folder = sdssv_files.calibration(
+        tmp_path / "rotated", wokCoords=changed("R0C13", ix=1, iy=0, jx=0, jy=1), positionerTable=lambda rows: rows
+    )
+    plane = rs.Instrument.read(folder).focal_plane
+    k, own = row_of(plane, "R0C13"), sdssv_files.robot_values()["R0C13"]
+    assert_allclose(plane.zero_points[k, 0].to_value(u.deg), own["alphaOffset"], atol=1e-12)
+    center = dict(zip(*[(p := rs.Instrument.preset("sdss_apo").focal_plane).id.tolist(), p.xy.value], strict=True))
+    assert_allclose(plane.xy[k].value, center["R0C13"] + [own["dx"], own["dy"]])
+
+
+def test_two_sites_need_a_choice(tmp_path):
+    def both(rows):
+        return [*rows, *({**row, "site": "LCO"} for row in rows)]
+
+    names = ("positionerTable", "wokCoords", "fiberAssignments", "fiducialCoords", "wokOrientation")
+    folder = sdssv_files.calibration(tmp_path / "both", **dict.fromkeys(names, both))
+    model = folder / "focalPlaneModel.csv"
+    model.write_text(model.read_text() + "".join(sdssv_files.MODEL.format("LCO").splitlines(keepends=True)[2:]))
+    with pytest.raises(rs.InputError, match=r"positionerTable.csv: site must be one of APO, LCO"):
+        rs.Instrument.read(folder)
+    assert rs.Instrument.from_sdssv(folder, site="LCO").name == "sdss_lco"
+    with pytest.raises(rs.InputError, match="site must be APO or LCO, got 'KPNO'"):
+        rs.Instrument.from_sdssv(folder, site="KPNO")
+
+
+BAD = {
+    "unknown site": ("positionerTable", lambda rows: [{**r, "site": "KPNO"} for r in rows], "site must be APO or LCO"),
+    "missing column": (
+        "positionerTable",
+        lambda rows: [{k: v for k, v in r.items() if k != "alphaArmLen"} for r in rows],
+        "the table must have the column 'alphaArmLen'",
+    ),
+    "text": ("positionerTable", changed("R0C13", dx="far"), "column 'dx' must hold numbers, .*'far'"),
+    "infinite": ("positionerTable", changed("R0C13", dx="inf"), "column 'dx' must hold finite numbers, got 'inf'"),
+    "too far": ("positionerTable", changed("R0C13", dx=5000), "robots must be within 1000 mm of the center"),
+    "twice": ("positionerTable", lambda rows: [*rows, rows[0]], "'holeID' must have unique values, got R\\+2C13 twice"),
+    "no hole": ("wokCoords", changed("R0C13", holeID="R9C9"), "must have all holes of .*, but R0C13 is missing"),
+    "empty hole": ("wokCoords", changed("R0C13", holeID=""), "must have a value in each row"),
+    "no position": ("wokCoords", changed("R0C13", xWok=""), "column 'xWok' must hold finite numbers, got ''"),
+    "tilted robot": ("wokCoords", changed("R0C13", iz=0.1), "must stand perpendicular to the focal plane"),
+    "mirrored robot": ("wokCoords", changed("R0C13", jx=-1), "must stand perpendicular to the focal plane"),
+    "fibers twice": ("fiberAssignments", lambda rows: [*rows, rows[0]], "must have unique values"),
+    "fiducial": ("fiducialCoords", changed("R-2C12", xWok="x"), "column 'xWok' must hold numbers"),
+    "orientation": ("wokOrientation", lambda rows: [{**rows[0], "x": "?"}], "column 'x' must hold numbers"),
+    "other site": ("wokOrientation", lambda rows: [{**rows[0], "site": "LCO"}], "must have rows of the site APO"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_tables_are_refused_with_the_name_of_the_file(tmp_path, case):
+    name, change, message = BAD[case]
+    folder = sdssv_files.calibration(tmp_path / "bad", **{name: change})
+    with pytest.raises(rs.InputError, match=message) as caught:
+        rs.Instrument.read(folder)
+    assert str(folder / f"{name}.csv") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+NAMES = ("positionerTable", "wokCoords", "fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("content", ["", "site,holeID\n", "\x00\x01\x02", "# only a comment\n"])
+def test_damaged_files_are_refused(folder, name, content):
+    path = folder / f"{name}.csv"
+    path.write_text(content)
+    with pytest.raises(rs.InputError) as caught:
+        rs.Instrument.read(folder)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["positionerTable", "wokCoords", "focalPlaneModel"])
+def test_truncated_files_are_refused(folder, name):
+    path = folder / f"{name}.csv"
+    text = path.read_text()
+    path.write_text(text[: len(text) // 2].rpartition(",")[0])
+    with pytest.raises(rs.InputError) as caught:
+        rs.Instrument.read(folder)
+    assert str(path) in str(caught.value) or "wokCoords.csv" in str(caught.value)
+
+
+def test_a_table_that_ends_early_gives_a_warning(tmp_path):
+    folder = sdssv_files.calibration(tmp_path / "short", positionerTable=lambda rows: rows[:-2])
+    with pytest.warns(rs.RfpsurveyWarning, match="2 positioners of fiberAssignments.csv without a row"):
+        assert len(rs.Instrument.read(folder).focal_plane) == 5
+
+
+def test_a_folder_without_the_table_of_robots_is_refused(tmp_path):
+    with pytest.raises(rs.InputError, match="positionerTable"):
+        rs.Instrument.from_sdssv(tmp_path)
+    with pytest.raises(rs.InputError, match="there is no such folder"):
+        rs.Instrument.from_sdssv(tmp_path / "nothing")
+
+
+def positions_and_angles(plane, plan, fiber):
+    """Return x, y, alpha and beta of a fiber in the order of the positioners."""
+    rows = plan[plan["fiber_type"] == fiber]
+    assert sorted(rows["positioner"]) == sorted(plane.id)
+    rows = rows[[rows["positioner"].tolist().index(hole) for hole in plane.id.tolist()]]
+    return np.column_stack([rows["x"].value, rows["y"].value]), rows["theta"], rows["phi"]
+
+
+CONFIGURATIONS = [
+    ("sdssv_apo_2024", "confSummary-test", 1e-5, 490, 2e-5, 1e-5),
+    ("sdssv_apo_2021", "confSummary-998", 3e-4, 500, None, None),
+    ("sdssv_apo_2021", "confSummaryF-998", 3e-4, 500, None, None),
+]
+
+
+@pytest.mark.parametrize(("folder", "file", "within", "n", "alpha", "beta"), CONFIGURATIONS)
+def test_positions_of_real_configurations_follow_from_their_joint_angles(
+    real_data, folder, file, within, n, alpha, beta
+):
+    """All 1500 rows are compared, but for 10 robots without angles in 2024, and one fiber without a place in 2021."""
+    plane = rs.Instrument.read(real_data(folder)).focal_plane
+    plan = rs.plans.read_plan(real_data(f"{folder}/{file}.par.gz"))
+    for fiber in ("BOSS", "APOGEE", "METROLOGY"):
+        xy, theta, phi = positions_and_angles(plane, plan, fiber)
+        got = plane.forward(theta, phi, fiber).value
+        apart = np.hypot(*(got - xy).T)
+        compared = np.isfinite(apart)
+        lacks = {"R+8C7"} if folder == "sdssv_apo_2021" and fiber == "BOSS" else set()
+        assert compared.sum() == n - len(lacks)
+        without = set(plane.id[~compared].tolist())
+        assert without == (NO_ANGLES if n == 490 else lacks)
+        assert apart[compared].max() < within
+        # the joint angles of the positions reproduce the positions to the precision of the file
+        again = plane.forward(*plane.inverse(xy * u.mm, fiber), fiber).value
+        assert np.abs(again - xy)[compared & np.isfinite(again[:, 0])].max() < 1e-9
+        if alpha is not None:
+            back = plane.inverse(xy * u.mm, fiber)
+            assert np.abs((back[0] - theta).value)[compared].max() < alpha
+            assert np.abs((back[1] - phi).value)[compared].max() < beta
+
+
+NO_ANGLES = {
+    *("R-12C5", "R-10C5", "R-5C8", "R-2C17", "R0C1"),
+    *("R+3C5", "R+9C5", "R+9C10", "R+13C1", "R+13C11"),
+}
+
+
+def test_robots_without_angles_are_those_whose_target_is_out_of_reach_as_built(real_data):
+    plan = rs.plans.read_plan(real_data("sdssv_apo_2024/confSummary-test.par.gz"))
+    tile = rs.score_tile(plan, rs.Instrument.read(real_data("sdssv_apo_2024")))
+    assert set(tile["id"][tile["status"] == "out_of_reach"]) == NO_ANGLES
+    assert tile.summary["n_assigned"] == 500
+    nominal = rs.score_tile(plan, "sdss_apo")
+    assert nominal.summary["n_out_of_reach"] == 2
+
+
+def test_a_design_from_the_sky_has_the_same_targets_out_of_reach(real_data):
+    """Design 21636 has the targets of the configuration; its positions on the sky are projected here."""
+    designs = QTable.read(real_data("sdssv_eight_designs.ecsv"))
+    built = rs.Instrument.read(real_data("sdssv_apo_2024"))
+    tile = rs.score_tile(designs[designs["design_id"] == 21636], built, equinox="J2022.0")
+    assert set(tile["id"][tile["status"] == "out_of_reach"]) == NO_ANGLES
+    assert tile.summary["n_colliding_pairs"] <= 2
+
+
+@pytest.mark.parametrize("file", ["confSummary-998", "confSummaryF-998"])
+def test_no_pair_of_a_real_configuration_collides_with_all_robots_as_they_stood(real_data, file):
+    """Robots without a target are included; the fiber through which each is posed does not matter."""
+    plane = rs.Instrument.read(real_data("sdssv_apo_2021")).focal_plane
+    plan = rs.plans.read_plan(real_data(f"sdssv_apo_2021/{file}.par.gz"))
+    _, theta, phi = positions_and_angles(plane, plan, "APOGEE")
+    places = {"APOGEE": plane.fiber_xy["APOGEE"]}
+    free = replace(plane, fiber_type=["APOGEE"] * 500, fiber_xy=places, disabled=None, spectrograph=None)
+    posed = place_arms(free, free.forward(theta, phi))
+    assert posed.assigned.all()
+    report = rs.find_collisions(free, posed)
+    assert len(report.pairs) == len(report.obstacle_pairs) == 0
+
+
+def test_the_nominal_preset_misses_the_fibers_by_a_quarter_of_a_millimeter(real_data):
+    """Nominal robots with the same joint angles: arms of 7.4 mm, no offsets, fibers at nominal places."""
+    built = rs.Instrument.read(real_data("sdssv_apo_2024")).focal_plane
+    nominal = rs.Instrument.preset("sdss_apo").focal_plane
+    n = len(nominal)
+    plane = rs.FocalPlane(
+        nominal.xy,
+        built.positioner,
+        id=nominal.id,
+        fiber_xy=np.tile([14.965, -0.376], (n, 1)) * u.mm,
+        zero_points=np.tile([-90.0, 0.0], (n, 1)) * u.deg,
+    )
+    plan = rs.plans.read_plan(real_data("sdssv_apo_2024/confSummary-test.par.gz"))
+    xy, theta, phi = positions_and_angles(built, plan, "BOSS")
+    apart = np.hypot(*(plane.forward(theta, phi).value - xy).T)
+    assert 0.24 < np.nanmedian(apart) < 0.28
+
+
+def test_a_real_calibration_survives_missing_files(real_data, tmp_path):
+    source = real_data("sdssv_apo_2021")
+    for name in ("positionerTable.csv", "wokCoords.csv"):
+        shutil.copy(source / name, tmp_path / name)
+    with_all, with_two = rs.Instrument.read(source), rs.Instrument.read(tmp_path)
+    assert_array_equal(with_all.focal_plane.xy, with_two.focal_plane.xy)
+    assert with_all.distortion == with_two.distortion
+    assert with_all.focal_plane.id[with_all.focal_plane.disabled].tolist() == ["R+8C7"]
+    assert len(with_all.focal_plane.obstacles) == 42
