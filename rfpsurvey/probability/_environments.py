@@ -24,6 +24,10 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     i, j = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)]).T
     columns = plane.arrays
     kinds = [columns.central_arm, columns.eccentric_arm, columns.first_type, *columns.angles]
+    if columns.joints is not None:
+        kinds += [columns.inner_radius, columns.outer_radius]
+        if not columns.joints_free:
+            kinds += [*columns.joints.limits, columns.joints.theta_zero, columns.joints.phi_zero]
     kinds = np.column_stack([_codes(values) for values in kinds])
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
     # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, so that

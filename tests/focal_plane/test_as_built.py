@@ -357,3 +357,24 @@ def test_limits_of_phi_give_the_same_probability_in_compiled_code():
     apart = values[0].value - values[1].value
     assert abs(apart) < 4 * np.hypot(values[0].standard_error, values[1].standard_error) < 0.06
     assert values[0].value > 0.1
+
+
+@pytest.mark.parametrize("limits", [{"phi_range": [10, 60]}, {"theta_range": [0, 200]}, {"zero_points": [180, 0]}])
+def test_positioners_with_other_joints_are_other_environments(limits):
+    """The probability of each positioner is that of the same positioner in a plane where no other one is like it."""
+    pair = [[0, 0], [9, 0]]
+    unit = rs.Positioner(3 * MM, 4 * MM, 1 * MM, theta_range=[-90, 90] * DEG if "zero_points" in limits else None)
+    ((name, value),) = limits.items()
+    columns = np.full((6, 2), 0.0 if name == "zero_points" else np.nan)
+    columns[1] = value
+    xy = np.concatenate([np.add(pair, [0, 100 * k]) for k in range(3)]) * MM
+    plane = rs.FocalPlane(xy, unit, **{name: columns * DEG})
+    precision = rs.probability.Precision(standard_error=0.002)
+    found = rs.collision_probability(plane, method="quadrature", precision=precision, rng=1).per_positioner
+    alone = rs.FocalPlane(xy[:2], unit, **{name: columns[:2] * DEG})
+    expected = rs.collision_probability(alone, method="quadrature", precision=precision, rng=2).per_positioner
+    free = rs.FocalPlane(xy[2:4], unit)
+    others = rs.collision_probability(free, method="quadrature", precision=precision, rng=3).per_positioner
+    np.testing.assert_allclose(found[:2], expected, atol=0.01)
+    np.testing.assert_allclose(found[2:], np.tile(others, 2), atol=0.01)
+    assert np.abs(expected - others).max() > 0.03
