@@ -213,7 +213,8 @@ class Instrument(AsBuilt):
         Parameters
         ----------
         path : str or path-like
-            Path of a TOML file, or of a file or folder that `from_sdssv`, `from_desi` or `from_pfs` reads.
+            Path of a TOML file, or of a file or folder that `~rfpsurvey.Instrument.from_sdssv`,
+            `~rfpsurvey.Instrument.from_desi` or `~rfpsurvey.Instrument.from_pfs` reads.
 
         Returns
         -------

@@ -201,7 +201,7 @@ def plan_roles(table: Table) -> dict[str, str]:
 
 
 def is_plan(table: object) -> bool:
-    """Return whether a table is a plan, as `read_plan` returns it.
+    """Return whether a table is a plan, as ``read_plan`` returns it.
 
     Parameters
     ----------
