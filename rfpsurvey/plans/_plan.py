@@ -153,7 +153,7 @@ def write_plan(
     lost = module.lost(plan)
     module.write(plan, path, overwrite=overwrite)
     if lost:
-        warn(f"{path}: this format cannot hold {', '.join(lost)}; the file was written without them")
+        warn(f"{path} was written without {', '.join(lost)}, which this format cannot hold")
 
 
 def recognize_plan(path: str | os.PathLike) -> str | None:

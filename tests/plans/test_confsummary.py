@@ -102,7 +102,7 @@ def test_a_tile_survives_with_its_assignment_and_collisions(tmp_path, path, buil
     x, y = plan["x"][1].value, plan["y"][1].value
     close = replace(built, focal_plane=replace(built.focal_plane, obstacles=[[x, y, 3]] * u.mm))
     tile = rs.score_tile(plan, close)
-    with pytest.warns(rs.RfpsurveyWarning, match="this format cannot hold the column spectrograph"):
+    with pytest.warns(rs.RfpsurveyWarning, match="without the column spectrograph"):
         tile.write(tmp_path / "tile.par.gz", format="confsummary")
     plan = plans.read_plan(tmp_path / "tile.par.gz")
     again = rs.score_tile(plan, close)

@@ -130,7 +130,7 @@ def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=900 / u.deg**2, rng=5)
     sky = rs.Catalog(sky.coord, id=np.arange(1, len(sky) + 1), epoch=2026.5)
     tile = rs.plan_tile(sky, built, center, position_angle=10 * u.deg)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold the columns theta, phi"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="without the columns theta, phi"):
         plans.write_plan(tile, tmp_path / "tile.fits", format="fiberassign")
     plan = plans.read_plan(tmp_path / "tile.fits")
     assert plan.meta["position_angle"] == 10
@@ -205,7 +205,7 @@ def test_the_format_is_recognized(path, tmp_path):
 
 def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):
     plan = plans.read_plan(path)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold the other tables of its file"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="without the other tables of its file"):
         plans.write_plan(plan, tmp_path / "plan.ecsv")
     again = plans.read_plan(tmp_path / "plan.ecsv")
     assert_array_equal(plan["x"], again["x"])
