@@ -157,7 +157,7 @@ OPTIONS = {
     "n_realizations": "--realizations",
     "requirements": "--require",
 }
-"""Option of each parameter whose name differs from the name of the option."""
+"""Parameters whose command-line options have other names, and these options."""
 FORMS = {
     "--column": "ROLE=NAME",
     "--unit": "ROLE=UNIT",

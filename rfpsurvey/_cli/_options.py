@@ -208,7 +208,7 @@ LostOption = Annotated[
 OrderOption = Annotated[
     str,
     typer.Option(
-        help="color: one pass after the other, in which tiles that do not overlap can be planned in parallel; "
+        help="color: one pass after the other; within a pass, tiles that do not overlap can be planned in parallel. "
         "given: the order of the list."
     ),
 ]
@@ -255,7 +255,8 @@ NDesignsOption = Annotated[
 EstimandOption = Annotated[
     str | None,
     typer.Option(
-        help="Definition of the loss: independent (targets), allocated (queues) or collision_free (idle fibers)."
+        help="Definition of the loss. independent: collisions of independent random targets. allocated: collisions "
+        "after allocation. collision_free: fibers that are idle if no collision is allowed."
     ),
 ]
 DesignMethodOption = Annotated[

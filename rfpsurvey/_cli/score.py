@@ -34,7 +34,7 @@ def score(
     ] = None,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
-    positions: Annotated[str | None, typer.Option(help="focal_plane or sky, for a table that has both.")] = None,
+    positions: Annotated[str | None, typer.Option(help="Positions to use: focal_plane or sky.")] = None,
     select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE, which selects rows of the table.")] = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,

@@ -161,7 +161,9 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
     else:
         raise InputError(f"{path}: the file must have at most {MOST_UNITS} header and data units, got more")
     if not tables:
-        raise InputError(f"{path}: the file must hold a table, got {number + (cards is not None)} units without one")
+        raise InputError(
+            f"{path}: the file must hold a table, got {number + (cards is not None)} header-data units without a table"
+        )
     return tables
 
 

@@ -100,7 +100,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
 
 
 def _list(problem, reach, both):
-    """Return the columns of the candidates: reachable targets with each elbow, and the idle arm of each positioner."""
+    """Return the candidates as columns: targets in reach, once for each elbow that reaches them, and idle arms."""
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))

@@ -110,8 +110,8 @@ def _in_order(problem):
 def _best(problem, reach, rank):
     """Return the candidates of each positioner, sorted by class, then distance, and its number of targets in reach.
 
-    If k other positioners reach targets of a positioner, they can observe at most k of its candidates. One of its first
-    k + 1 candidates is therefore always available, and its further candidates are omitted.
+    If k other positioners reach candidates of a positioner, they can observe at most k of these candidates. One of the
+    first k + 1 candidates is therefore always available, and further candidates are omitted.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])

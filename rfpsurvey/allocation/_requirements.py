@@ -194,7 +194,7 @@ class Group:
     """Whether the requirement counts each target, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Return whether the requirement counts each pair of a target (-1: no target) and a spectrograph."""
+        """Return which pairs of a target (-1: no target) and a spectrograph the requirement counts."""
         inside = np.append(self.targets, False)[target]
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 

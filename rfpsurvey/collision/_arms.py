@@ -188,7 +188,7 @@ def to_sides(columns, points, handedness):
 
 
 def to_columns(plane, fiber_type):
-    """Return the arrays of a focal plane for given fiber types in use, by default the first one of each positioner."""
+    """Return the arrays of a focal plane for the fiber types in use; the default is the first type of each row."""
     if fiber_type is None:
         return plane.arrays
     types = to_plain(fiber_type, "fiber_type").astype(str)

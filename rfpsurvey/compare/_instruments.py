@@ -31,12 +31,12 @@ COMPARABLE = {
         "targets and values per field or solid angle cannot."
     ),
     "same density": (
-        "Every instrument has a whole field of a sky of the same density. Fibers per field and per solid angle can be "
-        "compared; fractions of the positioners depend on the number of targets of each."
+        "Each instrument observes one full field, and all fields have the same density of targets. Fibers per field "
+        "and per solid angle can be compared; fractions of positioners depend on the number of targets per positioner."
     ),
     "same catalog": (
         "Every instrument has a whole field of the same catalog, as far as that reaches. Fibers per field and per "
-        "solid angle can be compared; fractions of the positioners depend on the number of targets of each."
+        "solid angle can be compared; fractions of positioners depend on the number of targets per positioner."
     ),
 }
 CAUTION = (

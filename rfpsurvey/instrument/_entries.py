@@ -142,7 +142,7 @@ TOP = {
     "status": _choice(*STATUSES),
     "source": TEXT,
     "sources": Kind(
-        "a table of texts (source, without s, is one for all)",
+        "a table of texts (for a single text, write source instead of sources)",
         lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
     ),
     **dict.fromkeys(SECTIONS, TABLE),

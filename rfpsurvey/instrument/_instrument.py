@@ -163,7 +163,7 @@ class Instrument(AsBuilt):
 
     @property
     def target_density(self) -> u.Quantity:
-        """Number of targets per solid angle that gives the field ``targets_per_fiber`` targets per positioner."""
+        """Number of targets per solid angle with which a field has ``targets_per_fiber`` targets per positioner."""
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 

@@ -67,7 +67,7 @@ def recognizes(path: Path) -> bool:
 
 
 def read(path: Path) -> QTable:
-    """Return the plan in a file.
+    """Return the plan that a file contains.
 
     ``x`` and ``y`` are wok coordinates: ``xwok`` and ``ywok``, or, in files of 2021 and 2022, ``xFocal`` and
     ``yFocal`` rotated by the position angle. ``ra`` and ``dec`` are the catalog position of the target; the position

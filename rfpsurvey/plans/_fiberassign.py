@@ -282,7 +282,7 @@ def _locations(plan) -> np.ndarray:
 
 
 def _targets(ids, location, assigned, tile) -> np.ndarray:
-    """Return the identifiers of targets, and different negative numbers for fibers without a target."""
+    """Return the identifiers of the targets; each fiber without a target has its own negative number."""
     values = np.where(assigned, np.asarray(ids), 0 if np.asarray(ids).dtype.kind in "iu" else "0")
     try:
         found = values.astype(np.int64)

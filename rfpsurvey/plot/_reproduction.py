@@ -121,7 +121,7 @@ def _within_one(table):
 
 
 def _one_sky(tables):
-    """Draw the coverage of the interval of given targets against the number of positioners."""
+    """Draw how often the interval for given targets contains the expectation, against the number of positioners."""
     table = tables["one_sky"]
     figure, ((ax,),) = new_grid(1, 1, (7.5, 6))
     groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))

@@ -1,4 +1,4 @@
-"""The quality of a survey: visits by class, targets by outcome, fibers by kind and pass, and each tile."""
+"""Plots of the quality of a survey: visits by class, targets by outcome, fibers by kind and pass, and tiles."""
 
 import numpy as np
 from astropy.table import QTable

@@ -148,7 +148,7 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 
 
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
-    """Return the fastest method of an estimand that has an error estimate.
+    """Return the fastest of those methods of an estimand that estimate their error.
 
     Averaging over queues takes additional time in proportion to their length. It also reduces the variance in
     proportion to their length, by a much larger factor. For queues of one target, neither the time nor the variance

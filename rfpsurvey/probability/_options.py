@@ -16,7 +16,7 @@ KINDS = ("uniform", "poisson", "poisson_disc")
 STOPS = ("interval", "convergence")
 MOST_TARGETS = 1_000_000
 MOST_POINTS = 2**14
-"""Quadrature points per positioner and scramble."""
+"""Number of quadrature points of each positioner in each random repetition."""
 STANDARD_ERROR = 1e-3
 MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 

@@ -23,7 +23,7 @@ PER_FIBER = 4.0
 FILLING = 0.5
 """Largest fraction of the area that discs may fill.
 
-Random addition of discs ends at 0.547, and is too slow near this limit.
+Discs that are added at random without overlap fill at most a fraction of 0.547. Near this limit, adding discs is slow.
 """
 FINEST = 700
 """Largest ratio of the radius to the minimum separation.

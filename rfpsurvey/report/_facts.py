@@ -19,7 +19,7 @@ TILE = {
     "n_rows_ignored": "rows without an assignment",
     "n_positioners": "positioners",
     "n_assigned": "  assigned",
-    "n_out_of_reach": "  their target out of reach",
+    "n_out_of_reach": "  with a target out of reach",
     "n_wrong_fiber": "  without the fiber type asked for",
     "n_unusable": "rows for disabled or stuck positioners",
     "n_parked": "  parked, as obstacles",
@@ -35,12 +35,12 @@ TILING = {
     "radius_deg": "radius of a field in degrees",
     "area_deg2": "area of the region in square degrees",
     "covering_fraction": "fraction of the region that is covered",
-    "fraction_beyond_declination": "  out of reach, by the limits of declination",
+    "fraction_beyond_declination": "  out of reach because of the limits of declination",
     "mean_depth": "mean number of fields per position",
     "n_samples": "positions at which the covering is measured",
     "fibers": "fibers per tile",
     "n_targets": "targets wanted",
-    "n_beyond_declination": "  out of reach, by the limits of declination",
+    "n_beyond_declination": "  out of reach because of the limits of declination",
     "n_on_tiles": "  on a tile",
     "n_wanted": "visits wanted",
     "n_observed": "  observed",
@@ -89,7 +89,7 @@ def _required(summary: dict) -> dict:
 
 
 def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
-    """Return each class of targets, the number of fibers on it and, if more are possible, an upper limit.
+    """Return the number of fibers for each class of targets, and an upper limit if more fibers may be possible.
 
     There are at most ``most`` lines; if there are more classes, the last line sums up all others.
     """

@@ -28,7 +28,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Picture("Completeness after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
     model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions do not contain it
-    after = "Completeness after each pass, of each class of priority and of all."
+    after = "Completeness after each pass, for each class of priority and for all targets."
     sections = [
         Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("On the sky", pictures[:1]),

@@ -50,7 +50,7 @@ FIGURES = {
     ),
     "one_sky": (
         "How often the interval for given targets contains the expectation.",
-        "There is a line for each kind of arms, number of targets per positioner and kind of sky; bars are two "
+        "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars are two "
         "standard errors. The gray line is the nominal 95 %. Points of equal numbers of positioners are drawn "
         "beside each other.",
     ),

@@ -118,8 +118,8 @@ def _of_differences(table, differences):
             f"differs by more than 3 errors in {clear.sum()} of {len(clear)} designs; but the correlation with the "
             f"formula is {other:.3f} with range 200 and {correlation:.3f} covered",
             REPRODUCED if clear.mean() > 0.5 else NOT_REPRODUCED,
-            "only the distortion is reproduced, not that it causes the discrepancy between formula and simulation; "
-            "positioners without targets count only if arms are equal",
+            "only the distortion is reproduced; whether it causes the discrepancy between formula and simulation is "
+            "not tested; positioners without targets count only if their two arms have equal lengths",
         )
     )
     return claims

@@ -50,8 +50,8 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "figure",
                 f"{part['value'][0]:.4f} to {part['value'][-1]:.4f}, a factor of {high / low:.1f}",
                 REPRODUCED if holds else NOT_REPRODUCED,
-                f"19 positioners, central arm {L1} mm; 'rapidly' means by a factor of {RAPIDLY:g} or more, without a "
-                "step in the other direction",
+                f"19 positioners, central arm {L1} mm; 'rapidly' means by a factor of {RAPIDLY:g} or more, and in "
+                "one direction only",
             )
         )
     for name in scans:

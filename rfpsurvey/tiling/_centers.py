@@ -71,7 +71,7 @@ class Centers:
 
     @cached_property
     def tiling(self) -> Tiling | None:
-        """The list of tiles inside the limits, without centers that are not finite; None without a list."""
+        """The finite centers of the list that are inside the limits; None if there is no list."""
         if self.coord is None:
             return None
         given = self.coord
@@ -117,7 +117,7 @@ class Declinations:
 
     @property
     def words(self) -> str:
-        """The limits as part of a sentence."""
+        """The limits as text for use within a sentence."""
         return (
             ""
             if self.anywhere
