@@ -37,7 +37,7 @@ LEFT_OUT = (
 def recognizes(path: Path) -> bool:
     """Return whether a path is a file with DESI's metrology or focal plane, or a folder with such a file."""
     if path.is_dir():
-        return any(file.name.startswith("desi-focalplane_") for file in path.iterdir())
+        return any(file.name.startswith(("desi-focalplane_", "fp-metrology.csv")) for file in path.iterdir())
     try:
         with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2**14).decode("utf-8", "replace")
@@ -49,6 +49,9 @@ def recognizes(path: Path) -> bool:
 def read(preset, path, *, state=None, exclusions=None, time=None):
     """Return the preset of DESI with the positioners of a file; see `Instrument.from_desi`."""
     path, moment = to_path(path), None if time is None else moment_of(time, "time")
+    metrologies = sorted(path.glob("fp-metrology.csv*")) if path.is_dir() else []
+    if metrologies and not list(path.glob("desi-focalplane_*")):
+        path = metrologies[0]
     if path.is_dir():
         path, beside = find_latest(path, moment)
         state, exclusions = state or beside.get("state"), exclusions or beside.get("exclusion")

@@ -231,6 +231,11 @@ class Instrument(AsBuilt):
             found = cls._read_as_built(path)
             if found is not None:
                 return found
+            if path.is_dir():
+                raise InputError(
+                    f"{path}: the folder must contain positionerTable.csv (SDSS-V), desi-focalplane_DATE.ecsv or "
+                    "fp-metrology.csv (DESI), or black_dots_mm.csv (PFS), got none of them"
+                )
         try:
             return cls(**_description.build(_description.load(path), path.parent))
         except InputError as error:

@@ -275,7 +275,7 @@ def _locations(plan) -> np.ndarray:
         wrong = (ids < 0) | (ids // 1000 >= N_PETALS) | (ids % 1000 > MOST_DEVICE)
     if wrong.any():
         raise InputError(
-            f"positioner must be a LOCATION of DESI, 1000 petals + device, got {ids[wrong][0]!r}; plan with "
+            f"positioner must be a LOCATION of DESI, 1000 petals + device, got {ids[wrong][0]}; plan with "
             "Instrument.from_desi, whose ids are locations"
         )
     return ids.astype(np.int64)
@@ -287,7 +287,7 @@ def _targets(ids, location, assigned, tile) -> np.ndarray:
     try:
         found = values.astype(np.int64)
     except ValueError:
-        raise InputError(f"target_id must be whole numbers in a file of fiberassign, got {values[0]!r}") from None
+        raise InputError(f"target_id must be whole numbers in a file of fiberassign, got {str(values[0])!r}") from None
     return np.where(assigned, found, -1 - 10_000 * tile - location)
 
 

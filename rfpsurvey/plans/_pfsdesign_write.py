@@ -132,7 +132,7 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
     ids = plain["positioner"]
     known = np.isin(ids.astype(str), np.arange(1, len(fiber) + 1).astype(str))
     if not known.all():
-        raise InputError(f"{path}: positioner must be a cobraId from 1 to {len(fiber)}, got {ids[~known][0]!r}")
+        raise InputError(f"{path}: positioner must be a cobraId from 1 to {len(fiber)}, got {ids[~known][0]}")
     cobra = ids.astype(np.int64)
     target = plain["target_id"]
     has_target = plain["assigned"].astype(bool)

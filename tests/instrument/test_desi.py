@@ -408,3 +408,12 @@ def test_damaged_files_are_refused_with_a_sentence(folder, tmp_path, seed):
         damaged, done = damage(np.random.default_rng([7, seed, number]), sample, away)
         what, words = outcome(sample, damaged)
         assert what in FINE, f"{path.name} ({done}): {what}: {words}"
+
+
+def test_a_folder_with_a_metrology_or_without_an_instrument(tmp_path):
+    with pytest.raises(rs.InputError, match=r"must contain positionerTable.csv .* got none of them"):
+        rs.Instrument.read(tmp_path)
+    path = tmp_path / "fp-metrology.csv"
+    path.write_text("PETAL_LOC,DEVICE_LOC,DEVICE_TYPE,X_FP,Y_FP,LOCATION\n")
+    with pytest.raises(rs.InputError, match="fp-metrology.csv"):
+        rs.Instrument.read(tmp_path)

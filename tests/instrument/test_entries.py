@@ -109,7 +109,11 @@ def test_the_base_is_good(tmp_path):
         (".title", "3", "title must be text, got 3"),
         (".notes", "[]", "notes must be text, got []"),
         (".inherits", "3", "inherits must be the name of another description, got 3"),
-        (".sources", "3", "sources must be a table of texts (source, without s, is one for all), got 3"),
+        (
+            ".sources",
+            "3",
+            "sources must be a table of texts (for a single text, write source instead of sources), got 3",
+        ),
     ],
 )
 def test_an_entry_that_is_not_what_it_must_be(tmp_path, entry, text, message):
