@@ -134,7 +134,8 @@ def check_tips(columns, points, side, *, clip=False):
     """Mark positioners with a target, and those that cannot reach it; without ``clip``, the latter raise an error."""
     plane, n = columns.plane, len(columns.plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
-    if arms.check(points, columns.geometry, columns.bounds, assigned, far) and not clip:
+    bounds = columns.bounds if columns.joints is None else columns.bounds_of(None, None, side)
+    if arms.check(points, columns.geometry, bounds, assigned, far) and not clip:
         k = int(np.flatnonzero(far)[0])
         raise InputError(
             f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
@@ -159,7 +160,8 @@ def joints_free(columns, side):
 
 def place_tips(columns, points, side, clipped):
     """Return elbows and tips, shape (4, n); an arm whose point is out of reach is stretched toward the point."""
-    geometry, bounds = columns.geometry, columns.bounds
+    geometry = columns.geometry
+    bounds = columns.bounds if columns.joints is None else columns.bounds_of(None, None, side)
     segments = np.empty((4, len(points)))
     arms.place(points, geometry, side, segments)
     if clipped.any():

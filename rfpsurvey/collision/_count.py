@@ -210,7 +210,11 @@ def _on_processor(columns, setup, points, side):
     """Return the counts, the number of collisions of each positioner, and the number of tips out of reach."""
     plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-    far = batch.count_tips(points, columns.geometry, columns.bounds, side, setup, make_workspace(plane), counts, times)
+    bounds = columns.bounds
+    if columns.joints is not None:  # an elbow on the other side has other joint limits
+        usual = -1.0 if plane.positioner.handedness == "left" else 1.0
+        bounds = columns.bounds_of(None, None, np.where((side == usual).all(axis=0), usual, -usual))
+    far = batch.count_tips(points, columns.geometry, bounds, side, setup, make_workspace(plane), counts, times)
     return counts, times, far
 
 
@@ -271,18 +275,29 @@ def queue_segments(plane, allocation):
 def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
     """Return the data that all configurations share, from the arrays of a focal plane."""
     idle = columns.idle(parked_obstacles)
+    segments = idle.segments
+    if columns.fibers is not None and columns.model == arms.CAPSULE:
+        segments = _turned(segments, columns.plane.arrays.angles, columns.angles)
     return batch.CollisionSetup(
         columns.runs,
         columns.limits,
         columns.model,
         columns.length,
         *columns.angles,
-        idle.segments,
+        segments,
         idle.parked,
         columns.obstacle_pairs,
         columns.obstacles,
         columns.clearance,
     )
+
+
+def _turned(segments, first, used):
+    """Return idle arms whose capsules, turned by the angles of the fibers in use, are those of the first fibers."""
+    (c, s), (used_c, used_s) = first, used
+    x, y = segments[2:] - segments[:2]
+    x, y = c * x - s * y, s * x + c * y
+    return np.vstack([segments[:2], segments[0] + used_c * x + used_s * y, segments[1] + used_c * y - used_s * x])
 
 
 def make_workspace(plane) -> batch.Workspace:

@@ -274,9 +274,11 @@ class FocalPlaneArrays:
         """Limits of the tips that each positioner can reach."""
         return self.bounds_of(None)
 
-    def bounds_of(self, own: np.ndarray | None, fiber: np.ndarray | None = None) -> arms.Bounds:
+    def bounds_of(
+        self, own: np.ndarray | None, fiber: np.ndarray | None = None, side: np.ndarray | None = None
+    ) -> arms.Bounds:
         """Return the same data for a list of positioners, and for the fiber types that they use (by index)."""
-        inner, outer = patrol_radii(self, own, fiber)
+        inner, outer = patrol_radii(self, own, fiber, side)
         low = np.maximum(inner - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
 

@@ -144,7 +144,7 @@ class Joints:
         return possible
 
 
-def patrol_radii(columns, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
+def patrol_radii(columns, own=None, fiber=None, side=None) -> tuple[np.ndarray, np.ndarray]:
     """Return the inner and outer radii of patrol areas (mm), for positioners (by row) and the fiber types in use."""
     own, fiber = columns.rows_of(own, fiber)
     l1 = columns.central_arm[own]
@@ -154,7 +154,11 @@ def patrol_radii(columns, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]
     if columns.joints is None:
         return inner, outer
     kind = 0 if columns.fibers is None else fiber
-    return np.maximum(inner, columns.joints.inner[kind, own]), np.minimum(outer, columns.joints.outer[kind, own])
+    low, high = columns.joints.inner[kind, own], columns.joints.outer[kind, own]
+    if side is not None:  # these limits are those of the default elbow
+        usual = np.asarray(side) == (-1.0 if columns.plane.positioner.handedness == "left" else 1.0)
+        low, high = np.where(usual, low, 0.0), np.where(usual, high, np.inf)
+    return np.maximum(inner, low), np.minimum(outer, high)
 
 
 def _within(angle, low, high):

@@ -41,7 +41,7 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
         side = np.where(names == "left", -1.0, 1.0)
     g, angles = columns.geometry_of(own, fiber), np.empty((2, n))
     arms.solve(points, g, side, *angles)
-    bounds = columns.bounds_of(own, fiber)
+    bounds = columns.bounds_of(own, fiber, side)
     r2 = ((points - columns.xy) ** 2).sum(axis=1)
     reached = (r2 >= bounds.low) & (r2 <= bounds.high) & ~missing & columns.joints_allow(own, points, side, fiber)
     return tuple(np.rad2deg(np.where(reached, v, np.nan)) << u.deg for v in columns.to_joints(*angles, own, fiber))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import replace
 from numbers import Number
 from time import perf_counter
 
@@ -156,6 +157,7 @@ def collision_probability(
     """
     start = perf_counter()
     plane = as_focal_plane(focal_plane)
+    plane = plane if plane.hidden is None else replace(plane, hidden=None)  # arms, not fibers, collide
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
     options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:

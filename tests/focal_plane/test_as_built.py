@@ -343,6 +343,12 @@ def test_counts_of_configurations_with_other_fibers():
     counts = rs.count_collisions(plane, u.Quantity(tips), fiber_type=names)
     assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
     assert counts.n_pairs.sum() > 20
+    nowhere = np.full((60, 2), np.nan) * [[20.0, 80.0]]
+    nowhere[::3] = [20, 80]
+    plane = random_plane(stuck=nowhere * DEG)
+    tips = [np.where(np.isnan(nowhere[:, :1]), t.value, np.nan) * MM for t in tips]
+    counts = rs.count_collisions(plane, u.Quantity(tips), fiber_type=names)
+    assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
 
 
 def test_limits_of_phi_give_the_same_probability_in_compiled_code():
@@ -378,3 +384,17 @@ def test_positioners_with_other_joints_are_other_environments(limits):
     np.testing.assert_allclose(found[:2], expected, atol=0.01)
     np.testing.assert_allclose(found[2:], np.tile(others, 2), atol=0.01)
     assert np.abs(expected - others).max() > 0.015
+
+
+def test_limits_of_the_other_elbow():
+    """The limits of phi allow the left elbow at this point, but not the right one, which is the default."""
+    robot = rs.Positioner(8 * MM, 10 * MM, 1 * MM)
+    plane = rs.FocalPlane([[0, 0], [40, 0]] * MM, robot, phi_range=np.tile([-170, 90], (2, 1)) * DEG)
+    tips = [[6, 0], [46, 0]] * MM
+    assert np.isnan(plane.inverse(tips)[1].value).all()
+    phi = plane.inverse(tips, handedness="left")[1]
+    np.testing.assert_allclose(phi.value, -np.rad2deg(np.arccos((6**2 - 8**2 - 10**2) / 160)), atol=1e-9)
+    assert rs.find_collisions(plane, tips, handedness="left").assigned.all()
+    assert rs.count_collisions(plane, tips[None], handedness="left").n_assigned.tolist() == [2]
+    with pytest.raises(rs.InputError, match="out of reach"):
+        rs.find_collisions(plane, tips)
