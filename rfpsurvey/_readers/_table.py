@@ -139,7 +139,7 @@ def _make_text(table: QTable, name: str, path: Path) -> None:
     kind = getattr(getattr(column, "dtype", None), "kind", "")
     if kind == "S":
         try:
-            text = np.char.decode(np.asarray(column), "utf-8")
+            text = np.char.rstrip(np.char.decode(np.asarray(column), "utf-8"))
         except UnicodeDecodeError as error:
             raise InputError(
                 f"{path}: column {name!r} must hold text in ASCII or UTF-8, got the bytes {error.object[:20]!r}"

@@ -3,9 +3,11 @@
 import base64
 import struct
 
+import astropy
 import numpy as np
 import pytest
 from astropy.table import QTable
+from astropy.utils import minversion
 
 import rfpsurvey as rs
 from refusals import refusal
@@ -43,6 +45,9 @@ def write(path, content, kind="BINARY", fields=COORDINATES + FIELDS, how='encodi
     return path
 
 
+@pytest.mark.skipif(
+    not minversion(astropy, "8.0"), reason="astropy before 8.0 returns no rows, which is refused with an error"
+)
 @pytest.mark.parametrize(("kind", "before"), [("BINARY", b""), ("BINARY2", b"\0")])
 def test_columns_of_variable_length_are_read(tmp_path, kind, before):
     content = b"".join(before + row(k, *target) for k, target in enumerate(TARGETS))
