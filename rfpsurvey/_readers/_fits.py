@@ -74,7 +74,12 @@ def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
 
 
 def _table_of(unit) -> tuple[QTable, int]:
-    return QTable.read(unit, format="fits", mask_invalid=False), unit.header["NAXIS2"]
+    table = QTable.read(unit, format="fits", mask_invalid=False)
+    for name in table.colnames if unit.header["XTENSION"] == "TABLE" else ():
+        if table[name].dtype.kind == "U":
+            values = np.asarray(table[name])
+            values[...] = np.char.rstrip(values)  # versions of astropy before 8.0 keep trailing blanks
+    return table, unit.header["NAXIS2"]
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
