@@ -277,7 +277,7 @@ class FocalPlaneArrays:
     def bounds_of(
         self, own: np.ndarray | None, fiber: np.ndarray | None = None, side: np.ndarray | None = None
     ) -> arms.Bounds:
-        """Return the same data for a list of positioners, and for the fiber types that they use (by index)."""
+        """Return the same data for positioners (by row), fiber types (by index) and elbows (1: right, -1: left)."""
         inner, outer = patrol_radii(self, own, fiber, side)
         low = np.maximum(inner - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
