@@ -9,7 +9,7 @@ from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.collision import closer_exactly, touching
+from rfpsurvey.collision import arms_closer_exactly, touching
 
 __all__ = ["Candidates", "find_candidates"]
 
@@ -147,8 +147,9 @@ def _conflicts(plane, start, segments):
         part = np.array([first[:n], second[:n]])
         edge = np.flatnonzero(borderline[:n])
         if len(edge):
-            ends = segments.T.tolist()
-            close = [closer_exactly(ends[part[0, k]], ends[part[1, k]], columns.separation) for k in edge]
+            owner = np.repeat(np.arange(len(size)), size)
+            rows = [(*part[:, k], *owner[part[:, k]]) for k in edge]
+            close = [arms_closer_exactly(columns, segments, *four) for four in rows]
             part = np.delete(part, edge[~np.array(close)], axis=1)
         found.append(part)
     return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)

@@ -70,6 +70,24 @@ def _is_map(value) -> bool:
     )
 
 
+def _is_outline(value) -> bool:
+    return (
+        isinstance(value, dict)
+        and {"eccentric"} <= set(value) <= {"eccentric", "central"}
+        and all(_is_list(parts, _is_part) for parts in value.values())
+    )
+
+
+def _is_part(value) -> bool:
+    return (
+        isinstance(value, dict)
+        and {"vertices"} <= set(value) <= {"vertices", "radius"}
+        and _is_list(value["vertices"], lambda point: _is_list(point, _is_number, 2))
+        and len(value["vertices"]) > 0
+        and _is_number(value.get("radius", 0), 0)
+    )
+
+
 TINY = 1e-300  # lower limit of positive numbers
 LENGTH = _number("a length above 0", TINY, unit=u.mm)
 CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
@@ -98,6 +116,11 @@ ENTRIES = {
             _is_number(value) or (isinstance(value, dict) and len(value) > 0 and all(map(_is_number, value.values())))
         ),
         u.rad,
+    ),
+    "positioner.outline": Kind(
+        "a table of eccentric (and central) to lists of parts with vertices (and a radius of at least 0)",
+        _is_outline,
+        u.mm,
     ),
     "layout.table": TEXT,
     "layout.rings": _whole(0, 500),
