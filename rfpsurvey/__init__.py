@@ -13,7 +13,7 @@ from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisio
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -35,6 +35,7 @@ except ImportError:  # the source tree has not been built
 __all__ = [
     "Allocation",
     "AllocationOptions",
+    "ArmOutline",
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
