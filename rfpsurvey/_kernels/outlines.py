@@ -108,7 +108,7 @@ def vertices_squared(outline, p, q, tx, ty, c, s):
 def parts_apart(outline, p, q, between, limit):
     """Return the signed gap of part p and part q, or infinity if it certainly exceeds ``limit``."""
     tx, ty, c, s, distance = between
-    v, parts, start = outline.vertices, outline.parts, outline.start
+    parts, start = outline.parts, outline.start
     slack = AXIS_ERROR * (distance + 2.0 * outline.size)
     dx = tx + (c * parts[MX, q] - s * parts[MY, q]) - parts[MX, p]
     dy = ty + (s * parts[MX, q] + c * parts[MY, q]) - parts[MY, p]

@@ -125,7 +125,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
         for vertices, radius in parts[outline.n_eccentric :]
         for arm in arms  # the distance is a convex function of the length of the arm
     ]
-    offset = (eccentric + max(central + [eccentric])) * (1.0 + 1e-12)
+    offset = (eccentric + max([eccentric, *central])) * (1.0 + 1e-12)
     size = float(np.hypot(vertices[0], vertices[1]).max())
     return Outline(
         locked(np.ascontiguousarray(vertices)),
@@ -171,7 +171,7 @@ def _to_part(part, name):
     hull = _hull(points)
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
         raise InputError(
-            f"{name} must be a convex polygon with its vertices in order, got {short(part)}; divide it into convex parts"
+            f"{name} must be a convex polygon with its vertices in order, got {short(part)}; divide it if it is not"
         )
     return locked(hull), radius
 
