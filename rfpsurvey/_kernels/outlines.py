@@ -46,8 +46,16 @@ class Outline(NamedTuple):
     """Difference between the distance of two cores, and the smallest possible gap of their outlines."""
     size: float
     """Largest distance of a vertex from the origin of its frame."""
+    eccentric_box: tuple[float, float, float, float]
+    """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
+    central_box: tuple[float, float, float, float]
+    """The same for the central parts."""
+    eccentric_circle: tuple[float, float, float]
+    """Center in units of the length of the core, and radius in mm, of a circle that contains the eccentric parts."""
+    central_circle: tuple[float, float, float]
+    """Center and radius in mm of a circle that contains the central parts."""
     centers: np.ndarray
-    """Centers of all positioners, shape (2, n)."""
+    """Centers of all positioners, and the inverse length of the central arm, shape (3, n)."""
 
 
 def _nothing(*shape, dtype=np.float64):
@@ -57,8 +65,20 @@ def _nothing(*shape, dtype=np.float64):
     return array
 
 
-NO_OUTLINE = Outline(_nothing(5, 0), _nothing(1, dtype=np.int64), _nothing(4, 0), 0, 0.0, 0.0, _nothing(2, 0))
-"""The value for arms without an outline."""
+NO_OUTLINE = Outline(
+    _nothing(5, 0),
+    _nothing(1, dtype=np.int64),
+    _nothing(4, 0),
+    0,
+    0.0,
+    0.0,
+    (0.0,) * 4,
+    (0.0,) * 4,
+    (0.0,) * 3,
+    (0.0,) * 3,
+    _nothing(3, 0),
+)
+"""The value for arms that are segments."""
 
 
 @kernel
@@ -116,15 +136,37 @@ def vertices_squared(outline, p, q, tx, ty, c, s):
 
 
 @kernel
-def parts_apart(outline, p, q, between, limit):
+def boxes_apart(first, second, between):
+    """Return the largest separation of two boxes along their sides: a lower limit of the signed gap of their contents.
+
+    A box is the center and half the lengths of the sides of a rectangle that is aligned with its frame.
+    """
+    tx, ty, c, s, _ = between
+    x, y, wide, high = first
+    qx, qy, other_wide, other_high = second
+    mx, my = tx + (c * qx - s * qy) - x, ty + (s * qx + c * qy) - y
+    ac, as_ = abs(c), abs(s)
+    return max(
+        max(
+            abs(mx) - wide - (ac * other_wide + as_ * other_high),
+            abs(my) - high - (as_ * other_wide + ac * other_high),
+        ),
+        max(
+            abs(c * mx + s * my) - other_wide - (ac * wide + as_ * high),
+            abs(c * my - s * mx) - other_high - (as_ * wide + ac * high),
+        ),
+    )
+
+
+@kernel
+def parts_apart(outline, p, q, between, limit, slack):
     """Return the signed gap of part p and part q, or infinity if it certainly exceeds ``limit``."""
-    tx, ty, c, s, distance = between
-    v, parts, start = outline.vertices, outline.parts, outline.start
-    slack = AXIS_ERROR * (distance + 2.0 * outline.size)
+    tx, ty, c, s, _ = between
+    parts, start = outline.parts, outline.start
     dx = tx + (c * parts[MX, q] - s * parts[MY, q]) - parts[MX, p]
     dy = ty + (s * parts[MX, q] + c * parts[MY, q]) - parts[MY, p]
     far = limit + parts[MR, p] + parts[MR, q] + slack
-    if dx * dx + dy * dy > far * far:
+    if far < 0.0 or dx * dx + dy * dy > far * far:
         return math.inf
     radii = parts[RADIUS, p] + parts[RADIUS, q]
     enough = limit + radii + slack
@@ -145,30 +187,71 @@ def parts_apart(outline, p, q, between, limit):
 
 
 @kernel
+def groups_apart(outline, first, last, between, limit):
+    """Return the least signed gap of eccentric parts and parts from ``first`` to ``last``, or infinity above ``limit``.
+
+    ``between`` is the position of the frame of the latter in the frame of the former. If parts certainly overlap, the
+    gap of any such parts is returned.
+    """
+    slack = AXIS_ERROR * (between[4] + 2.0 * outline.size)
+    box = outline.eccentric_box if first == 0 else outline.central_box
+    if boxes_apart(outline.eccentric_box, box, between) > limit + slack:
+        return math.inf
+    gap = math.inf
+    for p in range(outline.n_eccentric):
+        for q in range(first, last):
+            gap = min(gap, parts_apart(outline, p, q, between, min(gap, limit), slack))
+            if gap < -slack:
+                return gap
+    return gap
+
+
+@kernel
+def circles_near(x, y, radius, other_x, other_y, other_radius, limit):
+    """Return whether the gap between two circles is at most ``limit``."""
+    dx, dy, far = other_x - x, other_y - y, radius + other_radius + limit
+    return dx * dx + dy * dy <= far * far
+
+
+@kernel
 def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx1, by1):
     """Return the squared sum of the signed gap of two positioners and the offset of the outline.
 
-    The gap is negative if the outlines overlap. The sum of gap and offset is at least 0, and infinity if it certainly
-    exceeds ``separation``, which is the minimum separation plus the offset. The cores of the arms i and j follow.
+    The sum of gap and offset is at least 0, and infinity if it certainly exceeds ``separation``, which is the minimum
+    separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines overlap. The cores
+    of the arms i and j follow; their length is that of the outline.
     """
     limit = separation - outline.offset
-    ne, n = outline.n_eccentric, outline.start.size - 1
-    a, b = frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)
-    gap = math.inf
-    between = frames_apart(a, b)
-    for p in range(ne):
-        for q in range(ne):
-            gap = min(gap, parts_apart(outline, p, q, between, limit))
-    if ne < n:
+    n_eccentric, n = outline.n_eccentric, outline.start.size - 1
+    x, y, r = outline.eccentric_circle
+    ux, uy, vx, vy = ax1 - ax0, ay1 - ay0, bx1 - bx0, by1 - by0
+    ax, ay = ax0 + (x * ux - y * uy), ay0 + (y * ux + x * uy)
+    bx, by = bx0 + (x * vx - y * vy), by0 + (y * vx + x * vy)
+    arms = circles_near(ax, ay, r, bx, by, r, limit)
+    if n_eccentric == n:
+        if not arms:
+            return math.inf
+        gap = groups_apart(outline, 0, n, frames_apart(frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)), limit)
+    else:
         centers = outline.centers
-        between = frames_apart(a, frame(centers[0, j], centers[1, j], bx0, by0))
-        for p in range(ne):
-            for q in range(ne, n):
-                gap = min(gap, parts_apart(outline, p, q, between, limit))
-        between = frames_apart(b, frame(centers[0, i], centers[1, i], ax0, ay0))
-        for p in range(ne):
-            for q in range(ne, n):
-                gap = min(gap, parts_apart(outline, p, q, between, limit))
+        x, y, rc = outline.central_circle
+        cx, cy, dx, dy = centers[0, i], centers[1, i], centers[0, j], centers[1, j]
+        ux, uy = (ax0 - cx) * centers[2, i], (ay0 - cy) * centers[2, i]
+        vx, vy = (bx0 - dx) * centers[2, j], (by0 - dy) * centers[2, j]
+        first = circles_near(ax, ay, r, dx + (x * vx - y * vy), dy + (y * vx + x * vy), rc, limit)
+        second = circles_near(bx, by, r, cx + (x * ux - y * uy), cy + (y * ux + x * uy), rc, limit)
+        if not (arms | first | second):
+            return math.inf
+        gap = math.inf
+        a, b = frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)
+        if arms:
+            gap = groups_apart(outline, 0, n_eccentric, frames_apart(a, b), limit)
+        if first and gap >= 0.0:
+            between = frames_apart(a, frame(dx, dy, bx0, by0))
+            gap = min(gap, groups_apart(outline, n_eccentric, n, between, min(gap, limit)))
+        if second and gap >= 0.0:
+            between = frames_apart(b, frame(cx, cy, ax0, ay0))
+            gap = min(gap, groups_apart(outline, n_eccentric, n, between, min(gap, limit)))
     total = max(gap + outline.offset, 0.0)
     return total * total
 

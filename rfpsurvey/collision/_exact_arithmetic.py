@@ -31,52 +31,6 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
     return outlines_closer_exactly(outline, i, j, first, second, columns.separation)
 
 
-def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, separation: float) -> bool:
-    """Return whether the outlines of two positioners with given cores are closer than ``separation``, or overlap.
-
-    The vertices are placed in floating-point numbers, and compared without rounding. Central parts do not collide with
-    each other.
-    """
-    placed = []
-    for k, core in ((i, first), (j, second)):
-        points = np.empty((2, outline.vertices.shape[1]))
-        place_outline(outline, k, *core, points)
-        exact = [(Fraction(x), Fraction(y)) for x, y in points.T.tolist()]
-        placed.append(
-            [exact[p:q] for p, q in zip(outline.start[:-1].tolist(), outline.start[1:].tolist(), strict=True)]
-        )
-    radii, n = [Fraction(r) for r in outline.parts[RADIUS].tolist()], outline.n_eccentric
-    return any(
-        _parts_closer(placed[0][p], placed[1][q], Fraction(separation) + radii[p] + radii[q])
-        for p, q in product(range(len(radii)), repeat=2)
-        if p < n or q < n
-    )
-
-
-def _parts_closer(p: list, q: list, limit: Fraction) -> bool:
-    """Return whether two convex polygons are closer than a limit; for a limit of 0, whether their interiors overlap."""
-    if limit == 0:
-        return min(len(p), len(q)) > 2 and not _separated(p, q) and not _separated(q, p)
-    if any(_contains(p, x) for x in q) or any(_contains(q, x) for x in p):
-        return True
-    return any(closer_exactly((*a, *b), (*c, *d), limit) for (a, b), (c, d) in product(_edges(p), _edges(q)))
-
-
-def _edges(p):
-    """Return the edges of a polygon; a single point is an edge of length 0."""
-    return list(zip(p, p[1:] + p[:1], strict=True))[: 1 if len(p) < 3 else None]
-
-
-def _separated(p, q):
-    """Return whether the line through an edge of p has no point of q on its inner side."""
-    return any(all(_orientation(a, b, x) <= 0 for x in q) for a, b in _edges(p))
-
-
-def _contains(p, x):
-    """Return whether a point is in a closed polygon of at least three vertices in counter-clockwise order."""
-    return len(p) > 2 and all(_orientation(a, b, x) >= 0 for a, b in _edges(p))
-
-
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
     """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
 
@@ -99,6 +53,64 @@ def distance_exactly(first, second) -> float:
     if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
         return 0.0
     return sqrt(min(n / m for n, m in (_squared(a, c, d), _squared(b, c, d), _squared(c, a, b), _squared(d, a, b))))
+
+
+def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, separation: float | Fraction) -> bool:
+    """Return whether the gap between the outlines of two positioners is less than ``separation``, without rounding.
+
+    ``first`` and ``second`` are the cores (x0, y0, x1, y1) of the positioners i and j. A polygon is the convex hull of
+    its vertices, placed in double precision. Polygons without radii and with a separation of 0 collide if and only if
+    no line separates them; they may touch.
+    """
+    hulls = [_placed_hulls(outline, k, core) for k, core in ((i, first), (j, second))]
+    radii = [Fraction(float(radius)) for radius in outline.parts[RADIUS]]
+    n = outline.n_eccentric
+    for p, q in product(range(len(radii)), repeat=2):
+        if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], Fraction(separation) + radii[p] + radii[q]):
+            return True
+    return False
+
+
+def _placed_hulls(outline, i, core):
+    """Return the convex hulls of all parts of a positioner, as lists of points with rational coordinates."""
+    placed = np.empty((2, outline.vertices.shape[1]))
+    place_outline(outline, i, *map(float, core), placed)
+    points = [(Fraction(x), Fraction(y)) for x, y in placed.T.tolist()]
+    return [_hull(points[a:b]) for a, b in zip(outline.start[:-1], outline.start[1:], strict=True)]
+
+
+def _hull(points):
+    """Return the vertices of the convex hull in counter-clockwise order, without vertices on straight edges."""
+    hull = []
+    ordered = sorted(set(points))
+    for run in (ordered, ordered[::-1]):
+        chain = []
+        for point in run:
+            while len(chain) > 1 and _orientation(chain[-2], chain[-1], point) <= 0:
+                chain.pop()
+            chain.append(point)
+        hull += chain[:-1]
+    return hull or ordered
+
+
+def _polygons_closer(first, second, limit):
+    """Return whether no line separates two convex polygons, or they are closer than ``limit``."""
+    if len(first) + len(second) > 2 and not (_separated(first, second) or _separated(second, first)):
+        return True
+    sides = (product(first, _edges(second)), product(second, _edges(first)))
+    return any(_near(point, *edge, limit) for side in sides for point, edge in side)
+
+
+def _edges(polygon):
+    """Return the edges of a convex polygon; both directions of a segment are edges."""
+    return list(zip(polygon, polygon[1:] + polygon[:1], strict=True))
+
+
+def _separated(first, second):
+    """Return whether the line through an edge of a convex polygon separates it from another convex polygon."""
+    if len(first) == 1:
+        return False
+    return any(all(_orientation(a, b, point) <= 0 for point in second) for a, b in _edges(first))
 
 
 def _orientation(a, b, p):

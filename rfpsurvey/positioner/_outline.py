@@ -7,7 +7,7 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._kernels.outlines import Outline
+from rfpsurvey._kernels.outlines import NO_OUTLINE, Outline
 from rfpsurvey._units import locked, to_points_mm, to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 
@@ -19,6 +19,10 @@ SAME = 1e-9
 """Vertices closer to each other than this are one vertex, and edges that bend inward by less are straight, mm."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeter of a convex polygon and that of its convex hull."""
+ROUNDED_UP = 1.0 + 1e-12
+"""Factor for upper limits."""
+LOOSE = 1e-6
+"""Relative and absolute (mm) increase of circles of which the position is approximate."""
 
 
 @check_keywords
@@ -149,32 +153,42 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
         Read-only arrays.
     """
     parts = () if outline is None else outline.parts
-    centers = locked(np.array(centers, dtype=float).T.copy())
+    centers = locked(np.array([*np.asarray(centers, dtype=float).T, 1.0 / central_arm]))
     start = np.zeros(len(parts) + 1, dtype=np.int64)
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
-        return Outline(locked(np.empty((5, 0))), locked(start), locked(np.empty((4, 0))), 0, 0.0, 0.0, centers)
-    vertices = np.hstack([_with_normals(vertices) for vertices, _ in parts])
-    circles = np.array([_circle(vertices, radius) for vertices, radius in parts]).T
-    length = outline.length.value
-    eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[: outline.n_eccentric])
-    arms = (float(central_arm.min()), float(central_arm.max())) if central_arm.size else ()
+        return NO_OUTLINE
+    vertices = np.ascontiguousarray(np.hstack([_with_normals(vertices) for vertices, _ in parts]))
+    circles = np.ascontiguousarray(np.array([_circle(vertices, radius) for vertices, radius in parts]).T)
+    length, n = outline.length.value, outline.n_eccentric
+    eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[:n])
     central = [
         float(np.hypot(vertices[:, 0] - arm, vertices[:, 1]).max()) + radius
-        for vertices, radius in parts[outline.n_eccentric :]
-        for arm in arms  # the distance is a convex function of the length of the arm
+        for vertices, radius in parts[n:]
+        for arm in (central_arm.min(), central_arm.max())  # the distance is a convex function of the length of the arm
     ]
-    offset = (eccentric + max([*central, eccentric])) * (1.0 + 1e-12)
+    offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
     size = float(np.hypot(vertices[0], vertices[1]).max())
-    return Outline(
-        locked(np.ascontiguousarray(vertices)),
-        locked(start),
-        locked(np.ascontiguousarray(circles)),
-        outline.n_eccentric,
-        offset,
-        size,
-        centers,
-    )
+    shapes = _box(parts[:n]), _box(parts[n:]), _enclosing(parts[:n], length), _enclosing(parts[n:], 1.0)
+    return Outline(locked(vertices), locked(start), locked(circles), n, offset, size, *shapes, centers)
+
+
+def _box(parts):
+    """Return the center of a rectangle along the axes that contains parts, and half the lengths of its sides."""
+    if not parts:
+        return (0.0, 0.0, 0.0, 0.0)
+    low = np.min([vertices.min(axis=0) - radius for vertices, radius in parts], axis=0)
+    high = np.max([vertices.max(axis=0) + radius for vertices, radius in parts], axis=0)
+    return (*(0.5 * (low + high)).tolist(), *(0.5 * (high - low) * ROUNDED_UP).tolist())
+
+
+def _enclosing(parts, unit):
+    """Return the center of a circle that contains parts, in the unit, and its radius with an allowance for rounding."""
+    if not parts:
+        return (0.0, 0.0, 0.0)
+    x, y, _, _ = _box(parts)
+    radius = max(float(np.hypot(*(vertices - (x, y)).T).max()) + radius for vertices, radius in parts)
+    return x / unit, y / unit, radius * (1.0 + LOOSE) + LOOSE
 
 
 def _from_core(vertices, low, high):
@@ -195,7 +209,7 @@ def _with_normals(vertices):
 def _circle(vertices, radius):
     """Return the radius of a part, and a circle that contains it."""
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * (1.0 + 1e-12)
+    return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
 
 
 def _to_part(part, name):
@@ -209,10 +223,7 @@ def _to_part(part, name):
         raise InputError(f"{name} must be finite vertices with coordinates below {MOST:g} mm, got {short(part)}")
     hull = _hull(points)
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
-        raise InputError(
-            f"{name} must be a convex polygon with its vertices in order, got {short(part)}; "
-            "divide it into convex parts"
-        )
+        raise InputError(f"{name} must be a convex polygon, got {short(part)}; divide it into convex parts")
     return locked(hull), radius
 
 
