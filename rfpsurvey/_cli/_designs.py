@@ -14,7 +14,7 @@ __all__ = ["axes", "finish", "loss"]
 
 MOST_ROWS = 30
 FIGURE = (
-    "The designs. Each point is a design, and its color and marker are the ratio of the arms or the parameter with "
+    "The designs. Each point is a design. The color and the marker show the ratio of the arms or the parameter with "
     "most values. Large points with an edge, joined by a line, are the front: no other design is better in both "
     "objectives. A star with its name is the instrument of the scan, if there is one."
 )
@@ -37,8 +37,8 @@ COLUMNS = (
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
     """Convert text such as 8.25, or 7,8,9, or 22:30:9, or 22:30 to the parameters of a scan; lengths are in mm.
 
-    Parameters that are not given have default values. In a scan ``around`` an instrument, they have the values of the
-    instrument.
+    Parameters that are not given have default values. In a scan ``around`` an instrument, these parameters have the
+    values of the instrument.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
@@ -62,9 +62,9 @@ def _axis(name, text, n_designs):
     if ":" not in text:
         return np.array(numbers)
     if n_designs is not None and nodes is not None:
-        raise rs.InputError(f"{option} {text}: with --n-designs give limits only, as {words[0]}:{words[1]}")
+        raise rs.InputError(f"{option} {text}: with --n-designs, give only limits, such as {words[0]}:{words[1]}")
     if n_designs is None and (nodes is None or nodes < 2):
-        raise rs.InputError(f"{option} {text}: a grid needs at least two nodes, as {words[0]}:{words[1]}:5")
+        raise rs.InputError(f"{option} {text}: a grid needs at least two nodes, such as {words[0]}:{words[1]}:5")
     return np.array(numbers) if nodes is None else np.linspace(*numbers, nodes)
 
 
@@ -102,7 +102,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "share of the variance that each parameter explains, and percent of change for one percent more of it:"
+                "share of the variance that each parameter explains, and change in percent if the parameter grows by one "
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:

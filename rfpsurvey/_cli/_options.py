@@ -63,7 +63,7 @@ SkyOption = Annotated[
 ObjectiveOption = Annotated[
     str,
     typer.Option(
-        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize all first)."
+        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize the number of all targets first)."
     ),
 ]
 TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the search (s), for sdss and optimal.")]
@@ -88,7 +88,7 @@ UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT for a colu
 FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE that replaces missing values, such as priority=0 or visits=1.")
 ]
-ParkedOption = Annotated[bool, typer.Option(help="Idle positioners with equal arms are obstacles.")]
+ParkedOption = Annotated[bool, typer.Option(help="Idle positioners whose arms have equal lengths are obstacles.")]
 OutputOption = Annotated[
     Path | None,
     typer.Option(help="Write the tile (.fits or .ecsv); only FITS files contain the outcomes of all targets."),
@@ -162,7 +162,7 @@ TilingMethodOption = Annotated[
         "the other, as for LAMOST), sdss (network flow), or given (the tiles of --centers)."
     ),
 ]
-PassesOption = Annotated[int, typer.Option(help="Number of passes (hexagonal and spiral).")]
+PassesOption = Annotated[int, typer.Option(help="Number of passes, for the methods hexagonal and spiral.")]
 CompletenessOption = Annotated[
     float | None, typer.Option(help="Fraction of the visits, from 0 to 1, at which no more tiles are placed.")
 ]
@@ -208,7 +208,7 @@ LostOption = Annotated[
 OrderOption = Annotated[
     str,
     typer.Option(
-        help="color: one pass after the other; within a pass, tiles that do not overlap can be planned in parallel. "
+        help="Order of the tiles. color: one pass after the other, where tiles of a pass that do not overlap can be "
         "given: the order of the list."
     ),
 ]
@@ -226,28 +226,28 @@ SurveyQualityOption = Annotated[
 ]
 DesignInstrumentOption = Annotated[
     str | None,
-    typer.Option(help="Preset or TOML file around whose design to scan; its values replace the default values below."),
+    typer.Option(help="Preset or TOML file of the design around which to scan; its values replace the default values below."),
 ]
 SpreadOption = Annotated[
     float | None,
     typer.Option(
-        help="Relative range of central arm, ratio and pitch around their values in --instrument. By default, 0.15."
+        help="With --instrument, vary the central arm, the ratio and the pitch by up to this fraction. By default, 0.15."
     ),
 ]
 CentralArmOption = Annotated[
     str | None,
-    typer.Option(help="Central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."),
+    typer.Option(help="Length of the central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."),
 ]
 RatioOption = Annotated[
     str | None,
-    typer.Option(help="Eccentric arm divided by central arm, in the same forms. By default, from 1 to 2."),
+    typer.Option(help="Eccentric arm divided by central arm, in the forms of --central-arm. The default range is 1 to 2."),
 ]
 PitchOption = Annotated[
     str | None,
-    typer.Option(help="Distance between neighboring centers (mm), in the same forms. By default, from 24 to 34."),
+    typer.Option(help="Distance of neighboring centers (mm), in the forms of --central-arm. The default range is 24 to 34."),
 ]
 ClearanceOption = Annotated[
-    str | None, typer.Option(help="Clearance of an arm (mm), in the same forms. By default, 2.25.")
+    str | None, typer.Option(help="Clearance of an arm (mm), in the forms of --central-arm. By default, 2.25.")
 ]
 NDesignsOption = Annotated[
     int | None, typer.Option(help="Number of designs between LOW:HIGH, at Sobol points instead of a grid.")
@@ -273,7 +273,7 @@ DensityOption = Annotated[
 SkiesOption = Annotated[int, typer.Option(help="Number of realizations to average over.")]
 DesignObjectiveOption = Annotated[
     list[str] | None,
-    typer.Option(help="COLUMN=max or COLUMN=min; must be given twice. By default, coverage=max and loss=min."),
+    typer.Option(help="COLUMN=max or COLUMN=min; give this option twice. By default, coverage=max and loss=min."),
 ]
 DesignOutputOption = Annotated[Path | None, typer.Option(help="Write finished designs to this file (.fits or .ecsv).")]
 DesignResumeOption = Annotated[bool, typer.Option(help="Continue the scan in --output.")]

@@ -31,7 +31,7 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
     with open_content(path) as file:
         found = _find_tables(file, path)
         if number is not None and number >= len(found):
-            raise InputError(f"{path}: the file must have {number + 1} tables, got {len(found)}")
+            raise InputError(f"{path}: the file must have at least {number + 1} tables, got {len(found)}")
         table, n_rows = _read(file, found[number or 0])
         if number is None and len(found) > 1 and META_KEY not in table.meta:
             text = f"{path}: the file has {len(found)} tables, of which the first was read"

@@ -99,5 +99,5 @@ class Checkpoint:
         rows = to_rows(table)
         own = np.column_stack([rows[name] for name in AXES])
         if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):
-            raise InputError(f"{self._path} is damaged: its designs are not those that were asked for")
+            raise InputError(f"{self._path} is damaged: its designs are not those of the scan")
         return rows

@@ -104,7 +104,7 @@ def score_tile(
         units = {**{role: str(unit) for role, unit in UNITS.items()}, **(units or {})}
     if center is not None and equinox is not None:
         raise InputError(
-            "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("
+            "equinox must be left out if center is given, because the frame of center defines north: give "
             f'equinox="{equinox}"))'
         )
     roles, columns = plan_roles(table), columns or {}
@@ -149,7 +149,7 @@ def score_tile(
         given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
         unused = [name for name, value in given.items() if value is not None]
         if unused:
-            warn(f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')")
+            warn(f"not used, because the table has positions on the focal plane: {', '.join(unused)}; to use positions on ")
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
@@ -192,7 +192,7 @@ def _positioners(find: Finder, instrument: Instrument):
         raise find.missing("positioner")
     values = to_plain(find.table[name])
     if values.ndim != 1:
-        raise InputError(f"column {name!r} must have one value a row, got the shape {values.shape}")
+        raise InputError(f"column {name!r} must have one value per row, got the shape {values.shape}")
     if values.dtype.kind == "f":  # integers in a column with missing values
         values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
     names = np.char.strip(values.astype(str))
