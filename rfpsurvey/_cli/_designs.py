@@ -15,8 +15,8 @@ __all__ = ["axes", "finish", "loss"]
 MOST_ROWS = 30
 FIGURE = (
     "The designs. Each point is a design. The color and the marker show the ratio of the arms or the parameter with "
-    "most values. Large points with an edge, joined by a line, are the front: no other design is better in both "
-    "objectives. A star with its name is the instrument of the scan, if there is one."
+    "the most values. Large points with an edge, joined by a line, are the front: no other design is better than "
+    "these in both objectives. If the scan is around an instrument, a star with its name marks the instrument."
 )
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Default values and limits of parameters, and default number of nodes of a grid."""
@@ -102,7 +102,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "share of the variance that each parameter explains, and change in percent if the parameter grows by one "
+                "share of the variance that each parameter explains, and change in percent if the parameter "
+                "grows by one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:

@@ -25,7 +25,8 @@ CatalogArgument = Annotated[
 CenterOption = Annotated[
     str | None,
     typer.Option(
-        help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. By default, the mean direction."
+        help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. By default, the mean "
+        "direction of the catalog."
     ),
 ]
 PaOption = Annotated[
@@ -63,7 +64,8 @@ SkyOption = Annotated[
 ObjectiveOption = Annotated[
     str,
     typer.Option(
-        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize the number of all targets first)."
+        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize "
+        "the number of all targets first)."
     ),
 ]
 TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the search (s), for sdss and optimal.")]
@@ -158,13 +160,13 @@ TilingPaOption = Annotated[
 TilingMethodOption = Annotated[
     str,
     typer.Option(
-        help="hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one tile after "
-        "the other, as for LAMOST), sdss (network flow), or given (the tiles of --centers)."
+        help="Method: hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one "
+        "tile after the other, as for LAMOST), sdss (network flow), or given (the tiles of --centers)."
     ),
 ]
 PassesOption = Annotated[int, typer.Option(help="Number of passes, for the methods hexagonal and spiral.")]
 CompletenessOption = Annotated[
-    float | None, typer.Option(help="Fraction of the visits, from 0 to 1, at which no more tiles are placed.")
+    float | None, typer.Option(help="Stop when this fraction of the visits (0 to 1) is reached.")
 ]
 FibersOption = Annotated[
     int | None,
@@ -209,7 +211,7 @@ OrderOption = Annotated[
     str,
     typer.Option(
         help="Order of the tiles. color: one pass after the other, where tiles of a pass that do not overlap can be "
-        "given: the order of the list."
+        "planned in parallel. given: the order of the list."
     ),
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which each tile is written.")]
@@ -226,25 +228,34 @@ SurveyQualityOption = Annotated[
 ]
 DesignInstrumentOption = Annotated[
     str | None,
-    typer.Option(help="Preset or TOML file of the design around which to scan; its values replace the default values below."),
+    typer.Option(
+        help="Preset or TOML file of the design around which to scan; its values replace the default values below."
+    ),
 ]
 SpreadOption = Annotated[
     float | None,
     typer.Option(
-        help="With --instrument, vary the central arm, the ratio and the pitch by up to this fraction. By default, 0.15."
+        help="With --instrument, vary the central arm, the ratio and the pitch by up to this fraction. By default, "
+        "0.15."
     ),
 ]
 CentralArmOption = Annotated[
     str | None,
-    typer.Option(help="Length of the central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."),
+    typer.Option(
+        help="Length of the central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."
+    ),
 ]
 RatioOption = Annotated[
     str | None,
-    typer.Option(help="Eccentric arm divided by central arm, in the forms of --central-arm. The default range is 1 to 2."),
+    typer.Option(
+        help="Eccentric arm divided by central arm, in the forms of --central-arm. The default range is 1 to 2."
+    ),
 ]
 PitchOption = Annotated[
     str | None,
-    typer.Option(help="Distance of neighboring centers (mm), in the forms of --central-arm. The default range is 24 to 34."),
+    typer.Option(
+        help="Distance of neighboring centers (mm), in the forms of --central-arm. The default range is 24 to 34."
+    ),
 ]
 ClearanceOption = Annotated[
     str | None, typer.Option(help="Clearance of an arm (mm), in the forms of --central-arm. By default, 2.25.")
@@ -255,8 +266,8 @@ NDesignsOption = Annotated[
 EstimandOption = Annotated[
     str | None,
     typer.Option(
-        help="Definition of the loss. independent: collisions of independent random targets. allocated: collisions "
-        "after allocation. collision_free: fibers that are idle if no collision is allowed."
+        help="Definition of the loss to collisions. independent: collisions of independent random targets. "
+        "allocated: collisions after allocation. collision_free: fibers that are idle if no collision is allowed."
     ),
 ]
 DesignMethodOption = Annotated[

@@ -38,7 +38,7 @@ def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
         warn_of_targets(read_table(path), len(targets))
         return tiling
     if isinstance(targets, rs.PartitionedCatalog):
-        raise rs.InputError("a catalog in partitions needs --tiles; the command rfpsurvey tile --region ... makes a list of tiles")
+        raise rs.InputError("a catalog in partitions needs --tiles, a list that rfpsurvey tile --region ... makes")
     return rs.place_tiles(targets, model, passes=2)
 
 
@@ -106,7 +106,9 @@ def run(
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
     except KeyboardInterrupt:
         there = (
-            "finished tiles are kept: continue with --resume" if options["folder"] else "without --folder, no tiles are kept"
+            "finished tiles are kept: continue with --resume"
+            if options["folder"]
+            else "without --folder, nothing is kept"
         )
         print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
         raise

@@ -15,12 +15,15 @@ from rfpsurvey.tile import north_of_date
 def score(
     assignment: Annotated[
         Path,
-        typer.Argument(help="Plan of another program, or a table with the positioner (or hole) and position of each target."),
+        typer.Argument(
+            help="Plan of another program, or a table with the positioner (or hole) and position of each target."
+        ),
     ],
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Preset, or path of a TOML file or of an instrument as built. By default, the instrument of the plan or tile."
+            help="Preset, or path of a TOML file or of an instrument as built. By default, the instrument of the plan "
+            "or tile."
         ),
     ] = None,
     center: Annotated[

@@ -75,7 +75,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Compute the joint angles of each positioner from its tip; the shape of ``tips`` is (n, 2), and NaN gives NaN."""
+    """Compute the joint angles of each positioner from its tip, shape (n, 2); the angles of a NaN tip are NaN."""
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -97,7 +97,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Compute the elbow of each positioner from its tip; the shape of ``tips`` is (n, 2), and NaN gives NaN."""
+    """Compute the elbow of each positioner from its tip, shape (n, 2); the elbow of a NaN tip is NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]

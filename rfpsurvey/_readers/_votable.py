@@ -133,7 +133,7 @@ class _Contents:
             self._refuse(f"a table must have at most {MOST_COLUMNS} columns, got more")
 
     def n_rows(self, size: int) -> int:
-        """Return the number of rows; raise an error if rows are missing or are too large for a file of this ``size``."""
+        """Return the number of rows; raise an error if rows are incomplete or too large for a file of this ``size``."""
         path = self._path
         if self._n_tables != 1:
             raise InputError(f"{path}: the file must hold one table, got {self._n_tables}")
@@ -144,7 +144,8 @@ class _Contents:
         width = sum((4 if kind in ("char", "unicodeChar") else SIZES[kind]) * k for kind, k, open_ in self._fields)
         if width > MOST_ROW or (n + 512) * width > max(FREE_ROWS, MOST_PADDING * size):
             raise InputError(
-                f"{path}: a row must have at most {MOST_ROW} bytes, and all rows together must not be much larger than the "
+                f"{path}: a row must have at most {MOST_ROW} bytes, and all rows together must not be much larger "
+                f"than the file, got {width:.0f} bytes per row"
             )
         return n
 

@@ -21,7 +21,7 @@ class Objective(NamedTuple):
 
     low: float
     high: float
-    """Smallest and largest possible value."""
+    """Smallest and largest possible value of the sum."""
     is_class: bool = False
     """Whether the objective is the number of targets of a priority class."""
 
@@ -30,8 +30,8 @@ class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
     ``others`` are candidates of other positioners that are already in use; they also count for the requirements.
-    ``edges`` are the collisions between ``rows``, shape (2, m). The variable of a candidate is 1 if the candidate is in
-    use. The variable of a requirement is its number of missing fibers.
+    ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a candidate is 1 if
+    the candidate is in use. The variable of a requirement is its number of missing fibers.
     """
 
     def __init__(self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray):
@@ -114,7 +114,7 @@ class Program:
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
-        """Add constraints whose coefficients are all 1, with their bounds.
+        """Add constraints whose coefficients are all 1, and the bounds of these constraints.
 
         For each coefficient, ``row`` is the index of its constraint, counted from the first added constraint.
         """

@@ -23,7 +23,8 @@ class Requirement:
     """A minimum and a maximum number of observed targets of one kind or category.
 
     The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
-    ``repair`` do not exceed the maximum. The other allocators ignore it, and results then report that it is exceeded.
+    ``repair`` do not exceed the maximum. The other allocators ignore the maximum, and results report a maximum that is
+    exceeded.
 
     Parameters
     ----------

@@ -38,7 +38,8 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or is_plain):
             warn(
-                f"no column of the table has a unit: the assumed units are {meta['assumed_units']}; to use other units, "
+                f"no column of the table has a unit: the assumed units are {meta['assumed_units']}; to use other "
+                "units, give units= or --unit"
             )
     return {
         "coord": coord,

@@ -16,7 +16,7 @@ class Circles:
         self._grid = make_grid(rows[:, :2], self.radius) if len(rows) else None
 
     def contain(self, points: np.ndarray) -> np.ndarray:
-        """Return whether each point (mm) is in one of the circles or on its edge; NaN is not."""
+        """Return whether each point (mm) is in one of the circles or on its edge; a NaN point is in no circle."""
         if self._grid is None:
             return np.zeros(len(points), dtype=bool)
         n, (x, y) = len(self.x), points.T.copy()

@@ -120,7 +120,8 @@ ENTRIES = {
     "optics.max_angle": _number("an angle above 0", TINY, unit=u.rad),
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
-        "a table that contains, for each fiber type or for any, a table with form and coefficients (and radius or ",
+        "a table that contains, for each fiber type or for any, a table with form and coefficients (and radius or "
+        "unit_tangent, above 0)",
         lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
     ),
     "observing.targets_per_fiber": _number("a number above 0", TINY),

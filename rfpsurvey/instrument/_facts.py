@@ -12,7 +12,7 @@ from rfpsurvey.instrument._entries import STATUSES
 __all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
 
 N_POINTS = 2**18
-"""Number of points for coverage and multiplicity. With this number, the standard errors are below 0.001."""
+"""Number of points for coverage and multiplicity, for which their standard errors are below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
 """Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""

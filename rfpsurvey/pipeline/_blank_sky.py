@@ -50,7 +50,7 @@ def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
         if lowest - ROOM >= np.iinfo(np.int64).min:
             return BlankIds(lowest - 1, dtype)
         if highest + ROOM > np.iinfo(np.int64).max:
-            raise InputError(f"ids must leave integers for the identifiers of blank sky, got ids from {lowest} to {highest}")
+            raise InputError(f"ids must leave integers for blank sky positions, got ids from {lowest} to {highest}")
         return BlankIds(highest + ROOM, dtype)
     prefix = "_" * (most + 1) + PREFIX
     return BlankIds(prefix, np.result_type(dtype, np.dtype(f"U{len(prefix) + DIGITS}")))

@@ -55,7 +55,7 @@ def collision_probability(
     executor: Executor | None = None,
     progress: bool | Callable = False,
 ) -> Estimate:
-    """Estimate the probability that a positioner at its target collides with another one.
+    """Estimate the probability that a positioner at its target collides with another positioner.
 
     The probability is the expected fraction of positioners in collision, among positioners with a target and, if the
     arms are equal, parked positioners. A method estimates one of two quantities (its estimand). For the first quantity,
@@ -120,9 +120,9 @@ def collision_probability(
     -------
     Estimate
         The probability with its interval, the probability of each positioner, and the expected number of pairs. If
-        targets are given, the value applies to these targets, and the error states how much the value of another patch
-        of the same kind of sky may differ. If a focal plane has too few positioners to estimate this error, such as
-        seven, there is no interval, and ``meta["no_interval"]`` states the reason.
+        ``targets`` contains positions, the value applies to these targets, and the error states how much the value for
+        another patch of the same kind of sky may differ. If a focal plane has too few positioners to estimate this
+        error, such as seven, there is no interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------
@@ -222,7 +222,9 @@ def _check_options_of_method(name, *, density, variant, interval, center, target
     if variant != "corrected" and name != "closed_form":
         raise InputError(f"variant must be given only with the method 'closed_form', got the method {name!r}")
     if interval != "wilson" and name not in ("monte_carlo", "conditional"):
-        raise InputError(f"interval must be given only with a method that iterates, got {interval!r} with the method {name!r}")
+        raise InputError(
+            f"interval must be given only with a method that iterates, got {interval!r} with the method {name!r}"
+        )
     if center is not None and not isinstance(targets, Catalog):
         raise InputError("center must be given only if targets is a Catalog")
 

@@ -20,13 +20,13 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Columns: counted positioners in collision, counted positioners, assigned ones in collision, assigned ones."""
+    """Numbers of counted positioners in collision, counted, assigned in collision, and assigned, as columns."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return the fraction of counted (``column=2``: assigned) positioners in collision, for each realization."""
+        """Return the fraction of counted (``column=2``: of assigned) positioners in collision, for each realization."""
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
@@ -50,7 +50,7 @@ class Tally:
 
 
 def merge(parts: list[Tally]) -> Tally:
-    """Return one tally of all realizations."""
+    """Return one `Tally` that contains the realizations of all ``parts``."""
     rows = (np.concatenate([getattr(p, name) for p in parts]) for name in ("colliding", "pairs"))
     return Tally(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
 
@@ -67,7 +67,7 @@ class Simulation:
 
     @property
     def compiled(self) -> bool:
-        """Whether kernels run the whole simulation."""
+        """Whether compiled kernels run the whole simulation."""
         balanced = self.options.allocator == "balanced"
         return self.source.compiled and balanced and self.plane.arrays.joints_free
 

@@ -50,7 +50,7 @@ class Source:
 
     @property
     def compiled(self) -> bool:
-        """Whether kernels draw these targets."""
+        """Whether compiled kernels draw these targets."""
         return self.kind in KINDS
 
     @property

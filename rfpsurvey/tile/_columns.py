@@ -65,7 +65,7 @@ COMPLETENESS = {
 
 
 def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
-    """Set the descriptions of the columns of a table (``others`` if a name is not in ``about``), and return the table."""
+    """Set the descriptions of columns from ``about`` (``others`` for all other columns), and return the table."""
     for name in table.colnames:
         if name in about or others:
             table[name].info.description = about.get(name, others)

@@ -105,7 +105,7 @@ def score_tile(
     if center is not None and equinox is not None:
         raise InputError(
             "equinox must be left out if center is given, because the frame of center defines north: give "
-            f'equinox="{equinox}"))'
+            f'center.transform_to(FK5(equinox="{equinox}"))'
         )
     roles, columns = plan_roles(table), columns or {}
     columns = {**roles, **columns} if isinstance(columns, dict) else columns
@@ -149,7 +149,10 @@ def score_tile(
         given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
         unused = [name for name, value in given.items() if value is not None]
         if unused:
-            warn(f"not used, because the table has positions on the focal plane: {', '.join(unused)}; to use positions on ")
+            warn(
+                f"not used, because the table has positions on the focal plane: {', '.join(unused)}; to use positions "
+                "on the sky, give positions='sky'"
+            )
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():

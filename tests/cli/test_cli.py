@@ -186,7 +186,7 @@ def test_columns_units_and_toml(run, tmp_path):
     names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
     code, out, err = run(*arguments, *names)
     assert code == 0
-    assert "no column of the table has a unit: the assumed units are a in deg, b in deg; to use other units, give units= or --unit" in err
+    assert "the assumed units are a in deg, b in deg; to use other units, give units= or --unit" in err
     code, out, err = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
     assert code == 0
     assert "unit" not in err

@@ -192,7 +192,7 @@ def test_what_cannot_be_drawn_is_refused(table):
         **{**GRID, "estimand": "allocated", "n_skies": 2, "central_arm": 8 * MM, "pitch": 25 * MM}
     )
     for call, words in (
-        (lambda: rs.plot.plot_designs("table"), "must be what explore_designs returns"),
+        (lambda: rs.plot.plot_designs("table"), "must be a table that explore_designs returned"),
         (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
         (
             lambda: rs.plot.plot_designs(table, mark={"other": other}),

@@ -343,7 +343,7 @@ def test_shares_and_slopes_of_known_functions():
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (5, "must be what explore_designs returns"),
+        (5, "must be a table that explore_designs returned"),
         (scan(lambda a, b, c, d: a), "at least one of central_arm, ratio, pitch and clearance must vary"),
         (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with values, got 2"),
     ],
