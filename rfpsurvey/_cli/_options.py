@@ -166,7 +166,7 @@ TilingMethodOption = Annotated[
 ]
 PassesOption = Annotated[int, typer.Option(help="Number of passes, for the methods hexagonal and spiral.")]
 CompletenessOption = Annotated[
-    float | None, typer.Option(help="Stop when this fraction of the visits (0 to 1) is reached.")
+    float | None, typer.Option(help="Place no more tiles when this fraction of the visits (0 to 1) is reached.")
 ]
 FibersOption = Annotated[
     int | None,

@@ -69,7 +69,7 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
 
 
 def _set_up_worker() -> None:
-    """Ignore Ctrl-C in a worker process, because the main process would wait forever for workers that it ends."""
+    """Ignore Ctrl-C in a worker process, because the main process would wait forever for a worker that Ctrl-C ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
 

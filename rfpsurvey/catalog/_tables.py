@@ -66,7 +66,7 @@ def _ids(find: Finder) -> np.ndarray | None:
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns in ``keep``, except columns that results always have; None if there are no such columns."""
+    """Return the columns in ``keep``, except those that results always have; None if no column is left."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)

@@ -87,9 +87,9 @@ def collision_probability(
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. A rule without queues (``lamost``) gives one configuration for each
-        realization. Options also state whether idle positioners with equal arms are obstacles and are counted
-        (``parked_obstacles``, true by default). They must not contain requirements or a sky separation, since all
-        targets are science targets.
+        realization. Options also state whether idle positioners whose arms have equal lengths are obstacles and are
+        counted (``parked_obstacles``, true by default). They must not contain requirements or a sky separation, since
+        all targets are science targets.
     most_entries : int, optional
         Maximum number of targets of each queue that ``conditional`` uses; they are drawn again for each realization. If
         queues are long, realizations with fewer targets are faster, and reach a given precision sooner. With None, all

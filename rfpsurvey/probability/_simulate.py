@@ -20,7 +20,7 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Numbers of counted positioners in collision, counted, assigned in collision, and assigned, as columns."""
+    """Numbers of positioners, as columns: counted in collision, counted, assigned in collision, assigned."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray

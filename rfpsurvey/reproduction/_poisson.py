@@ -31,7 +31,7 @@ DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
-"""Number in the random seeds of each interpretation of the paper, by the name of the interpretation."""
+"""Index of each interpretation of the paper in the random seeds, by the name of the interpretation."""
 DISC_DESIGNS = 24
 """Number of random designs that are also simulated with Poisson-disc targets."""
 DISC_ERROR = 3e-3

@@ -17,7 +17,7 @@ TILES = {
     "position_angle": "position angle of +y, from north toward east",
     "round": "round in which the tile is planned; tiles of one round do not share targets",
     "n_in_field": "number of targets in the field that still require a visit",
-    "n_reachable": "number of these targets that are in reach of a positioner",
+    "n_reachable": "number of targets that still require a visit and are in reach of a positioner",
     "n_assigned": "number of positioners with a target",
     "n_science": "number of positioners with a science target",
     "n_standard": "number of positioners with a standard star",
@@ -30,7 +30,7 @@ TILES = {
     "n_observed": "number of successful visits",
     "collision_rate": "n_colliding divided by n_counted",
     "fiber_use": "n_assigned divided by the number of usable positioners",
-    "completeness": "observed visits divided by the visits that the targets in the field still require",
+    "completeness": "observed visits divided by requested visits, for the targets in the field",
 }
 OUTCOME = {
     "target_id": "identifier of the target",

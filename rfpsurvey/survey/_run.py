@@ -131,7 +131,7 @@ def _read(folder, tile, job) -> Done | None:
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
-        folder.distrust(tile, "it was planned when other targets still required a visit")
+        folder.distrust(tile, "the tile was planned when other targets still required a visit")
         return None
     counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)

@@ -53,9 +53,9 @@ OUTCOMES_COLUMNS = {
     "positioner": "identifier of the positioner of the target",
 }
 COMPLETENESS = {
-    "kind": "kind of the counted targets, or all kinds",
-    "category": "category of the counted targets, or all categories",
-    "priority": "priority of the counted targets, or all priorities",
+    "kind": "kind of the counted targets; all stands for every kind",
+    "category": "category of the counted targets; all stands for every category",
+    "priority": "priority of the counted targets; all stands for every priority",
     "n_in_field": "number of targets in the field",
     "n_reachable": "number of targets in reach of a positioner",
     "n_assigned": "number of targets with a positioner",

@@ -72,7 +72,7 @@ def score_tile(
         Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
         columns of a DataFrame are in mm and deg unless ``units`` specifies others.
     parked_obstacles : bool, optional
-        Whether idle positioners with equal arms are obstacles.
+        Whether idle positioners whose arms have equal lengths are obstacles.
 
     Returns
     -------

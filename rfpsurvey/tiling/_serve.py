@@ -66,8 +66,9 @@ class Fibers:
 class FreeFibers:
     """Ideal fibers that reach any target of the field, with a minimum separation of their targets.
 
-    Targets are served in the order of priority, then of the number of later tiles that cover them (fewest first),
-    then of the number of other targets too close to them (fewest first), then in the order of the catalog.
+    Targets receive fibers in the order of priority. Targets of equal priority are sorted by the number of later tiles
+    that cover them (fewest first), then by the number of other targets that are too close to them (fewest first), and
+    then by their order in the catalog.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class FreeFibers:
         self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
-        """Return the positions of the served targets, out of ``near``, the targets that still require a visit."""
+        """Return the positions of the observed targets in the index, out of ``near``, which still require a visit."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
@@ -164,7 +165,7 @@ class FocalPlaneFibers:
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
-        """Return the positions of the served targets, out of ``near``, the targets that still require a visit."""
+        """Return the positions of the observed targets in the index, out of ``near``, which still require a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
         plane = self.instrument.field_projection(
