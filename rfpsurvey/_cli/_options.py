@@ -134,7 +134,7 @@ CentersOption = Annotated[
 ]
 DeclinationOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(help="Lowest and highest declination of a center (deg).", metavar="LOW HIGH"),
+    typer.Option(help="Lowest and highest declination of the center of a tile (deg).", metavar="LOW HIGH"),
 ]
 RadiusOption = Annotated[
     float | None,
@@ -261,7 +261,7 @@ ClearanceOption = Annotated[
     str | None, typer.Option(help="Clearance of an arm (mm), in the forms of --central-arm. By default, 2.25.")
 ]
 NDesignsOption = Annotated[
-    int | None, typer.Option(help="Number of designs between LOW:HIGH, at Sobol points instead of a grid.")
+    int | None, typer.Option(help="Number of designs at Sobol points between LOW and HIGH, instead of a grid.")
 ]
 EstimandOption = Annotated[
     str | None,
@@ -273,8 +273,8 @@ EstimandOption = Annotated[
 DesignMethodOption = Annotated[
     str,
     typer.Option(
-        help="surrogate, quadrature, conditional, optimal, repair, or auto, which is the fastest method that is "
-        "accurate enough."
+        help="Method: surrogate, quadrature, conditional, optimal, repair, or auto, which is the fastest method that "
+        "is accurate enough."
     ),
 ]
 EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. By default, 4.")]

@@ -22,8 +22,8 @@ def score(
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Preset, or path of a TOML file or of an instrument as built. By default, the instrument of the plan "
-            "or tile."
+            help="Name of a preset, or path of a TOML file or of an instrument as built. By default, the "
+            "instrument of the plan or tile."
         ),
     ] = None,
     center: Annotated[

@@ -1,7 +1,7 @@
 """Kinematics of a positioner with two arms: elbows from targets, and the segments that can collide from elbows.
 
-Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. With this
-layout and without branches, the compiler can process several positioners at a time.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. With
+segments as columns and loops without branches, the compiler can process several positioners at a time.
 """
 
 import math

@@ -78,7 +78,7 @@ class Program:
         return bool((total >= low - 1e-6).all() and (total <= high + 1e-6).all())
 
     def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, gap: float, keep=()):
-        """Return the variables that maximize a goal, and the upper bound of the goal.
+        """Return the variables that maximize an objective, and the upper bound of this objective.
 
         The variables are None if no solution is found before the deadline. ``keep`` contains minimum values of the
         first objectives; ``gap`` is the relative error allowed.

@@ -84,7 +84,7 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the field angles (radians) of distances from the axis (mm); fiber types with the largest angle are used.
+    """Return the field angles (radians) of distances from the axis (mm), the largest if they depend on the fiber type.
 
     Outside the range of a radial map, the angle is the largest angle of the map.
     """

@@ -168,7 +168,7 @@ def _new_axes(sky_map, xy, rims, rows):
 
 
 def _set_limits(ax, sky_map, xy, rims):
-    """Label the axes, and show all targets and fields, east to the left."""
+    """Label the axes, and show all targets and fields, with east to the left."""
     sky_map.label(ax)
     if sky_map.kind == "whole":
         return

@@ -121,8 +121,8 @@ def collision_probability(
     Estimate
         The probability with its interval, the probability of each positioner, and the expected number of pairs. If
         ``targets`` contains positions, the value applies to these targets, and the error states how much the value for
-        another patch of the same kind of sky may differ. If a focal plane has too few positioners to estimate this
-        error, such as seven, there is no interval, and ``meta["no_interval"]`` states the reason.
+        another patch of the same kind of sky may differ. If a focal plane has too few positioners for an estimate of
+        the error, such as seven, there is no interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------

@@ -148,7 +148,7 @@ def _pictures(tile) -> list:
     }
     if dots:
         words = (
-            "Blue dots are fibers on their targets, gray dots are positioners without one, and diamonds are in "
+            "Blue dots are fibers on their targets, gray dots are positioners without a target, and diamonds are in "
             "collision."
         )
     else:

@@ -26,7 +26,7 @@ PAPER = 2.6
 MARGIN = 0.2
 """Smallest tolerance of a result, in percentage points; the tolerance is two standard errors if these are larger."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
-"""Minimum separations (mm) of Poisson-disc targets. Random addition of 20,000 discs within 200 mm jams at 2.09 mm."""
+"""Minimum separations (mm) of Poisson-disc targets. If 20,000 discs are added at random, 2.09 mm is the limit."""
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
@@ -50,9 +50,9 @@ def poisson(
     """Return estimates for every interpretation of "Poisson-distributed", and the differences from uniform targets.
 
     The table ``poisson`` has a row for each design, the last one LAMOST's; ``poisson_disc`` has a row for each minimum
-    separation, which contains several averages of the drop (the percentage by which uniform targets collide more
-    often). If ``discs`` is empty, ``poisson_disc`` has no rows; most of the computing time is spent on Poisson-disc
-    targets.
+    separation, which contains several averages of the drop (the percentage by which uniform targets collide more often
+    than Poisson-disc targets). If ``discs`` is empty, ``poisson_disc`` has no rows; most of the computing time is spent
+    on Poisson-disc targets.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]
@@ -98,10 +98,10 @@ def poisson(
 
 
 def _averages(table, name):
-    """Return the rows of a table that have values for a reading, and the drop for each of these designs.
+    """Return the rows of a table that have values for an interpretation, and the drop for each of these designs.
 
-    A drop is the percentage by which uniform targets collide more often. The rows of the second result are the drops
-    and their standard errors.
+    A drop is the percentage by which uniform targets collide more often than Poisson-distributed targets. The rows of
+    the second result are the drops and their standard errors.
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))

@@ -239,7 +239,7 @@ def _assigned(table) -> np.ndarray:
 
 
 def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
-    """Return the identifiers of the targets; the column of the positioners is not used for them."""
+    """Return the identifiers of the targets; the column with the identifiers of positioners is ignored."""
     names = [c for c in find.table.colnames if c != positioner_column]
     ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
     return np.arange(len(find.table)) if ids is None else ids
