@@ -16,7 +16,7 @@ MOST_ROWS = 30
 FIGURE = (
     "The designs. Each point is a design. The color and the marker show the ratio of the arms or the parameter with "
     "the most values. Large points with an edge, joined by a line, are the front: no other design is better than "
-    "these in both objectives. If the scan is around an instrument, a star with its name marks the instrument."
+    "these in both objectives. If the scan is around an instrument, a star with its name marks its design."
 )
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Default values and limits of parameters, and default number of nodes of a grid."""
@@ -125,7 +125,7 @@ def _print_rows(front, table) -> None:
 
 
 def _format(column) -> None:
-    """Set the format of a column such that different numbers look different, with up to 12 digits."""
+    """Set the format of a column so that distinct numbers have distinct texts, with at most 12 digits."""
     values = np.asarray(column, dtype=float)
     n_different = len({f"{value:.12g}" for value in values.tolist()})
     for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):

@@ -153,7 +153,7 @@ TilingAllocatorOption = Annotated[
 TilingPaOption = Annotated[
     float | None,
     typer.Option(
-        help="Position angle of +y (deg), from north toward east. By default, the value in --centers, or 0.",
+        help="Position angle of +y (deg), from north toward east. By default, the position angle in --centers, or 0.",
         callback=check_angle,
     ),
 ]

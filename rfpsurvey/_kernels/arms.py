@@ -46,7 +46,7 @@ def inner_difference(l1, l2):
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the elbow relative to the center, and the sine and cosine of phi, multiplied by one positive factor.
+    """Return the elbow relative to the center, and sine and cosine of phi, both multiplied by the same positive factor.
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose is
     that of the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;

@@ -60,7 +60,7 @@ class Program:
         return x
 
     def chosen(self, x: np.ndarray) -> np.ndarray:
-        """Return the candidates in use according to the variables."""
+        """Return the candidates that are in use if the variables have the given values."""
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]
 
     def reaches(self, x: np.ndarray) -> np.ndarray:

@@ -154,7 +154,7 @@ class Shortfall:
         where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
         missing = self.wanted - self.found
         if missing < 0:
-            return f"{self.what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
+            return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.wanted}"
         why = f"; {_few(self.possible)} in reach" if self.possible < self.wanted else ""
         return (
             f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}{self.hint and '; ' + self.hint}"

@@ -74,7 +74,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of the columns of a table that every result contains under the same name and unchanged."""
+    """Return the names of the columns that every result contains with the same name and the same values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -210,7 +210,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:
-    """Return the kind of each target, which its category implies: sky_boss is of the kind sky, for example."""
+    """Return the kind of each target, which follows from its category; for example, sky_boss is of the kind sky."""
     lower = np.char.lower(category)
     kind = np.full(len(lower), "science", dtype="U8")
     kind[np.char.startswith(lower, "standard") | np.char.startswith(lower, "std")] = "standard"

@@ -93,7 +93,7 @@ class Checkpoint:
         table = read_table(self._path)
         before, now = table.meta.get("request"), self.meta["request"]
         if not isinstance(before, dict) or not set(ROW.names) <= set(table.colnames):
-            raise InputError(f"{self._path} holds no scan of designs; give another path")
+            raise InputError(f"{self._path} must contain a scan of designs; give another path")
         check_request(self._path, before, now, "scan", "path")
         warn_of_software(self._path, table.meta.get("software"), self.meta["software"], "designs")
         rows = to_rows(table)

@@ -22,9 +22,9 @@ def design_sensitivities(
 
     The values of a column are fitted by a sum of polynomials, one for each parameter that varies. A polynomial has
     degree four, or less if the parameter has fewer than five values. The share of a parameter is the variance of its
-    polynomial divided by that of the column. This is the first-order Sobol index; it is exact on a grid with at most
-    five nodes per axis. The rest of the variance is due to interactions of parameters and to noise of the values.
-    Chance increases each share by about the ratio of the number of coefficients to the number of designs.
+    polynomial divided by the variance of the column. This is the first-order Sobol index; it is exact on a grid with at
+    most five nodes per axis. The rest of the variance is due to interactions of parameters and to noise of the values.
+    Random noise increases each share by about the number of coefficients divided by the number of designs.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ __all__ = ["Circles"]
 
 
 class Circles:
-    """Circles (x, y, radius) in mm, with the cells of a grid that they touch."""
+    """Circles in mm (columns x, y and radius), with a grid of cells for a fast search."""
 
     def __init__(self, rows: np.ndarray):
         self.x, self.y, self.radius = rows.T.copy()

@@ -42,7 +42,7 @@ def draw_obstacles(ax, scene: Scene) -> Iterator:
 
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
-    """Draw both arms of each positioner and the shade around the colliding segment, and yield legend entries."""
+    """Draw both arms of each positioner and the shade around the segment that can collide, and yield legend entries."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch

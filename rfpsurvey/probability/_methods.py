@@ -17,7 +17,7 @@ from rfpsurvey.probability._targets import Source
 __all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Realizations per task. Results depend on this number, but not on the number of workers."""
+"""Number of realizations per task. Results depend on the size of tasks, but not on the number of workers."""
 QUEUEING = ("balanced",)
 """Allocators that make queues, over which `conditional` averages."""
 

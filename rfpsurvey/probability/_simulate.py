@@ -26,12 +26,12 @@ class Tally:
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return the fraction of counted (``column=2``: of assigned) positioners in collision, for each realization."""
+        """Return, by realization, the fraction of counted (with ``column=2``: assigned) positioners that collide."""
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
     def pair_rates(self) -> np.ndarray:
-        """Number of pairs divided by the number of counted positioners, for each realization."""
+        """Number of colliding pairs divided by the number of counted positioners, for each realization."""
         return self._ratio(self.pairs, self.colliding[:, 1])
 
     @property
@@ -151,7 +151,7 @@ class Simulation:
         return np.iinfo(np.int64).max if self.most_entries is None else self.most_entries
 
     def _queue_segments(self, rng, *, thin=False):
-        """Return the queues of one realization, and the colliding segment for each target of a queue."""
+        """Return the queues of one realization, and the arm segment that can collide for each target of a queue."""
         given = self.source.kind == "given"
         allocation = self._given if given else self.realize(rng)
         if thin and self.most_entries is not None:

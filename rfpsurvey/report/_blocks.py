@@ -31,9 +31,10 @@ class Facts:
 class Rows:
     """A table that can be sorted.
 
-    ``where`` names the file or attribute that contains all rows, if not all are shown; ``left_out`` is the number of
-    rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A ``complete`` table
-    shows all rows unless there is a limit. A long table is collapsed, and its cells are rounded to keep pages small.
+    ``where`` names the file or attribute that contains all rows, and is stated if some rows are not shown. ``left_out``
+    is the number of rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A
+    ``complete`` table shows all rows unless there is a limit. A long table is collapsed, and its cells are rounded to
+    keep pages small.
     """
 
     caption: str

@@ -1,4 +1,4 @@
-"""Columns of a table as text."""
+"""Conversion of the columns of a table to text."""
 
 import numpy as np
 from astropy.units import Quantity

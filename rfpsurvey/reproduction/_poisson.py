@@ -26,7 +26,7 @@ PAPER = 2.6
 MARGIN = 0.2
 """Smallest tolerance of a result, in percentage points; the tolerance is two standard errors if these are larger."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
-"""Minimum separations (mm) of Poisson-disc targets. If 20,000 discs are added at random, 2.09 mm is the limit."""
+"""Minimum separations (mm) of Poisson-disc targets; 20,000 random discs fit into 200 mm only up to 2.09 mm."""
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
@@ -39,7 +39,7 @@ DISC_ERROR = 3e-3
 LAMOST_ERROR = 0.4
 """Standard error for LAMOST's design, which is also compared separately, divided by that for other designs."""
 FEW_ERROR = 5e-3
-"""Standard error of a design with targets in reach of few positioners; the error of the mean is then 0.2 %."""
+"""Standard error of a design if few positioners reach targets; the error of the mean over designs is then 0.2 %."""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
 """Edges of ranges of the ratio of the arms."""
 
@@ -119,7 +119,7 @@ def _of_means(part, name):
 
 
 def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
-    """Return the percentage by which uniform targets collide more than those of each minimum separation.
+    """Return the percentage by which uniform targets collide more often than targets with each minimum separation.
 
     Parameters
     ----------

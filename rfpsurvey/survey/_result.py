@@ -94,7 +94,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
 
 
 def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
-    """Return a sentence for each outcome of required targets (by slot) that were never observed."""
+    """Return a sentence for each outcome of the required targets that were never observed."""
     if len(missed) == 0:
         return []
     code = np.full(len(source), len(OUTCOMES), dtype=np.uint8)

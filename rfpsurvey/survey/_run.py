@@ -62,7 +62,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
 
 
 def _plan_round(request, tiles, state, folder, executor) -> Iterator:
-    """Yield tile, field, result, and whether the result is new, in the order of ``tiles``."""
+    """Yield, for each tile of ``tiles`` in order, the tile, its field, its result, and whether the result is new."""
     waiting = deque()
     try:
         for tile in tiles.tolist():

@@ -48,7 +48,7 @@ def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -
 
 
 def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
-    """Return the radius of the widest circle that touches the given circle and contains no vector."""
+    """Return the radius of the widest circle that touches the given circle and contains none of the vectors."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(vectors)

@@ -112,7 +112,7 @@ class FreeFibers:
         return near[np.sort(order[: self.fibers])]
 
     def _degrees(self, near, state):
-        """Return the number of targets of the field that are still to be observed and too close to each target."""
+        """Return, for each target, the number of targets that still require a visit and are too close to it."""
         indptr, other = self.neighbors
         degree = indptr[near + 1] - indptr[near]
         some = np.flatnonzero(degree)
@@ -203,7 +203,7 @@ class FocalPlaneFibers:
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the other directions closer than an angle to each direction, as (indptr, indices)."""
+    """Return, for each direction, the other directions that are closer than an angle, as (indptr, indices)."""
     from scipy.spatial import cKDTree
 
     chord = 2 * np.sin(min(separation_rad, np.pi) / 2)

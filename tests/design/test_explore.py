@@ -262,7 +262,7 @@ def test_a_file_of_another_scan_is_not_continued(tmp_path):
     with pytest.raises(rs.InputError, match="is damaged: its designs are not those"):
         explore(path=path, resume=True, ratio=2.0)
     QTable({"a": [1]}).write(path, overwrite=True)
-    with pytest.raises(rs.InputError, match="holds no scan of designs"):
+    with pytest.raises(rs.InputError, match="must contain a scan of designs"):
         explore(path=path, resume=True)
 
 
