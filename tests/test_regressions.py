@@ -291,7 +291,7 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
     with pytest.warns(rs.RfpsurveyWarning, match="2 of 2 targets are out of reach"):
         rs.score_tile(plan, small)
     plan["x"] = x
-    with pytest.warns(rs.RfpsurveyWarning, match="center, epoch not used"):
+    with pytest.warns(rs.RfpsurveyWarning, match="not used, because .*: center, epoch; to use"):
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
     with pytest.warns(rs.RfpsurveyWarning, match="without proper motions the epoch changes nothing"):
         rs.plan_tile(few(), small, CENTER, epoch=2030)

@@ -351,7 +351,7 @@ def test_shares_and_slopes_of_known_functions():
 def test_sensitivities_that_make_no_sense_are_refused(table, words):
     with pytest.raises(rs.InputError, match=words):
         rs.design.design_sensitivities(table, figures=["loss"])
-    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be what"):
+    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be a table that"):
         rs.design.design_sensitivities(table, figures=["reason"])
 
 

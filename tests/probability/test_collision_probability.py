@@ -360,7 +360,7 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         ({"method": "closed_form", "variant": "ours"}, "unknown variant of the closed form 'ours'"),
         (
             {"density": "shared"},
-            "density belongs to the method 'quadrature', of independent targets, not to 'conditional'",
+            "density must be given only with the method 'quadrature', got the method 'conditional'",
         ),
         ({"method": "monte_carlo", "density": "uniform"}, "density belongs to .* not to 'monte_carlo'"),
         ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),

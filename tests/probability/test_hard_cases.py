@@ -165,7 +165,7 @@ def test_a_generator_that_cannot_spawn_is_refused():
         ({"method": "quadrature", "interval": "bootstrap"}, "interval must be given only with a method that iterates"),
         ({"method": "closed_form", "density": "uniform"}, "density must be given only with the method 'quadrature'"),
         ({"variant": "printed"}, "variant must be given only with the method 'closed_form'"),
-        ({"center": 3}, "center belongs to a Catalog"),
+        ({"center": 3}, "center must be given only if targets is a Catalog"),
         ({"most_entries": True}, "most_entries must be a whole number"),
     ],
 )
