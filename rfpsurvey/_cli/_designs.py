@@ -16,7 +16,7 @@ MOST_ROWS = 30
 FIGURE = (
     "The designs. Each point is a design. The color and the marker show the ratio of the arms or the parameter with "
     "the most values. Large points with an edge, joined by a line, are the front: no other design is better than "
-    "these in both objectives. If the scan is around an instrument, a star with its name marks its design."
+    "these in both objectives. If the scan is around an instrument, a star and a name mark its design."
 )
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Default values and limits of parameters, and default number of nodes of a grid."""

@@ -38,7 +38,7 @@ def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
         warn_of_targets(read_table(path), len(targets))
         return tiling
     if isinstance(targets, rs.PartitionedCatalog):
-        raise rs.InputError("a catalog in partitions needs --tiles, a list that rfpsurvey tile --region ... makes")
+        raise rs.InputError("a catalog in partitions needs --tiles: make a list of tiles with rfpsurvey tile --region")
     return rs.place_tiles(targets, model, passes=2)
 
 

@@ -1,4 +1,4 @@
-"""The quality of a tile (targets by class, fibers by spectrograph, a column, the field) or of a survey."""
+"""Plots of the quality of a tile or of a survey, such as targets by class and fibers by spectrograph."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
