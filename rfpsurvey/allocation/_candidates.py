@@ -43,7 +43,7 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates with fewer collisions; the best plan of these candidates is an upper bound for all plans.
+        """Return candidates with fewer collisions; their best plan gives an upper bound for all plans.
 
         The collisions of candidates that represent omitted candidates are removed. The bound is therefore also valid
         for plans that use omitted candidates.
@@ -64,8 +64,8 @@ def find_candidates(
 ) -> Candidates:
     """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
-    Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains a target for
-    each positioner that is always kept.
+    Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains one target for
+    each positioner; this target is always kept.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)

@@ -18,8 +18,8 @@ MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach":
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
     """Draw the inner and outer edge of each patrol area, and yield legend entries.
 
-    With ``gray``, edges are gray and thinner; this is for plots with filled cells. With ``alike``, this style is used
-    for all positioners, whether they have a target or not; this is for plots with dots of targets.
+    With ``gray``, edges are gray and thinner; this is for plots with filled cells. With ``alike``, all positioners have
+    gray, thin edges, whether they have a target or not; this is for plots with dots of targets.
     """
     gray = gray or alike
     free = scene.with_target | (scene.status == "usable") | alike
@@ -43,7 +43,7 @@ def draw_obstacles(ax, scene: Scene) -> Iterator:
 
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
-    """Draw both arms of each positioner and the shade around the colliding segment, and yield legend entries."""
+    """Draw both arms of each positioner and the shade around the segment that can collide, and yield legend entries."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch
