@@ -64,8 +64,8 @@ class Positioner:
 
     References
     ----------
-    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
-    Theta-phi Positioners", Eqs. 1 and 2 (minimum separation).
+    Chen and coauthors (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different
+    Types of Theta-phi Positioners", equations 1 and 2 (minimum separation).
 
     Examples
     --------
@@ -102,9 +102,9 @@ class Positioner:
         check_choice(self.handedness, HANDEDNESS, "handedness")
         check_choice(self.arm_model, ARM_MODELS, "arm model")
         if (self.arm_model == "capsule") != (self.arm_length is not None):
-            raise InputError("the arm model 'capsule', and no other, needs arm_length")
+            raise InputError("arm_length must be given for the arm model 'capsule', and only for this model")
         if self.arm_model != "capsule" and self.arm_angle is not None:
-            raise InputError("arm_angle belongs to the arm model 'capsule'")
+            raise InputError("arm_angle must be given only for the arm model 'capsule'")
         for name in ("theta_range", "phi_range", "home"):
             value = getattr(self, name)
             if value is not None and not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):

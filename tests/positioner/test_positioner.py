@@ -115,7 +115,7 @@ def test_safe_distance():
         ({"home": [0, 180] * u.deg, "phi_range": [0, 90] * u.deg}, "home must lie within the joint limits"),
         ({"arm_model": "capsule"}, "needs arm_length"),
         ({"arm_length": 5 * MM}, "needs arm_length"),
-        ({"arm_angle": 5 * u.deg}, "arm_angle belongs to the arm model"),
+        ({"arm_angle": 5 * u.deg}, "arm_angle must be given only for the arm model"),
     ],
 )
 def test_bad_input_is_named(arguments, message):
