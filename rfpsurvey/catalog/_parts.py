@@ -85,7 +85,7 @@ class Partitions:
             names = set(about.schema.names)
             if columns is not None and names != columns:
                 strange = ", ".join(sorted(names ^ columns))
-                raise InputError(f"{path}: all partitions must have the same columns, but {strange} are not in all")
+                raise InputError(f"{path}: all partitions must have the same columns, but some have no {strange}")
             columns = names
         return np.concatenate([[0], np.cumsum(counts)])
 

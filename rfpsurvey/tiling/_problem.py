@@ -65,7 +65,7 @@ class TilingState:
     chances: np.ndarray | None = None
     """Number of later tiles that cover each target; None if it is unknown."""
     rows: list = field(default_factory=list)
-    """Center and pass of each tile, unobserved targets in its field, targets that it observes, completeness after it."""
+    """Center and pass of each tile, unobserved targets in its field, targets it observes, completeness after it."""
 
     def __post_init__(self):
         self.left = self.problem.wanted.astype(np.float64)

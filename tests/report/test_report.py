@@ -240,7 +240,7 @@ def test_a_table_is_not_called_table_thrice(tmp_path):
 
 def test_a_survey_has_its_own_numbers(survey, plain_page):
     page = Reader(plain_page("survey"))
-    heads, rows = page.table("The tiles of the survey")
+    heads, rows = page.table("The table lists the tiles of the survey")
     assert len(rows) == len(survey)
     for name in ("n_observed", "collision_rate", "completeness"):
         values = [full(row[heads.index(name.replace("_", " "))]) for row in rows]
@@ -293,7 +293,7 @@ def test_the_first_sentence_of_a_caption_is_in_bold(tmp_path):
 
 def test_the_map_of_a_survey_is_explained(survey, plain_page):
     text = plain_page("survey")
-    assert "The color is the completeness of the field." in text
+    assert "The color of a field shows the completeness of the field." in text
     assert ("drawn with a smaller radius" in text) == (len(set(survey.tiles["pass"])) > 1)
 
 
