@@ -85,7 +85,7 @@ class AllocationAnswer(NamedTuple):
 
 
 def _no_start() -> AllocationAnswer:
-    raise InputError("there is no plan to begin with")
+    raise InputError("the option start must be given for an allocator that begins with another plan")
 
 
 @dataclass(frozen=True, eq=False)

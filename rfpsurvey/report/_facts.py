@@ -59,7 +59,7 @@ ZERO_IS_LEFT_OUT = (
     "  collisions with obstacles",
     "  to standard stars",
     "  to sky",
-    "requirements not met, all tiles",
+    "requirements not met in all tiles together",
 )
 
 
@@ -131,7 +131,7 @@ def survey_facts(survey: Survey) -> dict:
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
-        "requirements not met, all tiles": s["n_unmet"],
+        "requirements not met in all tiles together": s["n_unmet"],
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}

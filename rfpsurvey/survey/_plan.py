@@ -187,7 +187,7 @@ def plan_survey(
 
 
 def _warn_of_lacks(request) -> None:
-    """Issue warnings for problems that would occur in every tile."""
+    """Issue warnings for problems of the request that would occur in every tile."""
     if request.source.has_twins:
         warn("some targets have the same id as another target")
     asked = {one.what: one for one in request.options.requirements if one.minimum}
@@ -199,6 +199,6 @@ def _warn_of_lacks(request) -> None:
         there |= set() if column is None else set(np.unique(column).tolist())
     for what, one in asked.items():
         if what not in there:
-            hint = "sky_separation would find blank sky" if what == "sky" else hint_of_name(what, there)
-            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint and '; ' + hint}"
+            hint = "set sky_separation to find blank sky" if what == "sky" else hint_of_name(what, there)
+            text = f"no target of the catalog is {what!r}, which the requirement '{one}' names{hint and '; ' + hint}"
             warn(text)
