@@ -70,7 +70,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
 
     def order():
-        """Return the order of moves: positioners without required targets first, then the least important targets."""
+        """Return the order of moves: first positioners that no requirement counts, then low-priority targets."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = moves.repair(options, order(), now, *state, ROUNDS)
@@ -92,7 +92,7 @@ def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
 
 
 def _stand(candidates, chosen):
-    """Return the candidates in use, how many candidates in use block each candidate, and each target's positioner."""
+    """Return the candidates in use, how many of them block each candidate, and the positioner of each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)

@@ -181,7 +181,7 @@ class AllocationProblem:
 
     @cached_property
     def priority(self) -> np.ndarray:
-        """Priority of each target; larger values are more important. NaN for other than science targets."""
+        """Priority of each target; larger values are more important. It is NaN for sky and standards."""
         return locked(np.append(self.classes, np.nan)[self.rank])
 
     @property

@@ -69,8 +69,8 @@ class FocalPlane:
     Notes
     -----
     If ``fiber_xy`` is given, phi is the angle of the mechanical axis of the eccentric arm, and ``arm_angle`` of the
-    positioner is the angle between this axis and the colliding segment. Otherwise, the mechanical axis points to the
-    fiber. A target without a fiber type is observed with the first fiber type of a positioner.
+    positioner is the angle between this axis and the colliding segment. Without ``fiber_xy``, the mechanical axis
+    points to the fiber. A target without a fiber type is observed with the first fiber type of a positioner.
 
     Idle positioners are parked, and count as obstacles, if their arms have equal lengths. If the arms of ``positioner``
     have equal lengths, a positioner is also parked if its own arm lengths differ by at most 5 % of their sum.

@@ -175,7 +175,10 @@ def _check_ids(ids, path):
 
 
 def _is_assigned(status, target) -> np.ndarray:
-    """Return whether fibers are on targets. A fiber of a stuck positioner is not."""
+    """Return whether fibers are on targets.
+
+    Fibers of stuck positioners count as not on targets, although they may be on blank sky.
+    """
     return ((status & (UNASSIGNED | STUCK | BROKEN)) == 0) & (target >= 0)
 
 

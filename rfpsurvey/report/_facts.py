@@ -36,7 +36,7 @@ TILING = {
     "area_deg2": "area of the region in square degrees",
     "covering_fraction": "fraction of the region that is covered",
     "fraction_beyond_declination": "  outside the limits of declination",
-    "mean_depth": "mean number of fields over a position",
+    "mean_depth": "mean number of fields that cover a position",
     "n_samples": "positions at which the coverage is measured",
     "fibers": "fibers per tile",
     "n_targets": "targets wanted",

@@ -11,7 +11,7 @@ __all__ = ["small"]
 
 L1, PITCH = 8.25, 25.6
 RAPIDLY = 2.0
-"""Factor by which a probability that changes rapidly must change over a scan; the paper states no factor."""
+"""A probability changes rapidly if it changes by at least this factor over a scan; the paper states no factor."""
 COMPARABLE = 0.1
 """Largest difference at which two normalized curves count as comparable; the paper states no limit."""
 

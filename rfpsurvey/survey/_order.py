@@ -9,7 +9,7 @@ __all__ = ["ORDERS", "make_rounds"]
 
 
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
-    """Return a number for each tile such that any two tiles of a group have distinct numbers if they are close."""
+    """Return a number for each tile; tiles of a group that are close to each other receive distinct numbers."""
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
         index.vectors,
