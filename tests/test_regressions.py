@@ -194,7 +194,7 @@ def test_a_tile_does_not_make_every_unit_stuck(small):
     assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner).arrays.usable.all()
 
 
-@pytest.mark.filterwarnings("ignore:the epoch has no effect, because the catalog has no proper motions")
+@pytest.mark.filterwarnings("ignore:without proper motions the epoch changes nothing")
 def test_catalogs_with_velocities_and_odd_representations(small):
     """Radial velocities without proper motions, cartesian coordinates and distances raised errors of other packages."""
     still = few(3)
@@ -293,7 +293,7 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
     plan["x"] = x
     with pytest.warns(rs.RfpsurveyWarning, match="center, epoch not used"):
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
-    with pytest.warns(rs.RfpsurveyWarning, match="the epoch has no effect, because the catalog has no proper motions"):
+    with pytest.warns(rs.RfpsurveyWarning, match="without proper motions the epoch changes nothing"):
         rs.plan_tile(few(), small, CENTER, epoch=2030)
     with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the id of another"):
         rs.plan_tile(few(2, id=[7, 7]), small, CENTER)

@@ -159,7 +159,7 @@ def plan_survey(
     else:
         catalog = as_catalog(catalog)
         if epoch is not None and not catalog.has_proper_motion:
-            warn("the epoch has no effect, because the catalog has no proper motions")
+            warn("without proper motions the epoch changes nothing")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     tiles = as_tiling(tiling)
     if is_table(tiling):
@@ -199,6 +199,6 @@ def _warn_of_lacks(request) -> None:
         there |= set() if column is None else set(np.unique(column).tolist())
     for what, one in asked.items():
         if what not in there:
-            hint = "set sky_separation to find blank sky" if what == "sky" else hint_of_name(what, there)
-            text = f"no target of the catalog is {what!r}, which the requirement '{one}' names{hint and '; ' + hint}"
+            hint = "sky_separation would find blank sky" if what == "sky" else hint_of_name(what, there)
+            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint and '; ' + hint}"
             warn(text)
