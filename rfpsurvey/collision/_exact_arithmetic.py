@@ -34,7 +34,8 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
     """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
 
-    All numbers are converted to a common denominator. No division follows, so that all arithmetic uses integers.
+    All numbers are converted to a common denominator. The test needs no division after this conversion, so that all
+    arithmetic uses integers.
     """
     ratios = [Fraction(v).as_integer_ratio() for v in (*first, *second, separation)]
     common = lcm(*(q for _, q in ratios))

@@ -68,8 +68,8 @@ class Positioner:
 
     References
     ----------
-    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
-    Theta-phi Positioners", Eqs. 1 and 2 (minimum separation).
+    Chen and coauthors (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different
+    Types of Theta-phi Positioners", equations 1 and 2 (minimum separation).
 
     Examples
     --------
@@ -107,13 +107,13 @@ class Positioner:
         check_choice(self.handedness, HANDEDNESS, "handedness")
         check_choice(self.arm_model, ARM_MODELS, "arm model")
         if (self.arm_model == "capsule") != (self.arm_length is not None):
-            raise InputError("the arm model 'capsule', and no other, needs arm_length")
+            raise InputError("arm_length must be given for the arm model 'capsule', and only for this model")
         if (self.arm_model == "outline") != (self.outline is not None):
-            raise InputError("the arm model 'outline', and no other, needs an outline")
+            raise InputError("outline must be given for the arm model 'outline', and only for this model")
         if self.outline is not None and not isinstance(self.outline, ArmOutline):
             raise InputTypeError(f"outline must be an ArmOutline, got {short(self.outline)}")
         if self.arm_model not in ("capsule", "outline") and self.arm_angle is not None:
-            raise InputError("arm_angle belongs to the arm models 'capsule' and 'outline'")
+            raise InputError("arm_angle must be given only for the arm models 'capsule' and 'outline'")
         for name in ("theta_range", "phi_range", "home"):
             value = getattr(self, name)
             if value is not None and not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):

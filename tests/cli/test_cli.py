@@ -169,7 +169,7 @@ def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
     keep = ["--keep-out", "95,23,3", "--allocator", "repair"]
     code, out, _ = run("plan", "--instrument", "sdss_apo", "--center", "95 23", *keep)
     assert code == 0
-    assert "undefined, without arms to count" in out
+    assert "undefined, because no arm is counted" in out
     assert "nan" not in out.lower().split()
     with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
         rs.score_tile(QTable.read(tmp_path / "one.ecsv"), "sdss_apo")
@@ -198,7 +198,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
     t.write(tmp_path / "t.ecsv")
     code, out, err = run("plan", tmp_path / "t.ecsv", "--center", "10.0 20.0")
     assert code == 0
-    assert "dropped, no finite coordinates           1\n" in out
+    assert "dropped without finite coordinates         1\n" in out
     assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were dropped\n"
 
 
@@ -332,7 +332,7 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     code, _, err = run("probability", "lamost", "--targets", "clustered")
     assert "unknown kind of targets 'clustered'" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
-    assert "--n-targets belongs to random targets, got a catalog" in sentence(code, err)
+    assert "--n-targets must be used with random targets, got a catalog" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--method", "guess")
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 

@@ -319,7 +319,7 @@ def test_chart(table):
     parts = np.array([bar.get_width() for bar in left.patches]).reshape(4, -1)
     np.testing.assert_allclose(parts[1], [table["reach_1"][0], table["reach_1"][2]])
     assert right.get_xlabel() == "collision probability\n(95 % interval)"
-    with pytest.raises(rs.InputError, match="must come from compare_instruments, but it has no allocator"):
+    with pytest.raises(rs.InputError, match="must come from compare_instruments, got one without the column allocator"):
         rs.plot.plot_instruments(table[["instrument", "positioners"]])
 
 

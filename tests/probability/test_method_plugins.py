@@ -107,9 +107,9 @@ def test_simulations_take_allocators_of_others(small, hers):
         ([[1], [1, 2]], "must return a probability for each"),
         (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
         (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
-        (np.full(37, np.nan), "the answer must have a value, or one per_positioner for a positioner that can take"),
-        ({}, "the answer must have a value"),
-        ({"n": 3}, "the answer must have a value"),
+        (np.full(37, np.nan), "the answer must have value, or per_positioner for a positioner that can take"),
+        ({}, "the answer must have value, or per_positioner"),
+        ({"n": 3}, "the answer must have value, or per_positioner"),
         (
             {"values": 0.5},
             "unknown field of an answer 'values'; choose one of: high, low, meta, .* Did you mean 'value'",

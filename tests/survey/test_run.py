@@ -177,7 +177,9 @@ def test_a_damaged_part_is_named_and_made_again(case, folder, undisturbed):
     damaged = bytearray(part.read_bytes())
     damaged[6000] ^= 1
     part.write_bytes(damaged)
-    with pytest.warns(rs.RfpsurveyWarning, match=r"000007.fits is damaged \(it is not what was written\)"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match=r"000007.fits is damaged \(its checksum is not that of the written file\)"
+    ):
         plan(case, folder, resume=True)
     assert content(folder) == undisturbed
 
@@ -191,7 +193,7 @@ def flip(path, place):
 def test_a_damaged_survey_is_not_read(case, folder):
     flip(folder / "tiles" / "000" / "000007.fits", 6000)
     survey = rs.Survey.read(folder)
-    with pytest.raises(rs.InputError, match=r"000007.fits is damaged \(it is not what was written\)"):
+    with pytest.raises(rs.InputError, match=r"000007.fits is damaged \(its checksum is not that of the written file\)"):
         survey.visits(7)
     assert len(survey.visits(8))
     for name in ("tiles.fits", "outcomes.fits", "completeness.ecsv"):
@@ -299,7 +301,7 @@ def test_two_runs_in_one_folder_are_refused(case, tmp_path):
 
     def intrude(done, _):
         if done == 1:
-            with pytest.raises(rs.InputError, match="another run is at work in this folder"):
+            with pytest.raises(rs.InputError, match="another run uses this folder"):
                 plan(case, tmp_path / "survey", resume=True)
             tried.append(done)
 
@@ -330,7 +332,7 @@ def test_another_survey_in_the_folder_is_refused(case, tmp_path, folder):
         plan(case, folder, resume=True, rng=5)
     (tmp_path / "papers").mkdir()
     (tmp_path / "papers" / "thesis.tex").touch()
-    with pytest.raises(rs.InputError, match="papers holds something else"):
+    with pytest.raises(rs.InputError, match="papers must be a new or empty folder, got one that contains"):
         plan(case, tmp_path / "papers")
     assert os.listdir(tmp_path / "papers") == ["thesis.tex"]
     with pytest.raises(rs.InputError, match="is a file"):

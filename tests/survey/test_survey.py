@@ -266,7 +266,7 @@ def test_what_is_told_is_told_once(sky, small):
         ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch changes nothing"),
         ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
-        ((twins, grid(1.2)), {}, "share their id"),
+        ((twins, grid(1.2)), {}, "have the same id"),
         ((sky, away), {}, "no target was observed"),
         ((sky, wide), {}, "placed for fields of 1 deg, those of small have 0.4"),
     ):
