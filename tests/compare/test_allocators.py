@@ -113,7 +113,7 @@ def test_circles_that_no_arm_covers_have_radii_of_their_own(crowded):
             "keep_out must be one or more circles made by Region.cap, got SkyCoord",
         ),
         (["star"], TypeError, "keep_out must be one or more circles made by Region.cap, got str in the list"),
-        (rs.Region.parse("box 1 2 3 4"), ValueError, "one or a list, got <Region box of "),
+        (rs.Region.parse("box 1 2 3 4"), ValueError, "made by Region.cap, got <Region box of "),
     ],
 )
 def test_what_no_arm_covers_is_a_list_of_circles(keep_out, kind, message):
