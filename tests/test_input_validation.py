@@ -89,7 +89,7 @@ CALLS = {
     "handedness must be one name or have the shape (3,), got (1,)": lambda: rs.find_collisions(
         PLANE, PLANE.xy, handedness=["left"]
     ),
-    "handedness belongs to tips": lambda: place_arms(
+    "handedness can be given only with tips": lambda: place_arms(
         PLANE, theta=[0, 0, 0] * DEG, phi=[0, 0, 0] * DEG, handedness="left"
     ),
     "fiber_type must have the shape (3,), got (2,)": lambda: rs.find_collisions(TYPED, PLANE.xy, fiber_type=["A", "B"]),
@@ -102,7 +102,7 @@ CALLS = {
     "required must hold ids of targets, integers or text, got truth values": lambda: rs.AllocationOptions(
         required=[True, False]
     ),
-    "required must hold ids of targets in one row, got the shape (1, 2)": lambda: rs.AllocationOptions(
+    "required must be a one-dimensional list of target ids, got the shape (1, 2)": lambda: rs.AllocationOptions(
         required=[[1, 2]]
     ),
     "required must be integers or text for every row, got numbers such as 1.5": lambda: rs.AllocationOptions(
@@ -129,8 +129,8 @@ CALLS = {
     "allocator must have no required targets and no keep_out": lambda: rs.collision_probability(
         PLANE, allocator=rs.AllocationOptions(keep_out=[CIRCLE])
     ),
-    "keep_out must be circles made by Region.cap, one or a list, got dict": lambda: rs.AllocationOptions(keep_out={}),
-    "keep_out must be circles made by Region.cap, one or a list, got <Region polygon": lambda: rs.AllocationOptions(
+    "keep_out must be one or more circles made by Region.cap, got dict": lambda: rs.AllocationOptions(keep_out={}),
+    "keep_out must be one or more circles made by Region.cap, got <Region polygon": lambda: rs.AllocationOptions(
         keep_out=[CIRCLE, rs.Region.parse("polygon 1 1 2 1 2 2")]
     ),
     "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
@@ -163,7 +163,7 @@ CALLS = {
     "table must be a QTable, got dict": lambda: rs.Tile({}),
     "the table is not that of a tile: it lacks ": lambda: rs.Tile(QTable({"id": [1]})),
     "center must be one direction, got the shape (2,)": lambda: rs.plan_tile(rs.Catalog(TWO), "moons", TWO),
-    "the survey has no tile nine; its tiles are such as ": lambda: survey().visits("nine"),
+    "the survey has no tile nine; its tiles have names such as ": lambda: survey().visits("nine"),
 }
 
 
@@ -223,7 +223,10 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
             ),
             "the arms are those of 1 positioners, not of 37",
         ),
-        (lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s), "got Instrument; an Instrument has one"),
+        (
+            lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s),
+            "got Instrument; use the attribute focal_plane",
+        ),
         (lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg), "stuck must give both theta"),
         (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
         (lambda s: replace(s.focal_plane, id=3), "id must have one value per positioner"),

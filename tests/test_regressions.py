@@ -15,7 +15,7 @@ from rfpsurvey.collision import place_arms
 from scenes import CENTER, MM, few
 
 
-@pytest.mark.filterwarnings("ignore:.*with the id of another")
+@pytest.mark.filterwarnings("ignore:.*with the same id as another target")
 @pytest.mark.parametrize("suffix", [".fits", ".ecsv"])
 @pytest.mark.parametrize(
     "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]
@@ -194,7 +194,7 @@ def test_a_tile_does_not_make_every_unit_stuck(small):
     assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner).arrays.usable.all()
 
 
-@pytest.mark.filterwarnings("ignore:without proper motions the epoch changes nothing")
+@pytest.mark.filterwarnings("ignore:the epoch has no effect, because the targets have no proper motions")
 def test_catalogs_with_velocities_and_odd_representations(small):
     """Radial velocities without proper motions, cartesian coordinates and distances raised errors of other packages."""
     still = few(3)
@@ -293,9 +293,9 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
     plan["x"] = x
     with pytest.warns(rs.RfpsurveyWarning, match="not used, because .*: center, epoch; to use"):
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
-    with pytest.warns(rs.RfpsurveyWarning, match="without proper motions the epoch changes nothing"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the epoch has no effect, because the targets have no proper motions"):
         rs.plan_tile(few(), small, CENTER, epoch=2030)
-    with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the id of another"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the same id as another target"):
         rs.plan_tile(few(2, id=[7, 7]), small, CENTER)
 
 

@@ -1,4 +1,4 @@
-"""Find arms closer than the minimum separation, by a broad phase and then by distances with a proven error limit.
+"""Find arms closer than the minimum separation: a broad phase selects pairs, whose distances have a proven error limit.
 
 Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1; the column of an absent arm is NaN.
 
@@ -80,9 +80,9 @@ def orientation(ax, ay, bx, by, px, py):
 
 @kernel
 def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Return the least squared distance from an end of one segment to the other segment.
+    """Return the smallest of the squared distances from an end of one segment to the other segment.
 
-    This is the squared distance of the segments, unless they cross.
+    This is the squared distance between the segments, unless they cross.
     """
     return min(
         min(point_segment_squared(ax, ay, cx, cy, dx, dy), point_segment_squared(bx, by, cx, cy, dx, dy)),
@@ -94,8 +94,8 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
     """Return the squared distance of the segments a-b and c-d; the error of its root is at most DISTANCE_ERROR * S.
 
-    The result is 0 if the segments certainly cross. If rounding makes this uncertain, the least distance from an end of
-    one segment to the other segment is accurate enough.
+    The result is 0 if the segments certainly cross. If it is uncertain because of rounding whether they cross, the
+    result is the smallest squared distance from an end of one segment to the other segment, which is accurate enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
         orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0
@@ -152,9 +152,9 @@ def apart(mx, my, ax, ay, bx, by, squared):
     """Return whether an axis separates two segments by more than the square root of ``squared``.
 
     The vector m connects the midpoints, and a and b are half the vectors from end to end. The axes tested are m and the
-    normals of both segments. In the projection on any axis, no point of a segment is farther from its midpoint than the
-    end of its half vector. The normal of a segment is ignored if the segment is so short that its squared length could
-    underflow.
+    normals of both segments. In the projection on any axis, the largest distance of a point of a segment from its
+    midpoint is the length of the projected half vector. The normal of a segment is ignored if the segment is so short
+    that its squared length could underflow.
     """
     # There are no branches, because a mispredicted branch takes longer than the tests of all three axes.
     m2 = mx * mx + my * my

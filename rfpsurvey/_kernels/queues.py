@@ -87,8 +87,9 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
 
     The probability of a positioner without entries is NaN. Entries are first compared in the projection on the line
     between the centers of the two positioners: their separation along this line is a lower limit of their distance. An
-    entry that is too far from all entries of the other positioner along this line is skipped. All of this is in one
-    function, because passing the arrays to a second function takes longer than testing short queues.
+    entry is skipped if its separation along this line from every entry of the other positioner is too large for a
+    collision. All these steps are in one function, because passing the arrays to a second function takes longer than
+    testing short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead

@@ -104,7 +104,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     if get("layout.table") is not None:
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
     if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
-        raise InputError("[layout] must have a table, or a pitch with rings or count (one of them)")
+        raise InputError("[layout] must have a table, or a pitch with either rings or count")
     fiducials = get("layout.fiducial_cells", [])
     shape = {
         "pitch": get("layout.pitch"),
@@ -139,7 +139,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Return names such as R+10C1 and R0C3, from a signed row number and a column number; the leftmost column is 1."""
+    """Return names such as R+10C1 and R0C3, made of a signed row number and a column number counted from the left."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"
@@ -151,7 +151,7 @@ def _groups(xy, n_groups, shape):
     """Split positioners into contiguous groups of equal size: wedges, or blocks that result from repeated halving."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
-        raise InputError(f"spectrographs must be from 1 to the number of positioners, got {n_groups}")
+        raise InputError(f"spectrographs must be a number from 1 to the number of positioners, got {n_groups}")
     group = np.empty(len(xy), dtype=int)
     if shape == "wedges":
         order = np.lexsort((np.hypot(*xy.T), np.round(np.mod(np.arctan2(xy[:, 1], xy[:, 0]), 2 * np.pi), 9)))

@@ -159,7 +159,7 @@ def plan_survey(
     else:
         catalog = as_catalog(catalog)
         if epoch is not None and not catalog.has_proper_motion:
-            warn("without proper motions the epoch changes nothing")
+            warn("the epoch has no effect, because the targets have no proper motions")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     tiles = as_tiling(tiling)
     if is_table(tiling):

@@ -23,9 +23,9 @@ _TURN = np.array([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi 
 def max_density(problem: TilingProblem) -> TilingState:
     """Place each tile at the center with the largest number of requested visits of the highest priority that is left.
 
-    If several centers have the same number, the one with the most visits of other priorities is used. The candidates
-    are a HEALPix grid finer than a tenth of the radius; their sums are updated around each new tile. The best candidate
-    is then shifted as long as its sum increases.
+    If several centers have the same number, the one with the most visits of other priorities is used. The candidate
+    centers form a HEALPix grid finer than a tenth of the radius. For each candidate, the sum of the requested visits in
+    its field is updated after each new tile. The best candidate is then shifted as long as its sum increases.
     """
     state = TilingState(problem)
     places = _grid(problem) if problem.allowed is None else problem.allowed
@@ -68,7 +68,7 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
 
 
 def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
-    """Place tiles until no more are needed or no target can be served."""
+    """Place tiles until no more tiles are needed or no further target can be observed."""
     lists = candidates if isinstance(candidates, tuple) else (candidates,)
     while not state.done:
         center = seek()
@@ -150,7 +150,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Shift a center by decreasing steps as long as the sum inside the tile increases."""
+    """Shift a center by decreasing steps as long as the number of requested visits inside the tile increases."""
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:

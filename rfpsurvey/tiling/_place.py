@@ -115,10 +115,11 @@ def place_tiles(
     Returns
     -------
     Tiling
-        The tiles. For targets, they are in the order in which they were placed, with the columns ``n_targets`` (number
-        of targets in the field that still require a visit), ``n_new`` (number of targets served) and ``completeness``
-        (after the tile). A survey with the same allocator reaches this completeness if it plans the tiles in this order
-        (``order="given"``), and nearly the same completeness in another order.
+        The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
+        columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
+        that the tile observes) and ``completeness`` (after the tile). A survey with the same allocator reaches the
+        completeness of the last tile if it plans the tiles in this order (``order="given"``), and nearly the same
+        completeness in another order.
 
     Raises
     ------
@@ -249,7 +250,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
         raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
     for name, value in given.items():
         if value is not None:
-            raise InputError(f"{name} is about targets, and a region has none")
+            raise InputError(f"{name} applies only to targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
         table, vectors = where.tiling.table, where.tiling.vectors
@@ -262,7 +263,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
     if quality.get("fraction_beyond_declination") == 1:
         raise InputError(f"at least a part of the region must be within reach{where.limits.words}, got none")
     if quality["covering_fraction"] < 1:
-        words = f"the centers that may be cover {quality['covering_fraction']:.4f} of the region"
+        words = f"the allowed centers cover {quality['covering_fraction']:.4f} of the region"
         if quality.get("fraction_beyond_declination"):
             words += f"; {quality['fraction_beyond_declination']:.4f} of it is out of reach{where.limits.words}"
         warn(words)
@@ -329,7 +330,7 @@ def _levels(priority, wanted, order):
 
 
 def _account(state: TilingState, neighbors, n_away: int) -> dict:
-    """Return the summary of a tiling; ``n_away`` targets are beyond the limits of declination."""
+    """Return the summary of a tiling; ``n_away`` targets cannot be reached within the declination limits."""
     problem = state.problem
     wanted, made = problem.wanted, problem.wanted - state.left
     n = len(state.rows)

@@ -148,7 +148,7 @@ def test_score(run, tmp_path):
     ("arguments", "message"),
     [
         (["probability", "--precision", 2], "--precision must be a number above 0"),
-        (["survey", "--instrument", "moons", "--pass", 7], "--pass must be different passes of the tiling (1, 2)"),
+        (["survey", "--instrument", "moons", "--pass", 7], "--pass must be distinct passes of the tiling (1, 2)"),
         (["compare", "moons", "--targets=-1"], "--targets must be a positive number, got -1"),
         (["compare", "moons", "--density", "nan"], "--density must be one finite value above 0"),
         (["compare", "moons", "--realizations", 0], "--realizations must be a whole number of at least 1"),

@@ -101,7 +101,7 @@ def test_the_embedded_default(tile):
         (["--declination", "60", "-10"], "declination must be a lower and an upper limit"),
         (["--radius", "0"], "radius must be one finite value above 0"),
         (["--radius", "1", "--require", "sky=5"], "--fibers and --radius need an --allocator"),
-        (["--region", "cap 1 2 3", "--allocator", "lamost"], "allocator is about targets"),
+        (["--region", "cap 1 2 3", "--allocator", "lamost"], "allocator applies only to targets"),
         (["--allocator", "magic"], "unknown allocator 'magic'"),
         (["--region", "sky"], "use method='spiral'"),
         (["--method", "best"], "unknown method to place tiles 'best'"),

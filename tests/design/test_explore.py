@@ -186,9 +186,9 @@ def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front(
     assert table["pareto"].tolist() == [False, True, True]
     with pytest.warns(rs.RfpsurveyWarning, match="arms reach further than 4 pitches"):
         assert np.isnan(explore(ratio=20)["coverage"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="outside the box of the surrogate"):
+    with pytest.warns(rs.RfpsurveyWarning, match="outside the range of the surrogate"):
         assert np.isnan(explore(ratio=3.2, method="surrogate")["loss"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="more than 1000 targets a positioner"):
+    with pytest.warns(rs.RfpsurveyWarning, match="more than 1000 targets per positioner"):
         assert np.isnan(explore(target_density=2 / MM**2)["loss"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="no fiber has a target"):
         assert np.isnan(explore(estimand="allocated", targets_per_positioner=1e-9)["loss"][0])

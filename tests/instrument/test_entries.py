@@ -107,7 +107,11 @@ def test_the_base_is_good(tmp_path):
         ("observing.skies", figure("2"), "unknown entry of [observing] 'skies'"),
         (".schema", "true", "schema must be 1, the only schema that this version reads, got True"),
         ("optics.radial_map", figure('{ any = { form = "theta", coefs = [1] } }'), "optics.radial_map must be"),
-        ("layout.spectrographs", figure("20"), "spectrographs must be from 1 to the number of positioners, got 20"),
+        (
+            "layout.spectrographs",
+            figure("20"),
+            "spectrographs must be a number from 1 to the number of positioners, got 20",
+        ),
         (
             "layout.rings",
             '{ value = 2, status = "assumed", source = 3 }',
