@@ -65,7 +65,9 @@ def write_table(
             try:
                 _to_hdus(table, cards, name, others or {}).writeto(temporary)
             except UnicodeEncodeError as error:
-                raise InputError(f"{path}: FITS holds ASCII text only ({error}); write .ecsv instead") from error
+                raise InputError(
+                    f"{path}: FITS files can contain only ASCII text ({error}); write .ecsv instead"
+                ) from error
         else:
             opener = gzip.open if path.suffix.lower() == ".gz" else open
             with opener(temporary, "wt", encoding="utf-8", newline="\n") as file:
@@ -104,8 +106,8 @@ def check_fits_text(columns: dict, remedy: str) -> None:
         bad = [one for one in text if not (one.isascii() and one.isprintable()) and one]
         if bad:
             raise InputError(
-                f"FITS files hold printable ASCII text only, but {len(bad)} {what} are other, such as "
-                f"{bad[0]!r}; change them, or {remedy}"
+                f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain other characters, such "
+                f"as {bad[0]!r}; change them, or {remedy}"
             )
 
 
@@ -155,7 +157,7 @@ def temporary_folder(path: str | os.PathLike):
     """Provide a temporary folder beside ``path`` that is renamed to ``path`` on success."""
     path = to_path(path)
     if path.exists():
-        raise InputError(f"{path} exists; give a folder that does not")
+        raise InputError(f"{path} exists; give a folder that does not exist")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     with _in_place_of(path) as temporary:
@@ -246,7 +248,9 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
         try:
             body[name] = np.where(column, ord("T"), ord("F")) if column.dtype.kind == "b" else column
         except UnicodeEncodeError as error:
-            raise InputError(f"FITS files hold ASCII text only, but the column {name!r} has other: {error}") from None
+            raise InputError(
+                f"FITS files can contain only ASCII text, but the column {name!r} has other characters: {error}"
+            ) from None
     return b"".join([primary, bytes(image), body.tobytes(), bytes(-body.nbytes % 2880)])
 
 

@@ -41,7 +41,7 @@ def compare(
         int | None, typer.Option(help="Number of synthetic fields of each instrument. By default, 4.")
     ] = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Allocator; may be repeated. By default, lamost and optimal.")
+        list[str] | None, typer.Option(help="Allocator; may be repeated. The default is lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,

@@ -118,7 +118,7 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance; return the positioners (n,) for which this is possible.
+        """Replace limits of phi by limits of the fiber's distance from the center; return where this is possible, (n,).
 
         If theta is free, the limits allow a ring, because the distance of the fiber from the center depends on phi
         alone. This requires that the allowed part of phi is one interval.

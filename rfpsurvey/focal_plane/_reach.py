@@ -141,7 +141,7 @@ def find_reach(plane, points, accepts) -> Reach:
 
 
 def _merge(parts, n) -> Reach:
-    """Return the pairs of all targets from those of parts of the targets, given with the rows of the targets."""
+    """Combine the reachable pairs of several groups of targets; each group is given with the rows of its targets."""
     size = np.zeros(n, dtype=np.int64)
     for rows, pairs in parts:
         size[rows] = np.diff(pairs.indptr)

@@ -29,8 +29,8 @@ MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
     "x is the negative x of CS5, because +x is east here and west in CS5. The positioners' polygons are replaced by a "
     "segment with a clearance, which leaves out the wider elbow and the central bodies. Guide cameras, fiducials and "
-    "petal edges are no obstacles. The arms move in the plane of the centers, not in planes tangent to the focal "
-    "surface. The radial map is that of the preset."
+    "petal edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the "
+    "focal surface. The radial map is that of the preset."
 )
 
 

@@ -21,7 +21,7 @@ def stacked_bars(
     *,
     columns: int = 2,
 ) -> None:
-    """Draw a bar from 0 to 1 for each class; the numbers of observed (``counted``) and all members are on the right.
+    """Draw a bar from 0 to 1 for each class, with the numbers of observed (``counted``) and of all members beside it.
 
     ``pieces`` are the parts of the bars from left to right. Each consists of the numbers for all classes, a label and a
     style.

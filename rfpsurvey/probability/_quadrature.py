@@ -27,10 +27,11 @@ SCRAMBLES = 8
 FIRST_POINTS = 128
 """Number of points in the first estimate if there is one environment.
 
-The errors of several environments average out, so that fewer points suffice.
+An environment is an arrangement of neighbors. The errors of several environments average out, so that fewer points
+suffice.
 """
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""Minimum number of points, without and with weights.
+"""Minimum numbers of points without and with weights, in this order.
 
 Weights require more points, because the bias of a weighted mean does not average out.
 """
@@ -48,7 +49,7 @@ class Quadrature:
 
     @cached_property
     def environments(self) -> tuple[np.ndarray, np.ndarray]:
-        """One positioner of each environment, and the number of the environment of each positioner."""
+        """Row of one positioner of each environment, and index of the environment of each positioner."""
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
