@@ -106,8 +106,8 @@ def check_fits_text(columns: dict, remedy: str) -> None:
         bad = [one for one in text if not (one.isascii() and one.isprintable()) and one]
         if bad:
             raise InputError(
-                f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain other characters, such "
-                f"as {bad[0]!r}; change them, or {remedy}"
+                f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain others, such as "
+                f"{bad[0]!r}; change them, or {remedy}"
             )
 
 

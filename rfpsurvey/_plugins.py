@@ -13,7 +13,7 @@ __all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
 
 @dataclass(frozen=True)
 class Plugin:
-    """A plugin, which is an object of another package or a function of the user."""
+    """A plugin: an object from another package, or a function of the user."""
 
     what: str
     name: str

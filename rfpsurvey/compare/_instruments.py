@@ -35,8 +35,9 @@ COMPARABLE = {
         "and per solid angle can be compared; fractions of positioners depend on the number of targets per positioner."
     ),
     "same catalog": (
-        "Every instrument observes a whole field of the same catalog, which may not cover the field. Fibers per field "
-        "and per solid angle can be compared; fractions of positioners depend on the number of targets per positioner."
+        "Every instrument observes a whole field of the same catalog; areas outside the catalog contain no targets. "
+        "Fibers per field and per solid angle can be compared; fractions of positioners depend on the number of targets "
+        "per positioner."
     ),
 }
 CAUTION = (

@@ -84,7 +84,7 @@ class ProbabilityQuestion:
 
     @cached_property
     def simulation(self) -> Simulation | None:
-        """Simulation of allocated targets; None for independent ones."""
+        """Simulation of allocated targets; None for independent targets."""
         if self.targets is None:
             return None
         return Simulation(self.focal_plane, self.targets, self.options, self.most_entries)

@@ -69,9 +69,7 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
     facts = estimate_facts(estimate)
     kind = f"{estimate.method}, for {estimate.estimand} targets"
     likely = estimate.per_positioner[np.isfinite(estimate.per_positioner)]
-    spread = {
-        f"largest value of {q} % of the positioners": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)
-    }
+    spread = {f"{q}th percentile over the positioners": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)}
     blocks = [Facts("", facts), *([Facts("Probability of single positioners", spread)] if len(likely) else [])]
     highlights = {"collision probability": facts["collision probability"]}
     highlights |= {k.strip(): v for k, v in facts.items() if k.endswith("interval")}
