@@ -230,9 +230,10 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
 
-    This is fast for thousands of small tables with the same columns, because astropy makes only the header of the first
-    table. This header contains the ``fixed`` cards, which are pairs of a name and a value (or a value and a comment).
-    For each table, ``cards`` are replaced or added.
+    This function is fast for thousands of small tables with the same columns, because astropy makes only the header of
+    the first table. The header of the first table contains the ``fixed`` cards, which are pairs of a name and a value
+    (or a value and a comment). In the header of each table, the given ``cards`` replace the cards of the same name or
+    are added.
     """
     primary, header, places, disk = _fits_template(rows.dtype, fixed)
     image = bytearray(header)

@@ -25,7 +25,7 @@ def compare(
     catalog: Annotated[
         Path | None,
         typer.Option(
-            help="Catalog for all instruments, a file or example:anticenter. By default, synthetic Poisson targets."
+            help="Catalog for all instruments, a file or example:anticenter. The default is synthetic Poisson targets."
         ),
     ] = None,
     center: _options.CenterOption = None,

@@ -190,7 +190,7 @@ class AllocationOptions:
         return float(self.time_limit.to_value(u.s))
 
     def for_instrument(self, instrument: object) -> "AllocationOptions":
-        """Return the options for an instrument, with its requirements and with the separation as a length.
+        """Return the options for an instrument, with its requirements and with ``sky_separation`` as a length.
 
         Parameters
         ----------

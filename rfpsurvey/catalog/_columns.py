@@ -70,13 +70,13 @@ class Finder:
     columns: dict = field(default_factory=dict)
     """Column name for each role, in place of the common names; a leading minus reverses the sign of numbers."""
     units: dict = field(default_factory=dict)
-    """Unit for each role, for columns without a unit."""
+    """Unit for each role whose column has no unit."""
     assume_units: bool = False
     """Whether columns without a unit are assumed to have the usual unit (for formats that cannot contain units)."""
     fill: dict = field(default_factory=dict)
-    """Value for each role that replaces missing values."""
+    """For each role, the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
-    """Unit for each role for which the usual unit has been assumed."""
+    """For each role whose unit has been assumed, the usual unit."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):

@@ -36,8 +36,8 @@ COMPARABLE = {
     ),
     "same catalog": (
         "Every instrument observes a whole field of the same catalog; areas outside the catalog contain no targets. "
-        "Fibers per field and per solid angle can be compared; fractions of positioners depend on the number of targets "
-        "per positioner."
+        "Fibers per field and per solid angle can be compared; fractions of positioners depend on the number of "
+        "targets per positioner."
     ),
 }
 CAUTION = (
@@ -162,8 +162,8 @@ def compare_instruments(
     Notes
     -----
     The interval is a Wilson interval with the effective number of independent trials, which is estimated from the
-    scatter between positioners and the correlation of neighbors. It describes the scatter of other fields with
-    targets of the same kind.
+    scatter between positioners and the correlation of neighbors. The interval describes the scatter of other fields
+    with targets of the same kind.
 
     Examples
     --------

@@ -47,7 +47,7 @@ class Skies(NamedTuple):
     each: float
     """Number of targets per positioner."""
     number: int
-    """Number of realizations of the targets to average over."""
+    """Number of realizations of the targets over which losses are averaged."""
     rng: np.random.Generator
     time_limit: float
     """Time limit of a search, in seconds."""

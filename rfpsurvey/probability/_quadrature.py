@@ -139,7 +139,7 @@ class Quadrature:
 
     @cached_property
     def _idle(self):
-        """Segments of positioners that cannot move; NaN for all others."""
+        """Segments of the arms of positioners that cannot move; NaN for all other positioners."""
         return make_positioners(self.plane, self._setup).idle
 
 
@@ -153,7 +153,7 @@ def _net(n_points: int) -> np.ndarray:
 
 
 def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarray:
-    """Return sets of Sobol points, one after the other, each with its own random digital shift."""
+    """Return several sets of Sobol points in one array; each set has its own random digital shift."""
     shifts = rng.integers(0, 2**BITS, (n_sets, 1, 2))
     return ((_net(n_points) ^ shifts).reshape(-1, 2) + rng.random(2)) / 2**BITS
 
@@ -161,7 +161,7 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return the value, its interval and error, computed with as many points as the precision requires."""
+    """Return the probability, its interval and its error, computed with as many points as the precision requires."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
