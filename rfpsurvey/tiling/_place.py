@@ -34,6 +34,8 @@ from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
 __all__ = ["place_tiles"]
 
+MOST_LEVELS = 100
+"""Largest number of classes of priorities for which tiles are placed one class after the other."""
 log = logging.getLogger("rfpsurvey")
 
 
@@ -75,8 +77,9 @@ def place_tiles(
         ``spiral``: a Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: each tile in turn is
         placed where the number of requested visits is largest. ``density_gradient``: each tile in turn climbs the
         smoothed density of targets, starting at the densest target. ``mean_shift``: each tile in turn moves
-        repeatedly to the mean of its targets. ``sdss``: a number of tiles are placed by network flow; by default it
-        is the number of a hexagonal lattice. ``given``: the tiles in ``centers``, in their order.
+        repeatedly to the mean of its targets. These three methods place tiles for the targets of the highest priority
+        first. ``sdss``: a number of tiles are placed by network flow; by default it is the number of a hexagonal
+        lattice. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
         Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left. With
         ``completeness`` or ``n_tiles``, passes are added until this goal is reached, and tiles that serve no target are
@@ -223,6 +226,7 @@ def place_tiles(
             limits=where.limits,
             n_beyond=n_beyond,
             tiles=where.tiling,
+            level=_levels(catalog.priority, wanted, index.order),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
         state = METHODS[method](problem)
@@ -310,6 +314,18 @@ def _wanted(catalog, visits, exclude):
             "the catalog must have at least one science target that requires a visit and lies outside of exclude"
         )
     return wanted
+
+
+def _levels(priority, wanted, order):
+    """Return the class of the priority of each target by position, 0 for the highest; None for a single class.
+
+    If there are more than `MOST_LEVELS` priorities, neighboring ones share a class.
+    """
+    if priority is None or len(values := np.unique(priority[wanted > 0])) < 2:
+        return None
+    rank = np.clip(np.searchsorted(values, priority), 0, len(values) - 1)
+    number = min(len(values), MOST_LEVELS)
+    return (number - 1 - rank * number // len(values))[order]
 
 
 def _account(state: TilingState, neighbors, n_away: int) -> dict:

@@ -34,6 +34,8 @@ class TilingProblem:
     """Number of visits that no tile within the limits can make; ``wanted`` does not include them."""
     tiles: Tiling | None = None
     """The list of centers with their passes."""
+    level: np.ndarray | None = None
+    """Class of the priority of each target, 0 for the highest; None if all targets have the same priority."""
     tell: Callable | None = None
     """Function that is called after each tile with the number of tiles and the completeness."""
 
@@ -76,8 +78,26 @@ class TilingState:
 
     @property
     def weight(self) -> np.ndarray:
-        """Number of visits per target for which tiles are placed."""
-        return np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
+        """Number of visits per target for which tiles are placed, multiplied by the importance of its priority.
+
+        The visits of the highest priority that is left have the importance 1, and all others together less than 1.
+        """
+        weight = np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
+        if self.problem.level is None:
+            return weight
+        return np.where(self.problem.level == self.leading(weight), weight, weight * self.unit)
+
+    def leading(self, weight: np.ndarray | None = None) -> int:
+        """Return the class of the highest priority among the targets for which tiles are placed."""
+        if self.problem.level is None:
+            return 0
+        weight = self.left * ~self.hopeless if weight is None else weight
+        return int(self.problem.level[weight > 0].min(initial=self.problem.level.max()))
+
+    @property
+    def unit(self) -> float:
+        """Weight of a visit of a priority that is not the leading one."""
+        return 1.0 if self.problem.level is None else 1.0 / (1.0 + self._n_wanted)
 
     @property
     def completeness(self) -> float:
