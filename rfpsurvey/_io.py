@@ -116,7 +116,8 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
     """Provide a temporary path that is renamed to ``path`` on success, and removed otherwise.
 
     The temporary path is in a new folder beside ``path``, with a random name and without write permission for other
-    users. Therefore, no other thread or process writes there, and no link with the name of the path can exist.
+    users. Therefore, no other thread or process writes into this folder, and no link with the name of the path can
+    exist.
     """
     room = None
     try:

@@ -224,7 +224,10 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
             "the arms are those of 1 positioners, not of 37",
         ),
         (lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s), "got Instrument; an Instrument has one"),
-        (lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg), "stuck must give both theta"),
+        (
+            lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg),
+            "stuck must contain both theta",
+        ),
         (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
         (lambda s: replace(s.focal_plane, id=3), "id must have one value per positioner"),
         (

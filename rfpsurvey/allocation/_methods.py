@@ -99,7 +99,7 @@ def _bounded(problem, target_of, blind):
 def _in_order(problem):
     """Return the pairs that may be assigned, the class of each target, and the number of classes.
 
-    Required targets of any kind form a class before all others.
+    Required targets of any kind form a class before all other classes.
     """
     if not problem.any_required:
         return problem.only(problem.science), problem.rank, len(problem.classes)

@@ -135,9 +135,9 @@ def _compare(lattice, skies, method):
 def _over_skies(lattice, skies, look, *, whole=False):
     """Count the fibers assigned in the center of a patch in all realizations; return the fraction that is lost.
 
-    Positioners near the edge of a patch have fewer neighbors and are not counted. If nothing is lost, the error is that
-    of one lost fiber. With ``whole``, a fiber is either lost or not, and the error is always at least that of one lost
-    fiber.
+    Positioners near the edge of a patch have fewer neighbors and are not counted. If no fiber is lost, the error is
+    that of one lost fiber. With ``whole``, each fiber is either lost or not lost, and the error is always at least that
+    of one lost fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch

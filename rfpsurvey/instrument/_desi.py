@@ -1,7 +1,8 @@
 """DESI as built: positions from the metrology of desimeter, or the focal plane of desimodel with its state.
 
-Both use the coordinate system CS5, in which +x is west and +y is north at a field rotation of 0. In the focal plane of
-this package, +x is east. The mirror image, x = -X, exchanges the handedness and the signs of the joint angles.
+The files of desimeter and desimodel use the coordinate system CS5, in which +x is west and +y is north at a field
+rotation of 0. In the focal plane of this package, +x is east. The mirror image, x = -X, exchanges the handedness and
+the signs of the joint angles.
 """
 
 import gzip

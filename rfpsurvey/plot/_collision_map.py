@@ -37,10 +37,10 @@ def plot_collision_map(
 ) -> "Axes":
     """Plot the collision probability of each positioner or, for one configuration, the positioners in collision.
 
-    Each positioner is a disk; the disk is not filled if the positioner is not counted. The colors of probabilities
-    extend from the smallest to the largest one. Inside a regular lattice without gaps, the expected probability is the
-    same everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of
-    positioners in collision are hatched, and lines connect those that collide with each other.
+    Each positioner is a disk; the disk is not filled if the positioner is not counted. The color scale extends from the
+    smallest to the largest probability. Inside a regular lattice without gaps, the expected probability is the same
+    everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of positioners
+    in collision are hatched, and lines connect the positioners that collide with each other.
 
     Parameters
     ----------

@@ -116,7 +116,7 @@ def plot_residuals(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Plot the differences of two columns as a function of two others, such as arm ratio and pitch.
+    """Plot the differences of two columns as a function of two other columns, such as arm ratio and pitch.
 
     Triangles point up if the difference is positive, and down if it is negative; disks show differences of 0.
 

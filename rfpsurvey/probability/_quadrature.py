@@ -61,7 +61,7 @@ class Quadrature:
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
         """Return the collision probability of positioner i, and its contribution to the expected number of pairs.
 
-        There are ``n_points`` points for the positioner and for each of its neighbors.
+        The integral uses ``n_points`` points for the positioner and for each of its neighbors.
         """
         plane, (starts, neighbor) = self.plane, self.plane.arrays.both_ways
         own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])

@@ -25,9 +25,9 @@ FIGURES = {
     ),
     "large": (
         "Comparison of the formula with the simulation.",
-        "Left: each point is a design, with two definitions of the simulated probability; on the gray line both are "
-        "equal. Right: the difference of the two, each scaled to the range from 0 to 1. Triangles point up where the "
-        "formula is larger.",
+        "Left: each point is a design, with two definitions of the simulated probability; on the gray line the two are "
+        "equal. Right: the difference of formula and simulation, each scaled to the range from 0 to "
+        "1. Triangles point up where the formula is larger.",
     ),
     "poisson": (
         "Collision probability with uniform targets minus that with Poisson-distributed targets.",
@@ -130,9 +130,10 @@ def page_of_instruments(table: Table, where: str) -> Page:
     meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
     lead = f"{', '.join(names)}; number of fields of each instrument: {meta['n_fields']}; {meta['way']}."
     seen = (
-        "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions of "
-        "the positioners with a science target, with one but in collision, and without one; the number to the right is "
-        "the fraction of targets lost to collisions. Right: the collision probability with its 95 % interval."
+        "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions "
+        "of the positioners with a science target and no collision, with a science target but in collision, and "
+        "without a science target; the number to the right is the fraction of targets lost to collisions. Right: the "
+        "collision probability with its 95 % interval."
     )
     blocks = [
         Picture("Instruments side by side.", draw_instruments(table), seen),

@@ -2,7 +2,8 @@
 MOONS: overlapping patrol areas
 ===============================
 
-The arms of MOONS reach the centers of neighboring positioners. This helps in crowded fields, but makes arms collide.
+The arms of MOONS reach the centers of neighboring positioners. These overlaps are useful in
+crowded fields, but arms can collide.
 """
 
 import astropy.units as u
