@@ -60,7 +60,7 @@ class Lattice:
 
     @property
     def collision_type(self) -> int:
-        """Collision type. 1: no arms can touch; 2: only arms of nearest neighbors can touch; 3: other arms can also touch."""
+        """1: no arms can touch; 2: only arms of nearest neighbors can touch; 3: other arms can also touch."""
         return 1 if self.sight <= self.pitch else 2 if self.sight <= np.sqrt(3) * self.pitch else 3
 
     def coverage(self, n_lines: int = N_LINES) -> np.ndarray:
