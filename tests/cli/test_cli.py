@@ -431,5 +431,5 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
         write(["a", "b", "c"], ["x", "ä", "z"])
         code, _, err = run(*plan, "--keep", "note", *fits, "--overwrite")
         assert code == 2
-        assert "1 values of 'note' are other, such as 'ä'" in err
+        assert "1 values of 'note' contain others, such as 'ä'" in err
     assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0
