@@ -13,7 +13,8 @@ from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisio
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -35,6 +36,7 @@ except ImportError:  # the source tree has not been built
 __all__ = [
     "Allocation",
     "AllocationOptions",
+    "ArmOutline",
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
@@ -44,6 +46,7 @@ __all__ = [
     "InputTypeError",
     "InputUnitsError",
     "Instrument",
+    "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
     "RadialMap",
@@ -100,4 +103,4 @@ def __dir__():
     # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
     # names.
     hidden = {"compare", "report", "survey"}
-    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision"} - hidden)
+    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision", "observing"} - hidden)

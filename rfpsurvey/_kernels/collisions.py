@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.outlines import NO_OUTLINE, UNIT, Outline, outlines_squared
 
-UNIT = 2.0**-53
 # The error of the computed distance of a pair is at most this factor times S.
 DISTANCE_ERROR = 20.0 * UNIT
 # The sign of an orientation is certain if its magnitude exceeds this factor times the sum of the magnitudes of its two
@@ -27,7 +27,10 @@ SHORT_RUN = 8
 
 
 class Limits(NamedTuple):
-    """Minimum separation and allowances for rounding, for segments of limited length and distance from the origin."""
+    """Minimum separation and allowances for rounding, for segments of limited length and distance from the origin.
+
+    With an outline, the segments are the cores of the arms, and the separation is that of two cores.
+    """
 
     separation: float
     slack: float
@@ -36,14 +39,21 @@ class Limits(NamedTuple):
     """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
     """Largest difference of a squared distance from separation^2 at which rounding could change their comparison."""
+    outline: Outline
+    """Outline of the arms; without parts if the segments themselves collide."""
 
 
-def limits(separation, length, extent):
-    """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin."""
+def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0):
+    """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin.
+
+    With an outline, ``separation`` is that of two cores, and ``outline_error`` (mm) is the limit of the rounding error
+    of the distances that `outlines_squared` computes.
+    """
     size = 2.0 * length + separation  # S of a pair at the minimum separation; pairs with a larger S are farther apart
     slack = REJECT_ERROR * (extent + size)
     error = 1.2 * DISTANCE_ERROR * size  # the factor 1.2 covers the rounding of separation^2 and of the comparison
-    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
+    error += outline_error
+    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error), outline)
 
 
 @kernel
@@ -107,6 +117,34 @@ def pair_squared(segments, i, j):
         segments[2, j],
         segments[3, j],
     )
+
+
+@kernel
+def outlined_squared(segments, a, b, limits, i, j):
+    """Return the square of the gap between two outlines plus the offset, for cores a and b of positioners i and j."""
+    return outlines_squared(
+        limits.outline,
+        limits.separation,
+        i,
+        j,
+        segments[0, a],
+        segments[1, a],
+        segments[2, a],
+        segments[3, a],
+        segments[0, b],
+        segments[1, b],
+        segments[2, b],
+        segments[3, b],
+    )
+
+
+@kernel
+def outline_gaps(segments, pairs, limits, out):
+    """Compute the distance between the outlines of each pair of positioners; it is 0 if they overlap."""
+    limits = Limits(math.inf, limits.slack, limits.near, limits.band, limits.outline)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        out[k] = max(math.sqrt(outlined_squared(segments, i, j, limits, i, j)) - limits.outline.offset, 0.0)
 
 
 @kernel
@@ -199,9 +237,10 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
+    outlined = limits.outline.start.size > 1
     for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
-        d2 = pair_squared(segments, i, j)
+        d2 = outlined_squared(segments, i, j, limits, i, j) if outlined else pair_squared(segments, i, j)
         if d2 < limit + band:
             first[n], second[n], squared[n] = i, j, d2
             n += 1

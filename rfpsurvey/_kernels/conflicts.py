@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.collisions import keep_near, pair_squared
+from rfpsurvey._kernels.collisions import keep_near, outlined_squared, pair_squared
 
 # Number of candidate pairs that are tested together.
 BATCH = 2048
@@ -48,6 +48,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
     touching, limit, band = limits.separation + limits.slack, limits.separation**2, limits.band
     near2 = limits.near**2
+    outlined = limits.outline.start.size > 1
     size = start[-1]
     ahead = np.empty(size)
     near = np.empty(size, np.int64)
@@ -93,8 +94,9 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
                         found += marks[k]
                 a += 1
             for k in range(keep_near(halves, found, touching**2, one, two)):
-                d2 = pair_squared(segments, one[k], two[k])
-                first[n], second[n], borderline[n] = one[k], two[k], d2 >= limit - band
+                c, d = one[k], two[k]
+                d2 = outlined_squared(segments, c, d, limits, i, j) if outlined else pair_squared(segments, c, d)
+                first[n], second[n], borderline[n] = c, d, d2 >= limit - band
                 n += d2 < limit + band
     return n, p
 

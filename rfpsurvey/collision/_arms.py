@@ -210,14 +210,31 @@ def capsule_angles(columns, assigned):
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
 
 
-def nearest_distance(posed: Arms) -> np.ndarray:
-    """Return the distance (mm) from each arm to the nearest other arm: NaN if absent, infinity without another arm."""
+def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
+    """Return the distance (mm) from each arm to the nearest other arm: NaN if absent, infinity without another arm.
+
+    For arms with an outline, only the arms of neighbors that can touch an arm are considered.
+    """
     segments = np.ascontiguousarray(posed.segments.T)
+    if plane.positioner.outline is not None:
+        return _nearest_outline(plane, segments, posed.present)
     halves, out = np.empty_like(segments), np.empty(len(posed.segments))
     collisions.halve(segments, halves)
     present = np.flatnonzero(posed.present)
     order = present[np.argsort(halves[0, present], kind="stable")]
     collisions.nearest_arm(segments, halves, order, out)
+    return out
+
+
+def _nearest_outline(plane, segments, present):
+    """Return the distance (mm) from each outline to the nearest outline of a neighbor that can touch it."""
+    pairs, limits = plane.arrays.neighbors, plane.arrays.limits
+    pairs = pairs[present[pairs].all(axis=1)]
+    gaps = np.empty(len(pairs))
+    collisions.outline_gaps(segments, pairs, limits, gaps)
+    out = np.where(present, np.inf, np.nan)
+    for column in pairs.T:
+        np.minimum.at(out, column, gaps)
     return out
 
 

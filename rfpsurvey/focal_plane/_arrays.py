@@ -12,6 +12,7 @@ from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import joints_allow
+from rfpsurvey.focal_plane._limits import find_limits
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
@@ -19,6 +20,12 @@ __all__ = ["FocalPlaneArrays"]
 
 IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "geometry", "bounds", "angles")
 """Names of the arrays that depend on the fiber types in use."""
+MODELS = {
+    "elbow_to_tip": arms.ELBOW_TO_TIP,
+    "capsule": arms.CAPSULE,
+    "fiber_tip": arms.FIBER_TIP,
+    "outline": arms.CAPSULE,  # the core of an outline
+}
 SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of costly arrays that do not depend on the fiber types in use."""
 
@@ -85,9 +92,7 @@ class FocalPlaneArrays:
         self.plane = plane
         numbers = plane.positioner.numbers
         self.separation, self.clearance = numbers.separation, numbers.clearance
-        self.model = {"elbow_to_tip": arms.ELBOW_TO_TIP, "capsule": arms.CAPSULE, "fiber_tip": arms.FIBER_TIP}[
-            plane.positioner.arm_model
-        ]
+        self.model = MODELS[plane.positioner.arm_model]
         self.length = 0.0 if numbers.arm_length is None else numbers.arm_length
 
     @cached_property
@@ -138,7 +143,9 @@ class FocalPlaneArrays:
 
     @cached_property
     def arm_reach(self) -> np.ndarray:
-        length = self.plane.positioner.numbers.arm_length
+        outline, length = self.plane.positioner.outline, self.plane.positioner.numbers.arm_length
+        if outline is not None:
+            return locked(np.maximum(self.central_arm + outline.reach[0], outline.reach[1]))
         return locked(self.central_arm + (self.longest_arm if length is None else length))
 
     @cached_property
@@ -295,10 +302,7 @@ class FocalPlaneArrays:
     @cached_property
     def limits(self) -> collisions.Limits:
         """Minimum separation and the allowance for rounding."""
-        extent = np.hypot(*self.xy.T) + self.arm_reach
-        return collisions.limits(
-            self.separation, self.longest, float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS
-        )
+        return find_limits(self)
 
     @cached_property
     def longest(self) -> float:

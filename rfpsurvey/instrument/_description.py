@@ -11,7 +11,7 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
 from rfpsurvey.instrument._pfs_map import cobra_ids
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap
 
 __all__ = ["PRESETS", "build", "load"]
@@ -63,11 +63,14 @@ def build(content: dict, folder: Path) -> dict:
         value = entry["value"]
         return value * u.Unit(entry["unit"]) if "unit" in entry else value
 
-    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k != "arm_angle"}
+    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k not in ("arm_angle", "outline")}
     angle = values.get("positioner.arm_angle")
     if angle is not None:
         value, unit = angle["value"], u.Unit(angle["unit"])
         options["arm_angle"] = {t: v * unit for t, v in value.items()} if isinstance(value, dict) else value * unit
+    outline = values.get("positioner.outline")
+    if outline is not None:
+        options["outline"] = ArmOutline.from_dict(outline["value"], u.Unit(outline["unit"]))
     focal_plane = _layout(Positioner(**options), get, folder)
     maps = {
         t: RadialMap(

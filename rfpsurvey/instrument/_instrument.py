@@ -29,7 +29,8 @@ from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
-from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
+from rfpsurvey.instrument._projections import Projections
+from rfpsurvey.projection import RadialMap
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
 
@@ -39,7 +40,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(AsBuilt):
+class Instrument(AsBuilt, Projections):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -113,46 +114,6 @@ class Instrument(AsBuilt):
 
     def _repr_html_(self):
         return to_html(self, fact_texts(self.facts()))
-
-    def projection(self, center: SkyCoord, position_angle: u.Quantity = 0 * u.deg) -> TangentPlane:
-        """Return the projection of a field onto the focal plane.
-
-        Parameters
-        ----------
-        center : SkyCoord
-            Field center.
-        position_angle : Quantity, optional
-            Position angle of +y, from north toward east.
-
-        Returns
-        -------
-        TangentPlane
-            The projection.
-
-        Raises
-        ------
-        InputError
-            If the center is not one direction, or the position angle not one angle.
-        """
-        return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
-
-    def field_projection(self, ra: float, dec: float, angle: float) -> FieldProjection:
-        """Return the projection of a field on plain arrays.
-
-        Parameters
-        ----------
-        ra, dec : float
-            Field center, ICRS, in radians.
-        angle : float
-            Position angle of +y from the north of ICRS, in radians.
-
-        Returns
-        -------
-        FieldProjection
-            The projection; it equals ``projection(...).plain`` and is computed faster.
-        """
-        focal_length = self.plate_scale.to_value(u.mm / u.rad)
-        return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
 
     @property
     def field_radius(self) -> u.Quantity:

@@ -86,7 +86,7 @@ def plot_designs(
     mark = {**_instruments(table), **(mark or {})}
     for one in (table, *mark.values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
-            raise InputError("table and the tables in mark must be what explore_designs returns")
+            raise InputError("table, and each table in mark, must be a table that explore_designs returned")
         if _question(one) != _question(table):
             raise InputError(f"the losses in mark must be those of table ({_question(table)}), got {_question(one)}")
     objectives = list(table.meta["objectives"])

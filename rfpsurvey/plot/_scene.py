@@ -30,6 +30,8 @@ class Scene:
     bodies: np.ndarray
     """Colliding segments, rows (x0, y0, x1, y1)."""
     half: float
+    outline: dict | None
+    """Parts of the outline of the arms by arm (eccentric and central), with vertices and radius in mm."""
     status: np.ndarray
     colliding: np.ndarray
     obstacles: np.ndarray
@@ -70,6 +72,7 @@ def _of_tile(tile):
         tips,
         np.hstack([starts, ends]),
         geometry["min_separation_mm"] / 2,
+        geometry.get("outline_mm"),
         np.asarray(table["status"]),
         np.asarray(table["in_collision"]),
         np.array(geometry["obstacles_mm"]).reshape(-1, 3),
@@ -97,6 +100,7 @@ def _of_plane(thing):
         posed.tip,
         posed.segments,
         plane.positioner.numbers.separation / 2,
+        None if plane.positioner.outline is None else plane.positioner.outline.to_dict(),
         status,
         np.zeros(n, bool),
         plane.arrays.obstacles,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, queues
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import locked, to_plain
 from rfpsurvey.collision import make_setup
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
@@ -91,7 +91,7 @@ class Quadrature:
         queues.expect(
             pairs,
             plane.arrays.geometry_of(own),
-            self._setup.limits,
+            _limits_of(self._setup.limits, own),
             obstacles,
             self._setup.obstacles,
             self._setup.clearance,
@@ -141,6 +141,15 @@ class Quadrature:
     def _idle(self):
         """Segments of the arms of positioners that cannot move; NaN for all other positioners."""
         return make_positioners(self.plane, self._setup).idle
+
+
+def _limits_of(limits, own):
+    """Return the limits for a list of positioners, whose outlines have the same order."""
+    outline = limits.outline
+    if outline.start.size == 1:
+        return limits
+    centers = locked(np.ascontiguousarray(outline.centers[:, own]))
+    return limits._replace(outline=outline._replace(centers=centers))
 
 
 @cache

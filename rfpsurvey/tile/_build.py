@@ -74,7 +74,7 @@ def build_tile(
     table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
     table["in_collision"] = report.in_collision
     table["colliding_with"] = _partners(plane, report)
-    table["clearance"] = (nearest_distance(posed) - plane.positioner.numbers.separation) * u.mm
+    table["clearance"] = (nearest_distance(plane, posed) - plane.positioner.numbers.separation) * u.mm
     table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
     if kind is not None:
         table["kind"] = np.append(kind, "")[target_of]
@@ -110,6 +110,7 @@ def build_tile(
             "min_separation_mm": float(plane.positioner.numbers.separation),
             "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane.arrays.obstacles.tolist(),
+            **({} if plane.positioner.outline is None else {"outline_mm": plane.positioner.outline.to_dict()}),
         },
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # converts to types that all file formats support

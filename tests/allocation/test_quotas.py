@@ -143,7 +143,7 @@ def test_of_two_requirements_that_contradict_each_other_the_maximum_holds(method
 def test_rules_without_requirements_only_report(method):
     assert said(method, ["sky=2", "science=-2"]) == [
         "sky targets: 0 of 2, 2 missing",
-        "science targets: 3, 1 more than the 2 allowed",
+        "science targets: 3, 1 more than the maximum of 2",
     ]
     assert allocate(method, ["sky=2", "science=-2"]).target_of_positioner.tolist() == [0, 1, 2]
 

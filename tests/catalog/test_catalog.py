@@ -267,7 +267,7 @@ def test_within_agrees_with_astropy(center, rng):
         ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
         ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
         ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
-        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; write a point for the decimal comma"),
+        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma by a point"),
         ({"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]}, "decimal numbers and sexagesimal text are in one column"),
         ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
         (
@@ -283,7 +283,7 @@ def test_within_agrees_with_astropy(center, rng):
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
         (
             {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
-            "must hold Julian years for targets with a proper motion, but 1 have none, such as 12",
+            "must hold Julian years for targets with a proper motion, but 1 of these targets have none, such as 12",
         ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),

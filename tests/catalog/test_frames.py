@@ -189,7 +189,9 @@ def test_a_missing_column_has_a_remedy():
 
 def test_a_table_without_any_unit_is_read_with_a_warning():
     table = Table({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "pmra": [1, 2], "pmdec": [3, 4]})
-    with pytest.warns(rs.RfpsurveyWarning, match="assumed are ra in deg, dec in deg, pmra in mas / yr, pmdec in mas"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="assumed units are ra in deg, dec in deg, pmra in mas / yr, pmdec in mas"
+    ):
         catalog = rs.Catalog.from_table(table)
     assert catalog.coord.pm_dec[1].to_value(u.mas / u.yr) == pytest.approx(4)
     units = {"ra": "deg", "dec": "deg", "pmra": "mas/yr", "pmdec": "mas/yr"}

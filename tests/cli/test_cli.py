@@ -127,7 +127,7 @@ def test_score(run, tmp_path):
     x, y = rs.Instrument.preset("lamost").focal_plane.xy[:3].T
     path = tmp_path / "plan.ecsv"
     QTable({"positioner": [0, 1, 2], "field": [1, 1, 2], "x": x + 5 * u.mm, "y": y}).write(path)
-    assert "--instrument must say what the assignment was made for" in sentence(*run("score", path)[::2])
+    assert "--instrument must name the instrument of the assignment" in sentence(*run("score", path)[::2])
     code, out, _ = run(
         "score", path, "--instrument", "lamost", "--select", "field=1", "--output", tmp_path / "out.ecsv"
     )
@@ -139,7 +139,7 @@ def test_score(run, tmp_path):
     assert code == 0
     assert out.startswith("lamost")
     assert "the tile was made for lamost" in sentence(*run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2])
-    assert "leaves no row" in sentence(*run("score", path, "--select", "field=3")[::2])
+    assert "selects no row" in sentence(*run("score", path, "--select", "field=3")[::2])
     assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
     assert "must have the form COLUMN=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
 
@@ -186,7 +186,7 @@ def test_columns_units_and_toml(run, tmp_path):
     names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
     code, out, err = run(*arguments, *names)
     assert code == 0
-    assert "no column of the table has a unit: assumed are a in deg, b in deg; units= or --unit state others" in err
+    assert "the assumed units are a in deg, b in deg; to use other units, give units= or --unit" in err
     code, out, err = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
     assert code == 0
     assert "unit" not in err

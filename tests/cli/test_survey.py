@@ -227,7 +227,10 @@ def test_bad_tiles(call, files, tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [((), "without --folder nothing stays"), (("--folder", "plan"), "what was written stays: continue with --resume")],
+    [
+        ((), "without --folder, nothing is kept"),
+        (("--folder", "plan"), "finished tiles are kept: continue with --resume"),
+    ],
 )
 def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch, words, sentence):
     def interrupted(*_, **__):

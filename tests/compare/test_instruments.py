@@ -280,7 +280,10 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "must be None if a catalog is given"),
         ({"density": 5 / u.deg**2, "targets_per_positioner": 2}, "targets_per_positioner or density, not both"),
         ({"density": -5 / u.deg**2}, "density must be one finite value above 0"),
-        ({"catalog": CENTER.reshape(1), "center": 5}, "center must be a SkyCoord, one or in a row, got 5"),
+        (
+            {"catalog": CENTER.reshape(1), "center": 5},
+            "center must be a SkyCoord with one direction or a list .* got 5",
+        ),
         ({"catalog": CENTER.reshape(1), "center": "here"}, "center must be coordinates such as .* got 'here'"),
         ({"catalog": CENTER.reshape(1)[:0]}, "at least one target with finite coordinates, got none"),
         ({"catalog": CENTER.reshape(1), "center": SkyCoord("5h +5d")}, "mine: no target lies within"),

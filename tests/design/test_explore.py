@@ -262,7 +262,7 @@ def test_a_file_of_another_scan_is_not_continued(tmp_path):
     with pytest.raises(rs.InputError, match="is damaged: its designs are not those"):
         explore(path=path, resume=True, ratio=2.0)
     QTable({"a": [1]}).write(path, overwrite=True)
-    with pytest.raises(rs.InputError, match="holds no scan of designs"):
+    with pytest.raises(rs.InputError, match="must contain a scan of designs"):
         explore(path=path, resume=True)
 
 
@@ -343,7 +343,7 @@ def test_shares_and_slopes_of_known_functions():
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (5, "must be what explore_designs returns"),
+        (5, "must be a table that explore_designs returned"),
         (scan(lambda a, b, c, d: a), "at least one of central_arm, ratio, pitch and clearance must vary"),
         (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with values, got 2"),
     ],
@@ -351,7 +351,7 @@ def test_shares_and_slopes_of_known_functions():
 def test_sensitivities_that_make_no_sense_are_refused(table, words):
     with pytest.raises(rs.InputError, match=words):
         rs.design.design_sensitivities(table, figures=["loss"])
-    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be what"):
+    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be a table that"):
         rs.design.design_sensitivities(table, figures=["reason"])
 
 

@@ -184,7 +184,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     # the provenance contains all digits
     assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
     # the smallest clearances without a collision, compared with a direct calculation
-    heads, rows = page.table("The smallest clearances")
+    heads, rows = page.table("Positioners with the smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
     (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]

@@ -233,7 +233,7 @@ def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path
     lines = {folder: (folder / "index.csv").read_text().splitlines(keepends=True) for folder in (one, other)}
     (line,) = [line for line in lines[other] if line.startswith(name)]
     (one / "index.csv").write_text("".join(line if old.startswith(name) else old for old in lines[one]))
-    with pytest.warns(rs.RfpsurveyWarning, match="planned when other targets were left"):
+    with pytest.warns(rs.RfpsurveyWarning, match="planned when other targets still required a visit"):
         survey = plan(case, one, resume=True)
     visits = survey.targets
     times = np.bincount(visits["target_row"][visits["observed"]], minlength=len(survey.outcomes))
@@ -271,7 +271,7 @@ def test_a_worker_that_dies_is_told(case, tmp_path, undisturbed):
             for pid in list(executor._processes):
                 os.kill(pid, signal.SIGKILL)
 
-        with pytest.raises(BrokenExecutor, match="a worker died; tiles that were written stay"):
+        with pytest.raises(BrokenExecutor, match="a worker died; tiles that were written are kept"):
             plan(case, tmp_path / "survey", executor=executor, progress=kill)
     plan(case, tmp_path / "survey", resume=True)
     assert content(tmp_path / "survey") == undisturbed

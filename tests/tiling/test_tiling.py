@@ -295,5 +295,5 @@ def test_bad_requests_for_a_region_are_named(options, message):
 
 
 def test_the_hexagonal_lattice_does_not_go_around():
-    with pytest.raises(rs.InputError, match="at most a hemisphere, the field reaches 180.0 deg .* use method='spiral'"):
+    with pytest.raises(rs.InputError, match="hemisphere, but the field reaches 180.0 deg .* use method='spiral'"):
         rs.place_tiles(rs.Region.whole_sky(), radius=2 * DEG)
