@@ -221,7 +221,7 @@ def test_epochs_matter_only_where_something_moves():
     moving = {**base, "pmra": [5, np.nan] * pm, "pmdec": [5, np.nan] * pm, "ref_epoch": [2015.5, 0.0]}
     assert rs.Catalog.from_table(QTable(moving)).epoch.jyear == pytest.approx(2015.5)
     assert rs.Catalog.from_table(QTable(base, meta={"ref_epoch": ""})).epoch is None
-    with pytest.raises(rs.InputError, match="time must be one time or shape"):
+    with pytest.raises(rs.InputError, match="time must be one time or have the shape"):
         rs.Catalog.from_table(QTable(moving)).at_epoch([2016, 2017, 2018] * u.yr)
 
 

@@ -118,7 +118,7 @@ class Catalog:
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
-            raise InputError(f"epoch must be one time or shape ({n},), got {epoch.shape}")
+            raise InputError(f"epoch must be one time or have the shape ({n},), got {epoch.shape}")
         keep = np.isfinite(to_plain(coord.data.lon)) & np.isfinite(to_plain(coord.data.lat))
         n_bad = int(n - keep.sum())
         if n_bad:
@@ -368,9 +368,9 @@ class Catalog:
             return self
         if self.epoch is None:
             remedy = "give Catalog(..., epoch=) or an epoch column (--column epoch=J2016)"
-            raise InputError(f"the catalog has proper motions but no epoch to count them from; {remedy}")
+            raise InputError(f"the catalog has proper motions but no epoch to which the positions refer; {remedy}")
         if not time.isscalar and time.shape != (len(self),):
-            raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")
+            raise InputError(f"time must be one time or have the shape ({len(self)},), got {time.shape}")
         years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))
         return self._take(slice(None), coord=move_coordinates(self.coord, years), epoch=time)
 

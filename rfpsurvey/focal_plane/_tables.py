@@ -17,9 +17,9 @@ JOINTS = {
     "theta_range": ("theta_min", "theta_max"),
     "phi_range": ("phi_min", "phi_max"),
 }
-"""Columns of the zero points and limits of joints."""
+"""Names of the columns with the zero points and the limits of joints."""
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
-"""Columns of the radii of circles, which have rows of their own."""
+"""Names of the columns with the radii of circles; each circle has its own row."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:

@@ -44,7 +44,7 @@ class Scene:
 
     @property
     def points(self) -> np.ndarray:
-        """Points of centers and arms that should remain visible; points of arms in collision occur four times."""
+        """Points on centers and arms that the compass should not cover; points on colliding arms occur four times."""
         arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
         points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
         return points[np.isfinite(points).all(axis=1)]

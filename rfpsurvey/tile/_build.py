@@ -42,7 +42,8 @@ def build_tile(
 
     ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
     target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner;
-    ``targets`` are all targets of the field. ``software`` lists packages in use in addition to the usual ones.
+    ``targets`` are all targets of the field. ``software`` lists the packages whose versions the tile records in
+    addition to those of the usual packages.
     """
     plane = instrument.focal_plane
     n = len(plane)
@@ -131,7 +132,7 @@ def _partners(plane, report):
 
 
 def _one_or_all(values):
-    """Return one number if all are equal, otherwise a list."""
+    """Return one number if all numbers are equal, otherwise the list of the numbers."""
     return float(values[0]) if (values == values[0]).all() else values.tolist()
 
 

@@ -179,7 +179,9 @@ def test_sexagesimal_text_may_have_a_unit(tmp_path):
 
 
 def test_a_missing_column_has_a_remedy():
-    with pytest.raises(rs.InputError, match=r"are: x; name it, as columns=.'ra': .... or --column ra=..."):
+    with pytest.raises(
+        rs.InputError, match=r"are: x; state its name, for example columns=.'ra': .... or --column ra=..."
+    ):
         rs.Catalog.from_table(Table({"x": [1.0]}))
     with pytest.raises(rs.InputError, match="give the frame of these coordinates, as frame='galactic'"):
         rs.Catalog.from_table(Table({"l": [1.0], "b": [1.0]}))

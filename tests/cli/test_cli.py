@@ -426,10 +426,10 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
         write(["β Ori", "b", "c"], ["x", "y", "z"])
         code, _, err = run(*plan, *fits, "--overwrite")
         assert code == 2
-        assert "FITS files hold printable ASCII text only, but 1 target ids are other, such as 'β Ori'" in err
+        assert "can contain only printable ASCII text, but 1 target ids contain others, such as 'β Ori'" in err
         assert "write .ecsv instead" in err
         write(["a", "b", "c"], ["x", "ä", "z"])
         code, _, err = run(*plan, "--keep", "note", *fits, "--overwrite")
         assert code == 2
-        assert "1 values of 'note' are other, such as 'ä'" in err
+        assert "1 values of 'note' contain others, such as 'ä'" in err
     assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0

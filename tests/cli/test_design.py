@@ -196,7 +196,7 @@ def test_what_cannot_be_drawn_is_refused(table):
         (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
         (
             lambda: rs.plot.plot_designs(table, mark={"other": other}),
-            "must answer the same question as table: allocated, 4 targets per positioner, not indep",
+            "must be those of table .independent., got allocated, 4 targets per positioner",
         ),
     ):
         with pytest.raises(rs.InputError, match=words):

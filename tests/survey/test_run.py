@@ -259,7 +259,7 @@ def test_names_that_fits_cannot_hold_are_refused_at_once(case, tmp_path):
     table.replace_column("tile", [f"t\t{k}" for k in range(len(table))])
     star = rs.Catalog(sky.coord, id=[f"étoile {k}" for k in range(len(sky))])
     for other, what in (((sky, small, table), "50 tile ids"), ((star, small, tiling), "target ids")):
-        with pytest.raises(rs.InputError, match=rf"printable ASCII text only, but .*{what}"):
+        with pytest.raises(rs.InputError, match=rf"only printable ASCII text, but .*{what}"):
             plan(other, tmp_path / "survey")
         assert not (tmp_path / "survey").exists()
         assert len(plan(other, None).tiles) == 50
