@@ -156,7 +156,8 @@ class Shortfall:
         if missing < 0:
             return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.requested}"
         why = f"; {_few(self.possible)} in reach" if self.possible < self.requested else ""
-        return f"{self.what}{where}: {self.found} of {self.requested}, {missing} missing{why}{self.hint and '; ' + self.hint}"
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{self.what}{where}: {self.found} of {self.requested}, {missing} missing{why}{hint}"
 
 
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
