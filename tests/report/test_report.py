@@ -187,7 +187,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     heads, rows = page.table("Positioners with the smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
-    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("Positioners with the smallest")]
     assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
