@@ -118,6 +118,7 @@ ENTRIES = {
     "layout.spectrograph_shape": _choice("blocks", "wedges"),
     "optics.plate_scale": _number("a length per angle above 0", TINY, 1e12, SCALE),
     "optics.max_angle": _number("an angle above 0", TINY, unit=u.rad),
+    "optics.fiber_diameter": LENGTH,
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
         "a table of a fiber type, or any, to a table of form and coefficients (and radius or unit_tangent, above 0)",
