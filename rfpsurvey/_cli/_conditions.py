@@ -16,6 +16,7 @@ __all__ = [
     "HourAngleOption",
     "ProjectionOption",
     "SiteOption",
+    "TilesConditionsOption",
     "TimeOption",
     "WavelengthOption",
     "conditions_of",
@@ -26,6 +27,13 @@ ConditionsOption = Annotated[
     typer.Option(
         help="TOML file with observing conditions: site, time or hour_angle, wavelength, guide_wavelength, pressure, "
         "temperature, humidity, exposure_time, tolerance. The options below take precedence."
+    ),
+]
+TilesConditionsOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file with observing conditions, as of rfpsurvey plan. A column hour_angle (hours) or time of the "
+        "tiles replaces its time or hour angle."
     ),
 ]
 SiteOption = Annotated[

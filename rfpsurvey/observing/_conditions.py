@@ -241,6 +241,46 @@ class ObservingConditions:
             "wavelength_um": self.wavelengths_um,
         }
 
+    @classmethod
+    def from_record(cls, record: dict) -> "ObservingConditions":
+        """Make conditions from the values of ``record``.
+
+        Parameters
+        ----------
+        record : dict
+            A dict as in the attribute ``record``.
+
+        Returns
+        -------
+        ObservingConditions
+            The conditions.
+
+        Raises
+        ------
+        InputError
+            If a value is missing or not valid.
+        """
+        try:
+            waves = record["wavelength_um"]
+            given = {
+                "site": location([record[name] for name in ("longitude_deg", "latitude_deg", "height_m")]),
+                "wavelength": {k: v * u.um for k, v in waves.items()} if isinstance(waves, dict) else waves * u.um,
+                "guide_wavelength": record["guide_wavelength_um"] * u.um,
+                "pressure": record["pressure_hpa"] * u.hPa,
+                "temperature": record["temperature_c"] * u.deg_C,
+                "humidity": record["humidity"],
+                "exposure_time": record["exposure_time_s"] * u.s,
+            }
+            if "time" in record:
+                given["time"] = Time(record["time"], scale="utc")
+            if "hour_angle_deg" in record:
+                given["hour_angle"] = record["hour_angle_deg"] * u.deg
+            if "tolerance_mm" in record:
+                given["tolerance"] = record["tolerance_mm"] * u.mm
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"record must be that of observing conditions, got {short(record)}: {error}") from None
+        return cls(**given)
+
     def __repr__(self):
         when = f"hour angle {self.hour_angle.to(u.hourangle):.4g}" if self.time is None else self.time.utc.iso
         site = self._name or f"{self.site.lon.deg:.3f}, {self.site.lat.deg:.3f} deg"
