@@ -12,7 +12,7 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, part
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument, available_instruments
+from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
@@ -49,6 +49,7 @@ __all__ = [
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
+    "ProjectionComparison",
     "RadialMap",
     "Region",
     "Requirement",
@@ -63,6 +64,7 @@ __all__ = [
     "collision_probability",
     "compare_allocators",
     "compare_instruments",
+    "compare_projections",
     "count_collisions",
     "example_catalog",
     "find_collisions",
