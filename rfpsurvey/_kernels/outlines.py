@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._jit import inlined_kernel, kernel
 from rfpsurvey._kernels.collisions import UNIT
 
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).
@@ -23,6 +23,9 @@ OUTLINE_ERROR = 256.0 * UNIT
 # The error of a separation along the normal of an edge is less than this factor times S, but also less than the factor
 # times the size that `frames_apart` returns.
 AXIS_ERROR = 48.0 * UNIT
+
+# Allowance (mm) for the directions of arms in the first test of a pair, which are approximate.
+LOOSE = 1e-6
 
 # Rows of the table of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
 # single vertex has an edge of length 0 with an arbitrary normal.
@@ -44,16 +47,14 @@ class Outline(NamedTuple):
     """The first parts move with the eccentric arm, the others with the central arm."""
     offset: float
     """Difference between the distance of two cores, and the smallest possible gap of their outlines."""
+    inverse_length: float
+    """Inverse length of the cores."""
     size: float
     """Largest distance of a vertex from the origin of its frame."""
     eccentric_box: tuple[float, float, float, float]
     """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
     central_box: tuple[float, float, float, float]
     """The same for the central parts."""
-    eccentric_circle: tuple[float, float, float]
-    """Center in units of the length of the core, and radius in mm, of a circle that contains the eccentric parts."""
-    central_circle: tuple[float, float, float]
-    """Center and radius in mm of a circle that contains the central parts."""
     centers: np.ndarray
     """Centers of all positioners, and the inverse length of the central arm, shape (3, n)."""
 
@@ -76,34 +77,31 @@ def frames_apart(first, second):
 
 
 @kernel
-def separation_along_normals(outline, p, q, tx, ty, c, s, enough):
-    """Return the largest separation of part q from part p along the normals of the edges of part p, without radii.
+def separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough):
+    """Return the largest separation of polygon q from polygon p along the normals of the edges of polygon p.
 
-    The frame of q has the origin t and the rotation (c, s) in the frame of p. The search stops at a separation of more
-    than ``enough``.
+    The polygons have the vertices from p to ``p_end`` and from q to ``q_end`` of the table v. The frame of q has the
+    origin t and the rotation (c, s) in the frame of p. The search stops at a separation of more than ``enough``.
     """
-    v = outline.vertices
-    best = -math.inf
-    for e in range(outline.start[p], outline.start[p + 1]):
+    best, e = -math.inf, p
+    while e < p_end and best <= enough:
         nx, ny = v[NX, e], v[NY, e]
         mx, my = c * nx + s * ny, c * ny - s * nx  # the normal in the frame of q
         least = math.inf
-        for k in range(outline.start[q], outline.start[q + 1]):
+        for k in range(q, q_end):
             least = min(least, mx * v[X, k] + my * v[Y, k])
         best = max(best, least + (nx * (tx - v[X, e]) + ny * (ty - v[Y, e])))
-        if best > enough:
-            break
+        e += 1
     return best
 
 
 @kernel
-def vertices_squared(outline, p, q, tx, ty, c, s):
-    """Return the least squared distance of a vertex of part q from an edge of part p; the frames are as above."""
-    v = outline.vertices
+def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
+    """Return the least squared distance of a vertex of polygon q from an edge of polygon p; see above."""
     best = math.inf
-    for k in range(outline.start[q], outline.start[q + 1]):
+    for k in range(q, q_end):
         x, y = tx + (c * v[X, k] - s * v[Y, k]), ty + (s * v[X, k] + c * v[Y, k])
-        for e in range(outline.start[p], outline.start[p + 1]):
+        for e in range(p, p_end):
             dx, dy = x - v[X, e], y - v[Y, e]
             across = dx * v[NX, e] + dy * v[NY, e]
             along = dy * v[NX, e] - dx * v[NY, e]
@@ -133,61 +131,70 @@ def boxes_apart(first, second, between):
 
 
 @kernel
-def parts_apart(outline, p, q, between, limit, slack):
-    """Return the signed gap of part p and part q, or infinity if it certainly exceeds ``limit``."""
+def polygons_apart(v, p, p_end, q, q_end, between, limit, slack):
+    """Return the signed gap of two polygons, or infinity if it certainly exceeds ``limit``."""
     tx, ty, c, s, _ = between
-    parts, start = outline.parts, outline.start
-    dx = tx + (c * parts[MX, q] - s * parts[MY, q]) - parts[MX, p]
-    dy = ty + (s * parts[MX, q] + c * parts[MY, q]) - parts[MY, p]
-    far = limit + parts[MR, p] + parts[MR, q] + slack
-    if far < 0.0 or dx * dx + dy * dy > far * far:
-        return math.inf
-    radii = parts[RADIUS, p] + parts[RADIUS, q]
-    enough = limit + radii + slack
-    apart = separation_along_normals(outline, p, q, tx, ty, c, s, enough)
-    if apart > enough:
-        return math.inf
-    bx, by = -(c * tx + s * ty), s * tx - c * ty  # the origin of the frame of p in the frame of q
-    apart = max(apart, separation_along_normals(outline, q, p, bx, by, c, -s, enough))
-    if apart > enough:
-        return math.inf
-    if apart < -slack and start[p + 1] - start[p] + start[q + 1] - start[q] > 2:
-        return apart - radii  # the polygons certainly overlap
-    squared = min(
-        vertices_squared(outline, p, q, tx, ty, c, s),
-        vertices_squared(outline, q, p, bx, by, c, -s),
-    )
-    return math.sqrt(squared) - radii
+    enough = limit + slack
+    apart = separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough)
+    if apart <= enough:
+        bx, by = -(c * tx + s * ty), s * tx - c * ty  # the origin of the frame of p in the frame of q
+        apart = max(apart, separation_along_normals(v, q, q_end, p, p_end, bx, by, c, -s, enough))
+        overlap = apart < -slack and p_end - p + q_end - q > 2  # points have no normals
+        if apart <= enough and not overlap:
+            squared = vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s)
+            apart = math.sqrt(min(squared, vertices_squared(v, q, q_end, p, p_end, bx, by, c, -s)))
+    return math.inf if apart > enough else apart
 
 
 @kernel
-def groups_apart(outline, first, last, between, limit):
+def groups_apart(v, start, parts, n_eccentric, first, last, between, limit, slack):
     """Return the least signed gap of eccentric parts and parts from ``first`` to ``last``, or infinity above ``limit``.
 
     ``between`` is the position of the frame of the latter in the frame of the former. If parts certainly overlap, the
     gap of any such parts is returned.
     """
-    slack = AXIS_ERROR * (between[4] + 2.0 * outline.size)
-    box = outline.eccentric_box if first == 0 else outline.central_box
-    if boxes_apart(outline.eccentric_box, box, between) > limit + slack:
-        return math.inf
+    tx, ty, c, s, _ = between
     gap = math.inf
-    for p in range(outline.n_eccentric):
-        for q in range(first, last):
-            gap = min(gap, parts_apart(outline, p, q, between, min(gap, limit), slack))
-            if gap < -slack:
-                return gap
+    for q in range(first, last):
+        x, y = tx + (c * parts[MX, q] - s * parts[MY, q]), ty + (s * parts[MX, q] + c * parts[MY, q])
+        for p in range(n_eccentric):
+            far = limit + parts[MR, p] + parts[MR, q] + slack
+            dx, dy = x - parts[MX, p], y - parts[MY, p]
+            if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
+                radii = parts[RADIUS, p] + parts[RADIUS, q]
+                ends = start[p], start[p + 1], start[q], start[q + 1]
+                gap = min(gap, polygons_apart(v, *ends, between, limit + radii, slack) - radii)
+                limit = min(limit, gap)
     return gap
 
 
 @kernel
-def circles_near(x, y, radius, other_x, other_y, other_radius, limit):
-    """Return whether the gap between two circles is at most ``limit``."""
-    dx, dy, far = other_x - x, other_y - y, radius + other_radius + limit
-    return dx * dx + dy * dy <= far * far
+def smallest_gap(v, start, parts, n_eccentric, size, limit, near, a, b, c, d):
+    """Return the smallest gap of the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
+
+    ``near`` states which groups of parts can be near to each other: the eccentric parts, the eccentric parts of the
+    first and the central parts of the second positioner, and vice versa. The points a and b are the elbows and the ends
+    of the cores, and c and d are the centers.
+    """
+    n = start.size - 1
+    first, second = frame(*a), frame(*b)
+    gap = math.inf
+    if near[0]:
+        between = frames_apart(first, second)
+        slack = AXIS_ERROR * (between[4] + 2.0 * size)
+        gap = groups_apart(v, start, parts, n_eccentric, 0, n_eccentric, between, limit, slack)
+    if near[1] and gap >= 0.0:
+        between = frames_apart(first, frame(d[0], d[1], b[0], b[1]))
+        slack = AXIS_ERROR * (between[4] + 2.0 * size)
+        gap = min(gap, groups_apart(v, start, parts, n_eccentric, n_eccentric, n, between, min(gap, limit), slack))
+    if near[2] and gap >= 0.0:
+        between = frames_apart(second, frame(c[0], c[1], a[0], a[1]))
+        slack = AXIS_ERROR * (between[4] + 2.0 * size)
+        gap = min(gap, groups_apart(v, start, parts, n_eccentric, n_eccentric, n, between, min(gap, limit), slack))
+    return gap
 
 
-@kernel
+@inlined_kernel
 def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx1, by1):
     """Return the squared sum of the signed gap of two positioners and the offset of the outline.
 
@@ -195,37 +202,25 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines overlap. The cores
     of the arms i and j follow; their length is that of the outline.
     """
+    # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
+    cx, cy, shorter = outline.centers[0, i], outline.centers[1, i], outline.centers[2, i]
+    dx, dy, other = outline.centers[0, j], outline.centers[1, j], outline.centers[2, j]
+    k = outline.inverse_length
+    a = ax0, ay0, (ax1 - ax0) * k, (ay1 - ay0) * k
+    b = bx0, by0, (bx1 - bx0) * k, (by1 - by0) * k
+    c = cx, cy, (ax0 - cx) * shorter, (ay0 - cy) * shorter
+    d = dx, dy, (bx0 - dx) * other, (by0 - dy) * other
     limit = separation - outline.offset
-    n_eccentric, n = outline.n_eccentric, outline.start.size - 1
-    x, y, r = outline.eccentric_circle
-    ux, uy, vx, vy = ax1 - ax0, ay1 - ay0, bx1 - bx0, by1 - by0
-    ax, ay = ax0 + (x * ux - y * uy), ay0 + (y * ux + x * uy)
-    bx, by = bx0 + (x * vx - y * vy), by0 + (y * vx + x * vy)
-    arms = circles_near(ax, ay, r, bx, by, r, limit)
-    if n_eccentric == n:
-        if not arms:
-            return math.inf
-        gap = groups_apart(outline, 0, n, frames_apart(frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)), limit)
-    else:
-        centers = outline.centers
-        x, y, rc = outline.central_circle
-        cx, cy, dx, dy = centers[0, i], centers[1, i], centers[0, j], centers[1, j]
-        ux, uy = (ax0 - cx) * centers[2, i], (ay0 - cy) * centers[2, i]
-        vx, vy = (bx0 - dx) * centers[2, j], (by0 - dy) * centers[2, j]
-        first = circles_near(ax, ay, r, dx + (x * vx - y * vy), dy + (y * vx + x * vy), rc, limit)
-        second = circles_near(bx, by, r, cx + (x * ux - y * uy), cy + (y * ux + x * uy), rc, limit)
-        if not (arms | first | second):
-            return math.inf
-        gap = math.inf
-        a, b = frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)
-        if arms:
-            gap = groups_apart(outline, 0, n_eccentric, frames_apart(a, b), limit)
-        if first and gap >= 0.0:
-            between = frames_apart(a, frame(dx, dy, bx0, by0))
-            gap = min(gap, groups_apart(outline, n_eccentric, n, between, min(gap, limit)))
-        if second and gap >= 0.0:
-            between = frames_apart(b, frame(cx, cy, ax0, ay0))
-            gap = min(gap, groups_apart(outline, n_eccentric, n, between, min(gap, limit)))
+    loose = limit + LOOSE
+    near = (
+        boxes_apart(outline.eccentric_box, outline.eccentric_box, frames_apart(a, b)) <= loose,
+        boxes_apart(outline.eccentric_box, outline.central_box, frames_apart(a, d)) <= loose,
+        boxes_apart(outline.eccentric_box, outline.central_box, frames_apart(b, c)) <= loose,
+    )
+    if not (near[0] | near[1] | near[2]):
+        return math.inf
+    parts = outline.vertices, outline.start, outline.parts, outline.n_eccentric, outline.size
+    gap = smallest_gap(*parts, limit, near, (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1), (cx, cy), (dx, dy))
     total = max(gap + outline.offset, 0.0)
     return total * total
 

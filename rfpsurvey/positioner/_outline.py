@@ -19,10 +19,10 @@ SAME = 1e-9
 """Vertices closer to each other than this are one vertex, and edges that bend inward by less are straight, mm."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeter of a convex polygon and that of its convex hull."""
+FAR = 1e30
+"""Negative size of the rectangle of no parts, mm."""
 ROUNDED_UP = 1.0 + 1e-12
 """Factor for upper limits."""
-LOOSE = 1e-6
-"""Relative and absolute (mm) increase of circles of which the position is approximate."""
 
 
 @check_keywords
@@ -118,11 +118,11 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     start = np.zeros(len(parts) + 1, dtype=np.int64)
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
-        shapes = ((0.0,) * 4, (0.0,) * 4, (0.0,) * 3, (0.0,) * 3)
-        return Outline(locked(np.empty((5, 0))), locked(start), locked(np.empty((4, 0))), 0, 0.0, 0.0, *shapes, centers)
+        boxes = _box(()), _box(())
+        return Outline(locked(np.empty((5, 0))), locked(start), locked(np.empty((4, 0))), 0, 0.0, 0.0, 0.0, *boxes, centers)
     vertices = np.ascontiguousarray(np.hstack([_with_normals(vertices) for vertices, _ in parts]))
     circles = np.ascontiguousarray(np.array([_circle(vertices, radius) for vertices, radius in parts]).T)
-    length, n = outline.length.value, outline.n_eccentric
+    length, n = float(outline.length.value), outline.n_eccentric
     eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[:n])
     central = [
         float(np.hypot(vertices[:, 0] - arm, vertices[:, 1]).max()) + radius
@@ -131,26 +131,17 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     ]
     offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
     size = float(np.hypot(vertices[0], vertices[1]).max())
-    shapes = _box(parts[:n]), _box(parts[n:]), _enclosing(parts[:n], length), _enclosing(parts[n:], 1.0)
-    return Outline(locked(vertices), locked(start), locked(circles), n, offset, size, *shapes, centers)
+    boxes = _box(parts[:n]), _box(parts[n:])
+    return Outline(locked(vertices), locked(start), locked(circles), n, offset, 1.0 / length, size, *boxes, centers)
 
 
 def _box(parts):
     """Return the center of a rectangle along the axes that contains parts, and half the lengths of its sides."""
     if not parts:
-        return (0.0, 0.0, 0.0, 0.0)
+        return (0.0, 0.0, -FAR, -FAR)
     low = np.min([vertices.min(axis=0) - radius for vertices, radius in parts], axis=0)
     high = np.max([vertices.max(axis=0) + radius for vertices, radius in parts], axis=0)
     return (*(0.5 * (low + high)).tolist(), *(0.5 * (high - low) * ROUNDED_UP).tolist())
-
-
-def _enclosing(parts, unit):
-    """Return the center of a circle that contains parts, in the unit, and its radius with an allowance for rounding."""
-    if not parts:
-        return (0.0, 0.0, 0.0)
-    x, y, wide, high = _box(parts)
-    radius = max(float(np.hypot(*(vertices - (x, y)).T).max()) + radius for vertices, radius in parts)
-    return x / unit, y / unit, radius * (1.0 + LOOSE) + LOOSE
 
 
 def _from_core(vertices, low, high):
