@@ -5,9 +5,8 @@ central arm. Each polygon is processed in the frame of its own arm: the x axis p
 the elbow (eccentric arm) or the center of the positioner (central arm). A pair of polygons requires the relative
 position of their frames only, so that no polygon is moved and no memory is allocated.
 
-In all bounds, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the points of a pair:
-vertices, elbows, centers of the positioners, and the ends of the cores. The proofs are on the accuracy page of the
-documentation.
+In all bounds, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the vertices, elbows and
+centers of a pair of positioners. The proofs are on the accuracy page of the documentation.
 """
 
 import math
@@ -19,12 +18,11 @@ from rfpsurvey._jit import inlined_kernel, kernel
 from rfpsurvey._kernels.collisions import UNIT
 
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).
-OUTLINE_ERROR = 256.0 * UNIT
-# The error of a separation along the normal of an edge is less than this factor times S, but also less than the factor
-# times the size that `frames_apart` returns.
-AXIS_ERROR = 48.0 * UNIT
-
-# Allowance (mm) for the directions of arms in the first test of a pair, which are approximate.
+OUTLINE_ERROR = 1024.0 * UNIT
+# The error of a separation along the normal of an edge is less than this factor times the distance of the origins of
+# two frames plus twice the largest distance of a vertex from the origin of its frame.
+AXIS_ERROR = 64.0 * UNIT
+# Allowance for the directions of arms in the first test of a pair, which are approximate, relative to the scale.
 LOOSE = 1e-6
 
 # Rows of the table of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
@@ -49,8 +47,8 @@ class Outline(NamedTuple):
     """Difference between the distance of two cores, and the smallest possible gap of their outlines."""
     inverse_length: float
     """Inverse length of the cores."""
-    size: float
-    """Largest distance of a vertex from the origin of its frame."""
+    scale: float
+    """Twice the largest distance of a vertex from the origin of its frame, plus the offset."""
     eccentric_box: tuple[float, float, float, float]
     """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
     central_box: tuple[float, float, float, float]
@@ -111,86 +109,63 @@ def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
 
 
 @kernel
-def boxes_apart(first, second, between):
-    """Return the largest separation of two boxes along their sides: a lower limit of the signed gap of their contents.
+def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other_wide, other_high, limit):
+    """Return whether two rectangles are not separated by more than ``limit`` along any of their sides.
 
-    A box is the center and half the lengths of the sides of a rectangle that is aligned with its frame.
+    The center, the direction and half the lengths of the sides of both rectangles are given.
     """
-    tx, ty, c, s, _ = between
-    x, y, wide, high = first
-    qx, qy, other_wide, other_high = second
-    mx, my = tx + (c * qx - s * qy) - x, ty + (s * qx + c * qy) - y
-    ac, as_ = abs(c), abs(s)
-    return max(
-        max(abs(mx) - wide - (ac * other_wide + as_ * other_high), abs(my) - high - (as_ * other_wide + ac * other_high)),
-        max(
-            abs(c * mx + s * my) - other_wide - (ac * wide + as_ * high),
-            abs(c * my - s * mx) - other_high - (as_ * wide + ac * high),
-        ),
+    mx, my = other_x - x, other_y - y
+    along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
+    return (
+        (abs(c * mx + s * my) <= limit + wide + (along * other_wide + across * other_high))
+        & (abs(c * my - s * mx) <= limit + high + (across * other_wide + along * other_high))
+        & (abs(other_c * mx + other_s * my) <= limit + other_wide + (along * wide + across * high))
+        & (abs(other_c * my - other_s * mx) <= limit + other_high + (across * wide + along * high))
     )
 
 
 @kernel
-def polygons_apart(v, p, p_end, q, q_end, between, limit, slack):
-    """Return the signed gap of two polygons, or infinity if it certainly exceeds ``limit``."""
-    tx, ty, c, s, _ = between
-    enough = limit + slack
-    apart = separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough)
-    if apart <= enough:
-        bx, by = -(c * tx + s * ty), s * tx - c * ty  # the origin of the frame of p in the frame of q
-        apart = max(apart, separation_along_normals(v, q, q_end, p, p_end, bx, by, c, -s, enough))
-        overlap = apart < -slack and p_end - p + q_end - q > 2  # points have no normals
-        if apart <= enough and not overlap:
-            squared = vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s)
-            apart = math.sqrt(min(squared, vertices_squared(v, q, q_end, p, p_end, bx, by, c, -s)))
-    return math.inf if apart > enough else apart
-
-
-@kernel
-def groups_apart(v, start, parts, n_eccentric, first, last, between, limit, slack):
-    """Return the least signed gap of eccentric parts and parts from ``first`` to ``last``, or infinity above ``limit``.
-
-    ``between`` is the position of the frame of the latter in the frame of the former. If parts certainly overlap, the
-    gap of any such parts is returned.
-    """
-    tx, ty, c, s, _ = between
-    gap = math.inf
-    for q in range(first, last):
-        x, y = tx + (c * parts[MX, q] - s * parts[MY, q]), ty + (s * parts[MX, q] + c * parts[MY, q])
-        for p in range(n_eccentric):
-            far = limit + parts[MR, p] + parts[MR, q] + slack
-            dx, dy = x - parts[MX, p], y - parts[MY, p]
-            if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
-                radii = parts[RADIUS, p] + parts[RADIUS, q]
-                ends = start[p], start[p + 1], start[q], start[q + 1]
-                gap = min(gap, polygons_apart(v, *ends, between, limit + radii, slack) - radii)
-                limit = min(limit, gap)
-    return gap
-
-
-@kernel
-def smallest_gap(v, start, parts, n_eccentric, size, limit, near, a, b, c, d):
+def smallest_gap(v, start, parts, n_eccentric, scale, limit, near, a, b, c, d):
     """Return the smallest gap of the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
 
     ``near`` states which groups of parts can be near to each other: the eccentric parts, the eccentric parts of the
     first and the central parts of the second positioner, and vice versa. The points a and b are the elbows and the ends
     of the cores, and c and d are the centers.
     """
-    n = start.size - 1
-    first, second = frame(*a), frame(*b)
+    # This is one long function because numba counts references to arrays that are passed between functions.
     gap = math.inf
-    if near[0]:
-        between = frames_apart(first, second)
-        slack = AXIS_ERROR * (between[4] + 2.0 * size)
-        gap = groups_apart(v, start, parts, n_eccentric, 0, n_eccentric, between, limit, slack)
-    if near[1] and gap >= 0.0:
-        between = frames_apart(first, frame(d[0], d[1], b[0], b[1]))
-        slack = AXIS_ERROR * (between[4] + 2.0 * size)
-        gap = min(gap, groups_apart(v, start, parts, n_eccentric, n_eccentric, n, between, min(gap, limit), slack))
-    if near[2] and gap >= 0.0:
-        between = frames_apart(second, frame(c[0], c[1], a[0], a[1]))
-        slack = AXIS_ERROR * (between[4] + 2.0 * size)
-        gap = min(gap, groups_apart(v, start, parts, n_eccentric, n_eccentric, n, between, min(gap, limit), slack))
+    for group in range(3):
+        if near[group] and gap >= 0.0:
+            first, last = (0, n_eccentric) if group == 0 else (n_eccentric, start.size - 1)
+            if group == 0:
+                between = frames_apart(frame(*a), frame(*b))
+            elif group == 1:
+                between = frames_apart(frame(*a), frame(d[0], d[1], b[0], b[1]))
+            else:
+                between = frames_apart(frame(*b), frame(c[0], c[1], a[0], a[1]))
+            tx, ty, cosine, sine, distance = between
+            bx, by = -(cosine * tx + sine * ty), sine * tx - cosine * ty  # the opposite position
+            slack = AXIS_ERROR * (distance + scale)
+            for q in range(first, last):
+                x = tx + (cosine * parts[MX, q] - sine * parts[MY, q])
+                y = ty + (sine * parts[MX, q] + cosine * parts[MY, q])
+                for p in range(n_eccentric):
+                    dx, dy = x - parts[MX, p], y - parts[MY, p]
+                    far = min(gap, limit) + parts[MR, p] + parts[MR, q] + slack
+                    if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
+                        radii = parts[RADIUS, p] + parts[RADIUS, q]
+                        enough = min(gap, limit) + radii + slack
+                        p0, p1, q0, q1 = start[p], start[p + 1], start[q], start[q + 1]
+                        apart = separation_along_normals(v, p0, p1, q0, q1, tx, ty, cosine, sine, enough)
+                        if apart <= enough:
+                            other = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
+                            apart = max(apart, other)
+                        if apart < -slack and p1 - p0 + q1 - q0 > 2:
+                            gap = min(gap, apart - radii)
+                        elif apart <= enough:
+                            squared = vertices_squared(v, p0, p1, q0, q1, tx, ty, cosine, sine)
+                            squared = min(squared, vertices_squared(v, q0, q1, p0, p1, bx, by, cosine, -sine))
+                            gap = min(gap, math.sqrt(squared) - radii)
     return gap
 
 
@@ -205,21 +180,22 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
     cx, cy, shorter = outline.centers[0, i], outline.centers[1, i], outline.centers[2, i]
     dx, dy, other = outline.centers[0, j], outline.centers[1, j], outline.centers[2, j]
-    k = outline.inverse_length
-    a = ax0, ay0, (ax1 - ax0) * k, (ay1 - ay0) * k
-    b = bx0, by0, (bx1 - bx0) * k, (by1 - by0) * k
-    c = cx, cy, (ax0 - cx) * shorter, (ay0 - cy) * shorter
-    d = dx, dy, (bx0 - dx) * other, (by0 - dy) * other
-    limit = separation - outline.offset
-    loose = limit + LOOSE
+    k, limit = outline.inverse_length, separation - outline.offset
+    x, y, wide, high = outline.eccentric_box
+    ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
+    ax, ay, bx, by = ax0 + (x * ac - y * as_), ay0 + (y * ac + x * as_), bx0 + (x * bc - y * bs), by0 + (y * bc + x * bs)
+    x, y, other_wide, other_high = outline.central_box
+    cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
+    px, py, qx, qy = cx + (x * cc - y * cs), cy + (y * cc + x * cs), dx + (x * dc - y * ds), dy + (y * dc + x * ds)
+    loose = limit + LOOSE * outline.scale
     near = (
-        boxes_apart(outline.eccentric_box, outline.eccentric_box, frames_apart(a, b)) <= loose,
-        boxes_apart(outline.eccentric_box, outline.central_box, frames_apart(a, d)) <= loose,
-        boxes_apart(outline.eccentric_box, outline.central_box, frames_apart(b, c)) <= loose,
+        boxes_near(ax, ay, ac, as_, wide, high, bx, by, bc, bs, wide, high, loose),
+        boxes_near(ax, ay, ac, as_, wide, high, qx, qy, dc, ds, other_wide, other_high, loose),
+        boxes_near(bx, by, bc, bs, wide, high, px, py, cc, cs, other_wide, other_high, loose),
     )
     if not (near[0] | near[1] | near[2]):
         return math.inf
-    parts = outline.vertices, outline.start, outline.parts, outline.n_eccentric, outline.size
+    parts = outline.vertices, outline.start, outline.parts, outline.n_eccentric, outline.scale
     gap = smallest_gap(*parts, limit, near, (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1), (cx, cy), (dx, dy))
     total = max(gap + outline.offset, 0.0)
     return total * total
@@ -227,11 +203,14 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 
 @kernel
 def place_outline(outline, i, x0, y0, x1, y1, placed):
-    """Compute the positions of all vertices of positioner i as rows of ``placed``, shape (2, m)."""
+    """Compute the vertices of positioner i, whose core is given, as rows of ``placed``, shape (4, m).
+
+    The rows are the origin of the frame of each vertex, and the rounded position of the vertex relative to it.
+    """
     v, start = outline.vertices, outline.start
     eccentric = frame(x0, y0, x1, y1)
     central = frame(outline.centers[0, i], outline.centers[1, i], x0, y0)
     for k in range(v.shape[1]):
         x, y, c, s = eccentric if k < start[outline.n_eccentric] else central
-        placed[0, k] = x + (c * v[X, k] - s * v[Y, k])
-        placed[1, k] = y + (s * v[X, k] + c * v[Y, k])
+        placed[0, k], placed[1, k] = x, y
+        placed[2, k], placed[3, k] = c * v[X, k] - s * v[Y, k], s * v[X, k] + c * v[Y, k]

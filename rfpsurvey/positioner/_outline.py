@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 
 import astropy.units as u
@@ -130,9 +131,9 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
         for arm in (central_arm.min(), central_arm.max())  # the distance is a convex function of the length of the arm
     ]
     offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
-    size = float(np.hypot(vertices[0], vertices[1]).max())
+    scale = 2.0 * float(np.hypot(vertices[0], vertices[1]).max()) + offset
     boxes = _box(parts[:n]), _box(parts[n:])
-    return Outline(locked(vertices), locked(start), locked(circles), n, offset, 1.0 / length, size, *boxes, centers)
+    return Outline(locked(vertices), locked(start), locked(circles), n, offset, 1.0 / length, scale, *boxes, centers)
 
 
 def _box(parts):
@@ -183,17 +184,17 @@ def _to_part(part, name):
 
 
 def _hull(points):
-    """Return the vertices of the convex hull in counter-clockwise order; close vertices are merged."""
-    ordered = points[np.lexsort(points.T[::-1])].tolist()
+    """Return the vertices of the exact convex hull in counter-clockwise order; close vertices are merged."""
+    ordered = [(Fraction(x), Fraction(y)) for x, y in points[np.lexsort(points.T[::-1])].tolist()]
     kept = []
     for run in (ordered, ordered[::-1]):
         chain = []
-        for x, y in run:
-            while len(chain) > 1 and _bend(chain[-2], chain[-1], (x, y)) <= 0:
+        for point in run:
+            while len(chain) > 1 and _bend(chain[-2], chain[-1], point) <= 0:
                 chain.pop()
-            chain.append((x, y))
+            chain.append(point)
         kept += chain[:-1]
-    hull = np.array(kept or ordered[:1])
+    hull = np.array(kept or ordered[:1], dtype=float)
     while len(hull) > 1:
         gaps = np.hypot(*(np.roll(hull, -1, axis=0) - hull).T)
         if gaps.min() > SAME:
