@@ -65,16 +65,16 @@ def _nothing(*shape, dtype=np.float64):
 
 
 NO_OUTLINE = Outline(
-    _nothing(5, 0),
-    _nothing(1, dtype=np.int64),
-    _nothing(4, 0),
-    0,
-    0.0,
-    0.0,
-    0.0,
-    (0.0,) * 4,
-    (0.0,) * 4,
-    _nothing(3, 0),
+    vertices=_nothing(5, 0),
+    start=_nothing(1, dtype=np.int64),
+    parts=_nothing(4, 0),
+    n_eccentric=0,
+    offset=0.0,
+    inverse_length=0.0,
+    scale=0.0,
+    eccentric_box=(0.0,) * 4,
+    central_box=(0.0,) * 4,
+    centers=_nothing(3, 0),
 )
 """The value for arms that are segments."""
 

@@ -1,6 +1,7 @@
 """Gaps of outlines, compared with shapely and with rational numbers."""
 
 from fractions import Fraction
+from itertools import pairwise
 
 import astropy.units as u
 import numpy as np
@@ -104,10 +105,7 @@ def test_the_error_is_within_the_bound_and_the_bound_is_not_idle():
                 continue
             bound = outlines.OUTLINE_ERROR * (size[k] + outline.offset)
             n = outline.n_eccentric
-            parts = [
-                [exact_points(placed[2 * k + side], *span) for span in zip(spans[:-1], spans[1:], strict=True)]
-                for side in (0, 1)
-            ]
+            parts = [[exact_points(placed[2 * k + side], *span) for span in pairwise(spans)] for side in (0, 1)]
 
             def within(limit, parts=parts, n=n):
                 tests = ((p, q) for p in range(len(parts[0])) for q in range(len(parts[0])) if p < n or q < n)
