@@ -14,7 +14,7 @@ from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, Rfpsur
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -36,6 +36,7 @@ except ImportError:  # the source tree has not been built
 __all__ = [
     "Allocation",
     "AllocationOptions",
+    "ArmOutline",
     "Catalog",
     "CollisionCounts",
     "CollisionReport",

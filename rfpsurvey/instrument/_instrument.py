@@ -130,7 +130,7 @@ class Instrument(AsBuilt, Projections):
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """Requirements on sky fibers and standards, in the form of `allocate`, such as ``sky=20/spectrograph``."""
+        """Requirements on sky fibers and standards, in the form for `allocate`, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
             match = NEED.fullmatch(name)
@@ -204,7 +204,7 @@ class Instrument(AsBuilt, Projections):
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             what = f"{type(error).__name__}: {error}"
             raise InputError(
-                f"{path}: the description must be one of an instrument, got what fails with {what}"
+                f"{path}: the file must be a valid description of an instrument, got one that causes {what}"
             ) from error
 
     def facts(self) -> dict:
@@ -310,7 +310,7 @@ def available_instruments() -> list[str]:
     Returns
     -------
     list of str
-        The names, sorted. `Instrument.preset` accepts each of them.
+        The names, sorted. `Instrument.preset` accepts each of these names.
 
     Examples
     --------
@@ -322,7 +322,7 @@ def available_instruments() -> list[str]:
 
 
 def every_instrument() -> dict[str, Instrument]:
-    """Return all presets by name; issue a warning for each invalid one of another package."""
+    """Return all presets by name; issue a warning for each invalid preset of another package."""
     found = {}
     for name in available_instruments():
         try:
@@ -337,7 +337,7 @@ def _shipped() -> dict[str, Path]:
 
 
 def _text(value) -> str:
-    """Return the full text of a value."""
+    """Return a value as text with all digits."""
     if is_dataclass(value):
         return _text({f.name: getattr(value, f.name) for f in fields(value)})
     if isinstance(value, dict):
