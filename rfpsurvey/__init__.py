@@ -15,7 +15,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.positioner import ArmOutline, Positioner
-from rfpsurvey.projection import RadialMap, TangentPlane
+from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
@@ -40,6 +40,7 @@ __all__ = [
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
+    "DistortionMap",
     "Estimate",
     "FocalPlane",
     "InputError",

@@ -162,6 +162,22 @@ def test_a_tile_has_the_positions_of_its_conditions(presets, catalog, tmp_path):
     assert (plain["target_id"] == static["target_id"]).all()
 
 
+def test_a_plan_is_scored_under_its_conditions(presets, catalog):
+    instrument, conditions = presets["sdss_apo"], conditions_at()
+    tile = rs.plan_tile(catalog, instrument, CENTER, conditions=conditions)
+    rows = tile.table[tile["status"] == "assigned"]
+    plan = rows["id", "target_id", "ra", "dec", "fiber_type"]
+    given = {"center": CENTER, "position_angle": 0 * u.deg, "positions": "sky", "columns": {"positioner": "id"}}
+    scored = rs.score_tile(plan, instrument, conditions=conditions, **given)
+    same = scored[tile["status"] == "assigned"]
+    np.testing.assert_allclose(same["tip_x"].value, rows["tip_x"].value, rtol=0, atol=1e-6)
+    assert scored.summary["n_colliding"] == tile.summary["n_colliding"]
+    assert scored.provenance["parameters"]["conditions"] == conditions.record
+    assert "with refraction" in scored.summary["model"]
+    static = rs.score_tile(plan, instrument, **given)[tile["status"] == "assigned"]
+    assert np.abs(static["tip_x"].value - rows["tip_x"].value).max() > 0.03
+
+
 def test_targets_that_refraction_brings_into_the_field_are_planned(presets):
     """Refraction compresses the field, so that it extends beyond its nominal radius on the sky."""
     instrument = presets["lamost"]
