@@ -12,8 +12,9 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, part
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument, available_instruments
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
+from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -35,6 +36,7 @@ except ImportError:  # the source tree has not been built
 __all__ = [
     "Allocation",
     "AllocationOptions",
+    "ArmOutline",
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
@@ -44,8 +46,10 @@ __all__ = [
     "InputTypeError",
     "InputUnitsError",
     "Instrument",
+    "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
+    "ProjectionComparison",
     "RadialMap",
     "Region",
     "Requirement",
@@ -60,6 +64,7 @@ __all__ = [
     "collision_probability",
     "compare_allocators",
     "compare_instruments",
+    "compare_projections",
     "count_collisions",
     "example_catalog",
     "find_collisions",
@@ -100,4 +105,4 @@ def __dir__():
     # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
     # names.
     hidden = {"compare", "report", "survey"}
-    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision"} - hidden)
+    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision", "observing"} - hidden)

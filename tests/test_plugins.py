@@ -109,7 +109,10 @@ def test_an_interrupt_is_that_of_the_user():
 
 def test_one_name_of_two_packages_is_nobodys(hers, install):
     install("his", HERS, "2.1", allocators={"swapped": "swapped"})
-    with pytest.raises(rs.InputError, match="several packages add the allocator 'swapped': hers 1.0, his 2.1; all but"):
+    with pytest.raises(
+        rs.InputError,
+        match="several packages add the allocator 'swapped': hers 1.0, his 2.1; uninstall all of these packages but",
+    ):
         rs.allocate(PAIR, FOUR, allocator="swapped")
 
 
@@ -144,7 +147,10 @@ def test_surveys_take_functions_on_threads(small):
         mine = rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
     assert mine.summary == usual.summary
     assert mine.provenance["parameters"]["allocator"] == f"{__name__}.begin_optimal"
-    with ProcessPoolExecutor(1) as executor, pytest.raises(rs.InputError, match="must be a name where processes do"):
+    with (
+        ProcessPoolExecutor(1) as executor,
+        pytest.raises(rs.InputError, match="must be a name, such as that of an entry point"),
+    ):
         rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
 
 

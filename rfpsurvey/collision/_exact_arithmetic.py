@@ -1,15 +1,41 @@
 """The test of a pair of arms in exact arithmetic, for distances at which rounding errors could change the result."""
 
 from fractions import Fraction
+from itertools import product
 from math import lcm, sqrt
 
-__all__ = ["closer_exactly", "distance_exactly"]
+import numpy as np
+
+from rfpsurvey._kernels.outlines import RADIUS, Outline, place_outline
+
+__all__ = ["arms_closer_exactly", "closer_exactly", "distance_exactly", "outlines_closer_exactly"]
+
+
+def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j: int) -> bool:
+    """Return whether two arms are closer than the minimum separation, without rounding.
+
+    Parameters
+    ----------
+    columns : FocalPlaneArrays
+        The positioners.
+    segments : ndarray, shape (4, n)
+        Segments that can collide, or cores of outlines.
+    a, b : int
+        Columns of the two arms in ``segments``.
+    i, j : int
+        Rows of their positioners.
+    """
+    first, second, outline = segments[:, a].tolist(), segments[:, b].tolist(), columns.limits.outline
+    if outline.start.size == 1:
+        return closer_exactly(first, second, columns.separation)
+    return outlines_closer_exactly(outline, i, j, first, second, columns.separation)
 
 
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
     """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
 
-    All numbers are converted to a common denominator. No division follows, so that all arithmetic uses integers.
+    All numbers are converted to a common denominator. The test needs no division after this conversion, so that all
+    arithmetic uses integers.
     """
     ratios = [Fraction(v).as_integer_ratio() for v in (*first, *second, separation)]
     common = lcm(*(q for _, q in ratios))
@@ -28,6 +54,64 @@ def distance_exactly(first, second) -> float:
     if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
         return 0.0
     return sqrt(min(n / m for n, m in (_squared(a, c, d), _squared(b, c, d), _squared(c, a, b), _squared(d, a, b))))
+
+
+def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, separation: float | Fraction) -> bool:
+    """Return whether the gap between the outlines of two positioners is less than ``separation``, without rounding.
+
+    ``first`` and ``second`` are the cores (x0, y0, x1, y1) of the positioners i and j. A polygon is the convex hull of
+    its vertices, placed in double precision. Polygons without radii and with a separation of 0 collide if and only if
+    no line separates them; they may touch.
+    """
+    hulls = [_placed_hulls(outline, k, core) for k, core in ((i, first), (j, second))]
+    radii = [Fraction(float(radius)) for radius in outline.parts[RADIUS]]
+    n = outline.n_eccentric
+    for p, q in product(range(len(radii)), repeat=2):
+        if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], Fraction(separation) + radii[p] + radii[q]):
+            return True
+    return False
+
+
+def _placed_hulls(outline, i, core):
+    """Return the convex hulls of all parts of a positioner, as lists of points with rational coordinates."""
+    placed = np.empty((2, outline.vertices.shape[1]))
+    place_outline(outline, i, *map(float, core), placed)
+    points = [(Fraction(x), Fraction(y)) for x, y in placed.T.tolist()]
+    return [_hull(points[a:b]) for a, b in zip(outline.start[:-1], outline.start[1:], strict=True)]
+
+
+def _hull(points):
+    """Return the vertices of the convex hull in counter-clockwise order, without vertices on straight edges."""
+    hull = []
+    ordered = sorted(set(points))
+    for run in (ordered, ordered[::-1]):
+        chain = []
+        for point in run:
+            while len(chain) > 1 and _orientation(chain[-2], chain[-1], point) <= 0:
+                chain.pop()
+            chain.append(point)
+        hull += chain[:-1]
+    return hull or ordered
+
+
+def _polygons_closer(first, second, limit):
+    """Return whether no line separates two convex polygons, or they are closer than ``limit``."""
+    if len(first) + len(second) > 2 and not (_separated(first, second) or _separated(second, first)):
+        return True
+    sides = (product(first, _edges(second)), product(second, _edges(first)))
+    return any(_near(point, *edge, limit) for side in sides for point, edge in side)
+
+
+def _edges(polygon):
+    """Return the edges of a convex polygon; both directions of a segment are edges."""
+    return list(zip(polygon, polygon[1:] + polygon[:1], strict=True))
+
+
+def _separated(first, second):
+    """Return whether the line through an edge of a convex polygon separates it from another convex polygon."""
+    if len(first) == 1:
+        return False
+    return any(all(_orientation(a, b, point) <= 0 for point in second) for a, b in _edges(first))
 
 
 def _orientation(a, b, p):

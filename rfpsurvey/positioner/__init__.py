@@ -1,6 +1,7 @@
-"""A theta-phi positioner: its two arms, their joints, and the part that can collide."""
+"""A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
 from rfpsurvey.positioner._numbers import PositionerNumbers
+from rfpsurvey.positioner._outline import ArmOutline, make_outline
 from rfpsurvey.positioner._positioner import ARM_MODELS, HANDEDNESS, Positioner
 
-__all__ = ["ARM_MODELS", "HANDEDNESS", "Positioner", "PositionerNumbers"]
+__all__ = ["ARM_MODELS", "HANDEDNESS", "ArmOutline", "Positioner", "PositionerNumbers", "make_outline"]

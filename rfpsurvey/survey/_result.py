@@ -14,29 +14,29 @@ TILES = {
     "tile": "identifier of the tile",
     "ra": "right ascension of the field center (ICRS)",
     "dec": "declination of the field center (ICRS)",
-    "position_angle": "of +y, from north toward east",
-    "round": "tiles of a round do not share targets",
-    "n_in_field": "targets in the field that were still wanted",
-    "n_reachable": "of these, in reach of a positioner",
-    "n_assigned": "positioners with a target",
-    "n_science": "of these, with a science target",
-    "n_standard": "of these, with a standard star",
-    "n_sky": "of these, on sky",
-    "n_colliding": "positioners in collision",
-    "n_counted": "positioners with a target or parked",
-    "n_colliding_pairs": "pairs of arms in collision",
-    "n_obstacle_collisions": "collisions with obstacles",
-    "n_unmet": "requirements that are not met",
-    "n_observed": "visits that count",
-    "collision_rate": "n_colliding over n_counted",
-    "fiber_use": "n_assigned over usable positioners",
-    "completeness": "visits observed over visits wanted here",
+    "position_angle": "position angle of +y, from north toward east",
+    "round": "round in which the tile is planned; tiles of one round do not share targets",
+    "n_in_field": "number of targets in the field that still require a visit",
+    "n_reachable": "number of targets that still require a visit and are in reach of a positioner",
+    "n_assigned": "number of positioners with a target",
+    "n_science": "number of positioners with a science target",
+    "n_standard": "number of positioners with a standard star",
+    "n_sky": "number of positioners on sky",
+    "n_colliding": "number of positioners in collision",
+    "n_counted": "number of positioners that have a target or are parked",
+    "n_colliding_pairs": "number of pairs of arms in collision",
+    "n_obstacle_collisions": "number of collisions with obstacles",
+    "n_unmet": "number of requirements that are not met",
+    "n_observed": "number of successful visits",
+    "collision_rate": "n_colliding divided by n_counted",
+    "fiber_use": "n_assigned divided by the number of usable positioners",
+    "completeness": "observed visits divided by requested visits, for the targets in the field",
 }
 OUTCOME = {
     "target_id": "identifier of the target",
-    "wanted": "visits wanted",
-    "observed": "visits that count",
-    "outcome": "code, see the cards OUTCOME0 and following",
+    "requested": "number of requested visits",
+    "observed": "number of successful visits",
+    "outcome": "code of the outcome; the header cards OUTCOME0, OUTCOME1, ... state the outcome of each code",
 }
 
 
@@ -62,7 +62,7 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
 
 def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
     tally = state.tallies["priority"]
-    wanted, observed = int(tally.n_wanted.sum()), int(tally.n_observed.sum())
+    wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
     required = np.flatnonzero([] if request.is_required is None else request.is_required)
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
@@ -72,7 +72,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_rounds": len(request.rounds),
         "n_targets": targets,
         "n_complete": complete,
-        "n_visits_wanted": wanted,
+        "n_visits_requested": wanted,
         "n_visits_observed": observed,
         "completeness": observed / max(wanted, 1),
         "completeness_targets": complete / max(targets, 1),
@@ -89,12 +89,12 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
         "unmet": _unmet(request.source, missed, why),
-        "model": model_sentence(request.instrument),
+        "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
     }
 
 
 def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
-    """Return a sentence for each outcome of required targets (by slot) that were never observed."""
+    """Return a sentence for each outcome of the required targets that were never observed."""
     if len(missed) == 0:
         return []
     code = np.full(len(source), len(OUTCOMES), dtype=np.uint8)
@@ -112,12 +112,12 @@ def completeness_table(request, state: Bookkeeping) -> QTable:
     """Return a table with a row for each pass and, if there are several, for each class of priority and category."""
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
     columns = ("priority", "category") if "category" in state.tallies else ("priority",)
-    names = ("n_targets", "n_wanted", "n_observed", "n_complete")
+    names = ("n_targets", "n_requested", "n_observed", "n_complete")
     rows = []
     for k, number in enumerate(request.passes):
         for column, tally in state.tallies.items():
             observed, complete = tally.n_observed[: k + 1].sum(axis=0), tally.n_complete[: k + 1].sum(axis=0)
-            counts = np.column_stack([tally.n_targets, tally.n_wanted, observed, complete])
+            counts = np.column_stack([tally.n_targets, tally.n_requested, observed, complete])
             classes = list(zip(tally.names, counts.tolist(), strict=True)) if len(tally.names) > 1 else []
             if column == "priority":
                 classes.insert(0, ("all", counts.sum(axis=0).tolist()))
@@ -131,7 +131,7 @@ def outcome_table(request, state: Bookkeeping) -> QTable:
     """Return a table with a row for each target, in the order of the catalog."""
     source = request.source
     table = QTable({"target_id": source.ids()}, copy=False)
-    table["wanted"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())
+    table["requested"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())
     table["outcome"] = source.by_row(state.outcomes())
     table.meta = {"outcome": {str(k): name for k, name in enumerate(OUTCOMES)}}
     return describe(table, OUTCOME)

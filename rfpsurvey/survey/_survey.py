@@ -21,8 +21,8 @@ __all__ = ["Survey"]
 # Columns that must be in the tables of a folder and in the file of a tile.
 COLUMNS = (
     ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
-    ("pass", "priority", "n_targets", "n_wanted", "n_observed", "n_complete", "completeness"),
-    ("target_id", "wanted", "observed", "outcome"),
+    ("pass", "priority", "n_targets", "n_requested", "n_observed", "n_complete", "completeness"),
+    ("target_id", "requested", "observed", "outcome"),
 )
 VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
 
@@ -45,9 +45,9 @@ class Survey:
         ``provenance``.
     completeness : QTable
         Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if there
-        are several, ``category`` (``all`` stands for all values of a column), ``n_targets``, ``n_wanted`` and
+        are several, ``category`` (``all`` stands for all values of a column), ``n_targets``, ``n_requested`` and
         ``n_observed`` (requested visits, and visits made), ``n_complete`` (targets with all requested visits),
-        ``completeness`` (``n_observed`` divided by ``n_wanted``).
+        ``completeness`` (``n_observed`` divided by ``n_requested``).
     outcomes : QTable
         Table with a row for each target: ``target_id``, ``wanted`` and ``observed`` (numbers of requested visits, and
         of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).
@@ -97,8 +97,8 @@ class Survey:
         Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``, ``ra``,
         ``dec``, ``in_collision``, ``observed`` (whether the visit counts), ``fiber_type`` if there are several,
         ``kind`` if the catalog has kinds or blank sky was searched for, and ``priority``, ``category`` and the further
-        columns (``extra``) of the catalog, if it has them. In these columns, the values of blank sky are NaN, empty
-        text, False or -1.
+        columns (``extra``) of the catalog, if it has them. In the columns from the catalog, the values for blank sky
+        are NaN, empty text, False or -1.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -118,11 +118,11 @@ class Survey:
         Raises
         ------
         InputError
-            If there is no such tile, or its part is missing or damaged.
+            If the survey has no such tile, or the file with its visits is missing or damaged.
         """
         rows = np.flatnonzero(np.asarray(self.tiles["tile"]).astype(str) == str(tile))
         if len(rows) == 0:
-            raise InputError(f"the survey has no tile {tile}; its tiles are such as {self.tiles['tile'][0]}")
+            raise InputError(f"the survey has no tile {tile}; its tiles have names such as {self.tiles['tile'][0]}")
         return self._visits(int(rows[0]))
 
     def __iter__(self) -> Iterator[QTable]:
@@ -151,7 +151,7 @@ class Survey:
         s = self.summary
         return (
             f"<Survey of {number_of(s['n_tiles'], 'tile')}: {s['n_visits_observed']} of "
-            f"{number_of(s['n_visits_wanted'], 'visit')}, "
+            f"{number_of(s['n_visits_requested'], 'visit')}, "
             f"completeness {s['completeness']:.4f}>"
         )
 

@@ -20,6 +20,7 @@ from rfpsurvey.tile._tile import Tile
 __all__ = ["build_tile", "versions"]
 
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
+REFRACTED = "static geometry in the focal plane with atmospheric refraction; no dynamic collisions"
 
 
 def build_tile(
@@ -42,10 +43,11 @@ def build_tile(
 
     ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
     target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner;
-    ``targets`` are all targets of the field. ``software`` lists packages in use in addition to the usual ones.
+    ``targets`` are all targets of the field. ``software`` lists the packages whose versions the tile records in
+    addition to those of the usual packages.
     """
     plane = instrument.focal_plane
-    n = len(plane)
+    n, projection = len(plane), parameters.get("projection", "radial")
     has_target = posed.assigned
     if len(ids) == 0:  # there are no targets
         ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
@@ -73,7 +75,7 @@ def build_tile(
     table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
     table["in_collision"] = report.in_collision
     table["colliding_with"] = _partners(plane, report)
-    table["clearance"] = (nearest_distance(posed) - plane.positioner.numbers.separation) * u.mm
+    table["clearance"] = (nearest_distance(plane, posed) - plane.positioner.numbers.separation) * u.mm
     table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
     if kind is not None:
         table["kind"] = np.append(kind, "")[target_of]
@@ -90,14 +92,14 @@ def build_tile(
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,
-        "model": model_sentence(instrument, posed),
+        "model": model_sentence(instrument, posed, projection),
     }
     meta = {
         "summary": summary,
         "provenance": {
             "software": {**versions(), **(software or {})},
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "model": MODEL,
+            "model": MODEL if projection in ("tangent", "radial") else REFRACTED,
             "instrument": instrument.provenance,
             "catalog": dict(catalog_meta),
             "parameters": parameters,
@@ -109,6 +111,7 @@ def build_tile(
             "min_separation_mm": float(plane.positioner.numbers.separation),
             "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane.arrays.obstacles.tolist(),
+            **({} if plane.positioner.outline is None else {"outline_mm": plane.positioner.outline.to_dict()}),
         },
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # converts to types that all file formats support
@@ -130,7 +133,7 @@ def _partners(plane, report):
 
 
 def _one_or_all(values):
-    """Return one number if all are equal, otherwise a list."""
+    """Return one number if all numbers are equal, otherwise the list of the numbers."""
     return float(values[0]) if (values == values[0]).all() else values.tolist()
 
 

@@ -13,7 +13,8 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal, short
+from rfpsurvey.observing import ObservingConditions
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -105,6 +106,37 @@ class Tiling:
     def summary(self) -> dict:
         """Description of the method and quality of the tiling; empty for a list of tiles from another source."""
         return self.table.meta.get("summary", {})
+
+    @property
+    def conditions(self) -> ObservingConditions | None:
+        """Observing conditions of the tiles; None if refraction is neglected."""
+        record = self.table.meta.get("conditions")
+        return None if record is None else ObservingConditions.from_record(record)
+
+    def with_conditions(self, conditions: ObservingConditions | None) -> "Tiling":
+        """Return the tiling with observing conditions, under which `plan_survey` plans the tiles.
+
+        Parameters
+        ----------
+        conditions : ObservingConditions or None
+            The conditions. The table may have a column ``hour_angle`` (of the center; numbers without a unit are in
+            hours) or ``time`` (midpoint of the exposure), which replaces the time or hour angle of the conditions.
+
+        Returns
+        -------
+        Tiling
+            The tiling; its files contain the conditions.
+
+        Raises
+        ------
+        InputError
+            If ``conditions`` has another type.
+        """
+        if not isinstance(conditions, ObservingConditions | None):
+            raise InputTypeError(f"conditions must be ObservingConditions or None, got {short(conditions)}")
+        table = self.table.copy()
+        table.meta["conditions"] = None if conditions is None else conditions.record
+        return Tiling(table)
 
     @cached_property
     def vectors(self) -> np.ndarray:
@@ -269,7 +301,7 @@ def to_ra_dec(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def place_of(ra, dec) -> np.ndarray:
-    """Return integers, shape (n, 2), which are equal for centers (degrees) that are equal to 1e-8 deg."""
+    """Return two integers for each center (degrees); centers that agree to 1e-8 deg have the same integers."""
     return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
         np.int64
     )
@@ -305,7 +337,7 @@ def _integers(column, tile):
 
 
 def _refuse_twins(tile, angles, number, table):
-    """Raise an error if two tiles of a pass (and of a program, if there are some) are equal to 1e-8 deg."""
+    """Raise an error if two tiles of a pass (and of a program, if tiles have programs) agree to 1e-8 deg."""
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
     columns = [angles["ra"], angles["dec"], angles["position_angle"]]

@@ -48,7 +48,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture, "--quality", tmp_path / "quality.svg")
     expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
-    assert lines["visits wanted"] == [str(sky.visits.sum())]
+    assert lines["visits requested"] == [str(sky.visits.sum())]
     assert lines["observed"] == [str(expected["n_visits_observed"])]
     assert lines["targets in no field"] == [str(expected["outcomes"]["in no field"])]
     assert f"model: {expected['model']}" in out.splitlines()
@@ -56,7 +56,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "not met" not in out  # no target was required
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {tmp_path / 'quality.svg'}" in out
-    assert "fraction of the visits wanted" in (tmp_path / "quality.svg").read_text()
+    assert "fraction of the requested visits" in (tmp_path / "quality.svg").read_text()
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]
     call(*words, "--folder", tmp_path / "plan", "--resume")
@@ -195,7 +195,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     [
         (["--allocator", "best"], "unknown allocator 'best'"),
         (["--order", "random"], "unknown order 'random'"),
-        (["--pass", "7"], "--pass must be different passes of the tiling (0, 1)"),
+        (["--pass", "7"], "--pass must be distinct passes of the tiling (0, 1)"),
         (["--resume"], "resume needs the folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),
         (["--plot", "plan.txt"], "must end in"),
@@ -227,7 +227,10 @@ def test_bad_tiles(call, files, tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [((), "without --folder nothing stays"), (("--folder", "plan"), "what was written stays: continue with --resume")],
+    [
+        ((), "without --folder, nothing is kept"),
+        (("--folder", "plan"), "finished tiles are kept: continue with --resume"),
+    ],
 )
 def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch, words, sentence):
     def interrupted(*_, **__):

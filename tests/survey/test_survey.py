@@ -111,7 +111,7 @@ def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocato
         table = survey.visits(tile)
         found = zip(*(table[name].tolist() for name in ("target_id", "positioner", "in_collision")), strict=True)
         assert set(found) == visits.get(k, set())
-    assert np.array_equal(survey.outcomes["wanted"] - survey.outcomes["observed"].astype(int), left)
+    assert np.array_equal(survey.outcomes["requested"] - survey.outcomes["observed"].astype(int), left)
     assert survey.summary["n_visits_observed"] == sky.visits.sum() - left.sum()
     assert survey.summary["n_colliding"] == (0 if allocator == "repair" else survey.targets["in_collision"].sum())
 
@@ -153,8 +153,8 @@ def test_visits_given_by_hand(sky, small):
     by_column = rs.plan_survey(sky, small, tiling)
     plain = rs.Catalog(sky.coord, priority=sky.priority)
     assert same(rs.plan_survey(plain, small, tiling, visits=sky.visits), by_column)
-    assert rs.plan_survey(plain, small, tiling).summary["n_visits_wanted"] == len(sky)
-    assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
+    assert rs.plan_survey(plain, small, tiling).summary["n_visits_requested"] == len(sky)
+    assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_requested"] == 2 * len(sky)
 
 
 def test_standards_and_sky_are_never_used_up(small):
@@ -228,10 +228,10 @@ def test_each_tile_draws_by_itself(sky, small):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"passes": [1, 1]}, "must be different passes"),
-        ({"passes": [1.5]}, "must be different passes"),
-        ({"passes": "all"}, "must be different passes"),
-        ({"passes": [np.nan]}, "must be different passes"),
+        ({"passes": [1, 1]}, "must be distinct passes"),
+        ({"passes": [1.5]}, "must be distinct passes"),
+        ({"passes": "all"}, "must be distinct passes"),
+        ({"passes": [np.nan]}, "must be distinct passes"),
         ({"rng": -1}, "rng must be a seed of at least 0"),
         ({"visits": 256}, "whole numbers from 0 to 255"),
         ({"visits": [1, 2]}, "must be one number or have the shape"),
@@ -263,10 +263,10 @@ def test_what_is_told_is_told_once(sky, small):
     away = SkyCoord([CENTER.directional_offset_by(0 * u.deg, 30 * u.deg)])
     for arguments, options, sentence in (
         ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement asks"),
-        ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch changes nothing"),
+        ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch has no effect"),
         ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
-        ((twins, grid(1.2)), {}, "share their id"),
+        ((twins, grid(1.2)), {}, "have the same id"),
         ((sky, away), {}, "no target was observed"),
         ((sky, wide), {}, "placed for fields of 1 deg, those of small have 0.4"),
     ):
@@ -308,7 +308,7 @@ def test_order_and_passes(sky, small):
     assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
     given = rs.plan_survey(sky, small, tiling, order="given")
     left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
-    assert np.array_equal(given.outcomes["wanted"] - given.outcomes["observed"].astype(int), left)
+    assert np.array_equal(given.outcomes["requested"] - given.outcomes["observed"].astype(int), left)
 
 
 def test_drawing_allocators_draw_the_same_for_the_same_seed(sky, small):

@@ -217,7 +217,10 @@ def test_each_fiber_type_is_projected_by_its_map(presets):
         (SkyCoord([], [], unit="deg"), "the catalog must have at least one target"),
         (SkyCoord([200], [-40], unit="deg"), "no target lies within .* of the field center .*; the nearest is"),
         (SkyCoord([95], [23.46], unit="deg"), "no science target lies in reach"),
-        (rs.Catalog(SkyCoord([95], [23], unit="deg"), kind=["sky"]), "none of the 1 targets in the field is science"),
+        (
+            rs.Catalog(SkyCoord([95], [23], unit="deg"), kind=["sky"]),
+            "none of the 1 targets in the field is a science target",
+        ),
         ("stars", "must be read first: Catalog.read"),
     ],
 )
@@ -247,7 +250,7 @@ def test_bad_input_is_named(small, sky, presets, tmp_path):
     with pytest.raises(rs.InputError, match="there is no such file"):
         rs.Tile.read(tmp_path / "nothing.fits")
     unicode_ids = rs.plan_tile(rs.Catalog(sky.coord, id=[f"★{k}" for k in range(len(sky))]), small, CENTER)
-    with pytest.raises(rs.InputError, match="FITS holds ASCII text only"):
+    with pytest.raises(rs.InputError, match="FITS files can contain only ASCII text"):
         unicode_ids.write(tmp_path / "star.fits")
     unicode_ids.write(tmp_path / "star.ecsv")
     assert rs.Tile.read(tmp_path / "star.ecsv") == unicode_ids

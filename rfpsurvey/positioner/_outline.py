@@ -1,0 +1,266 @@
+"""The outline of a positioner: convex polygons and capsules that move with its arms."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels.outlines import NO_OUTLINE, Outline
+from rfpsurvey._units import locked, to_points_mm, to_scalar
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
+
+__all__ = ["ArmOutline", "make_outline"]
+
+MOST = 1e6
+"""Largest coordinate and radius, mm."""
+SAME = 1e-9
+"""Vertices closer to each other than this are one vertex, and edges that bend inward by less are straight, mm."""
+PERIMETER = 1e-9
+"""Largest relative difference between the perimeter of a convex polygon and that of its convex hull."""
+ROUNDED_UP = 1.0 + 1e-12
+"""Factor for upper limits."""
+LOOSE = 1e-6
+"""Relative and absolute (mm) increase of circles of which the position is approximate."""
+
+
+@check_keywords
+@dataclass(frozen=True, eq=False)
+class ArmOutline:
+    """The shape of both arms of a positioner, as convex polygons and capsules.
+
+    Each part is a convex polygon: all points within ``radius`` of the polygon belong to the part. A polygon of two
+    vertices is a segment, and a polygon of one vertex is a point, so that parts with a radius can be capsules and
+    discs. Shapes that are not convex consist of several parts, which can overlap.
+
+    Two positioners collide if the gap between an eccentric part of one positioner and any part of the other
+    positioner is less than the minimum separation. Central parts do not collide with each other.
+
+    Parameters
+    ----------
+    eccentric : sequence of Quantity or (Quantity, Quantity)
+        Parts that move with the eccentric arm. Each part is an array of vertices of shape (k, 2), or a pair of such an
+        array and a radius. The origin is the elbow, and the x axis points along the arm toward the fiber.
+    central : sequence of Quantity or (Quantity, Quantity), optional
+        Parts that move with the central arm. The origin is the center of the positioner, and the x axis points toward
+        the elbow.
+
+    Attributes
+    ----------
+    parts : tuple of (ndarray of float, shape (k, 2), float)
+        Counter-clockwise vertices and radius of each part as numbers, mm; eccentric parts are first.
+    n_eccentric : int
+        Number of eccentric parts.
+
+    Raises
+    ------
+    InputError
+        If a part is not convex, its numbers are out of range, or no eccentric part reaches beyond the elbow.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> arm = [[-1, -1], [4, -1], [4, 1], [-1, 1]] * u.mm
+    >>> rs.ArmOutline([arm], central=[([[0, 0], [3, 0]] * u.mm, 2 * u.mm)])
+    <ArmOutline: 1 eccentric part, 1 central part, length 4 mm>
+    """
+
+    eccentric: Sequence
+    central: Sequence = ()
+
+    def __post_init__(self):
+        parts = []
+        for name in ("eccentric", "central"):
+            given = getattr(self, name)
+            if isinstance(given, u.Quantity) or not isinstance(given, Sequence):
+                raise InputTypeError(f"{name} must be a list of parts, got {short(given)}")
+            object.__setattr__(self, name, tuple(given))
+            parts += [_to_part(part, f"{name}[{k}]") for k, part in enumerate(given)]
+        object.__setattr__(self, "parts", tuple(parts))
+        object.__setattr__(self, "n_eccentric", len(self.eccentric))
+        if not self.n_eccentric:
+            raise InputError("eccentric must be at least one part, got none")
+        if not self.length > 0 * u.mm:
+            raise InputError(f"eccentric must have a vertex with x above 0 mm, got at most {self.length}")
+
+    def __repr__(self):
+        counts = {"eccentric": len(self.eccentric), "central": len(self.central)}
+        texts = [f"{n} {name} part{'' if n == 1 else 's'}" for name, n in counts.items() if n]
+        return f"<ArmOutline: {', '.join(texts)}, length {self.length.value:.6g} mm>"
+
+    @cached_property
+    def length(self) -> u.Quantity:
+        """Largest x of a vertex of an eccentric part: the length of the core, a segment along the arm."""
+        return max(float(vertices[:, 0].max()) for vertices, _ in self.parts[: self.n_eccentric]) * u.mm
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Largest distance of a point of the outline from the elbow (eccentric) and from the center (central), mm."""
+        far = [float(np.hypot(*vertices.T).max()) + radius for vertices, radius in self.parts]
+        n = self.n_eccentric
+        return max(far[:n]), max(far[n:], default=0.0)
+
+    def to_dict(self) -> dict:
+        """Return the parts as lists of numbers in mm, as descriptions of instruments contain them."""
+        parts = [{"vertices": vertices.tolist(), "radius": radius} for vertices, radius in self.parts]
+        return {"eccentric": parts[: self.n_eccentric], "central": parts[self.n_eccentric :]}
+
+    @classmethod
+    def from_dict(cls, value: dict, unit: u.UnitBase = u.mm) -> "ArmOutline":
+        """Return the outline from the lists that `to_dict` returns, in another unit if required.
+
+        Parameters
+        ----------
+        value : dict
+            ``eccentric`` and, optionally, ``central``: lists of dicts with ``vertices`` and, optionally, ``radius``.
+        unit : Unit, optional
+            Unit of all numbers.
+
+        Returns
+        -------
+        ArmOutline
+            The outline.
+
+        Raises
+        ------
+        InputError
+            If a part is not valid.
+        """
+        arms = {
+            arm: [(part["vertices"] * unit, part.get("radius", 0.0) * unit) for part in parts]
+            for arm, parts in value.items()
+        }
+        return cls(**arms)
+
+
+def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: np.ndarray) -> Outline:
+    """Return the outline of positioners for the kernels.
+
+    Parameters
+    ----------
+    outline : ArmOutline or None
+        Parts of both arms; None if the arms are capsules.
+    centers : ndarray of float, shape (n, 2)
+        Centers of the positioners, mm.
+    central_arm : ndarray of float, shape (n,)
+        Lengths of the central arms, mm.
+
+    Returns
+    -------
+    Outline
+        Read-only arrays.
+    """
+    parts = () if outline is None else outline.parts
+    centers = locked(np.array([*np.asarray(centers, dtype=float).T, 1.0 / central_arm]))
+    start = np.zeros(len(parts) + 1, dtype=np.int64)
+    start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
+    if not parts:
+        return NO_OUTLINE
+    vertices = np.ascontiguousarray(np.hstack([_with_normals(vertices) for vertices, _ in parts]))
+    circles = np.ascontiguousarray(np.array([_circle(vertices, radius) for vertices, radius in parts]).T)
+    length, n = outline.length.value, outline.n_eccentric
+    eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[:n])
+    central = [
+        float(np.hypot(vertices[:, 0] - arm, vertices[:, 1]).max()) + radius
+        for vertices, radius in parts[n:]
+        for arm in (central_arm.min(), central_arm.max())  # the distance is a convex function of the length of the arm
+    ]
+    offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
+    size = float(np.hypot(vertices[0], vertices[1]).max())
+    shapes = _box(parts[:n]), _box(parts[n:]), _enclosing(parts[:n], length), _enclosing(parts[n:], 1.0)
+    return Outline(locked(vertices), locked(start), locked(circles), n, offset, size, *shapes, centers)
+
+
+def _box(parts):
+    """Return the center of a rectangle along the axes that contains parts, and half the lengths of its sides."""
+    if not parts:
+        return (0.0, 0.0, 0.0, 0.0)
+    low = np.min([vertices.min(axis=0) - radius for vertices, radius in parts], axis=0)
+    high = np.max([vertices.max(axis=0) + radius for vertices, radius in parts], axis=0)
+    return (*(0.5 * (low + high)).tolist(), *(0.5 * (high - low) * ROUNDED_UP).tolist())
+
+
+def _enclosing(parts, unit):
+    """Return the center of a circle that contains parts, in the unit, and its radius with an allowance for rounding."""
+    if not parts:
+        return (0.0, 0.0, 0.0)
+    x, y, _, _ = _box(parts)
+    radius = max(float(np.hypot(*(vertices - (x, y)).T).max()) + radius for vertices, radius in parts)
+    return x / unit, y / unit, radius * (1.0 + LOOSE) + LOOSE
+
+
+def _from_core(vertices, low, high):
+    """Return the largest distance of the vertices from the part of the x axis from ``low`` to ``high``."""
+    x, y = vertices.T
+    return float(np.hypot(x - np.clip(x, low, high), y).max())
+
+
+def _with_normals(vertices):
+    """Return the rows x, y, normal x, normal y and length of the edges that start at the vertices."""
+    dx, dy = (np.roll(vertices, -1, axis=0) - vertices).T
+    length = np.hypot(dx, dy)
+    if len(vertices) == 1:
+        return np.array([*vertices.T, [1.0], [0.0], [0.0]])
+    return np.array([*vertices.T, dy / length, -dx / length, length])
+
+
+def _circle(vertices, radius):
+    """Return the radius of a part, and a circle that contains it."""
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
+
+
+def _to_part(part, name):
+    """Return the vertices of a part in counter-clockwise order, and its radius."""
+    radius = 0.0
+    if isinstance(part, tuple) and len(part) == 2:
+        part, radius = part
+        radius = to_scalar(radius, u.mm, f"the radius of {name}", low=0, high=MOST, closed=True)
+    points = to_points_mm(part, name)
+    if len(points) == 0 or not (np.abs(points) < MOST).all():
+        raise InputError(f"{name} must be finite vertices with coordinates below {MOST:g} mm, got {short(part)}")
+    hull = _hull(points)
+    if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
+        raise InputError(f"{name} must be a convex polygon, got {short(part)}; divide it into convex parts")
+    return locked(hull), radius
+
+
+def _hull(points):
+    """Return the vertices of the convex hull in counter-clockwise order; close vertices are merged."""
+    ordered = points[np.lexsort(points.T[::-1])].tolist()
+    kept = []
+    for run in (ordered, ordered[::-1]):
+        chain = []
+        for x, y in run:
+            while len(chain) > 1 and _bend(chain[-2], chain[-1], (x, y)) <= 0:
+                chain.pop()
+            chain.append((x, y))
+        kept += chain[:-1]
+    hull = np.array(kept or ordered[:1])
+    while len(hull) > 1:
+        gaps = np.hypot(*(np.roll(hull, -1, axis=0) - hull).T)
+        if gaps.min() > SAME:
+            break
+        hull = np.delete(hull, np.argmin(gaps), axis=0)
+    return hull
+
+
+def _bend(a, b, p):
+    """Return twice the signed area of the triangle a, b, p."""
+    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+
+
+def _closed_length(points):
+    """Return the length of the closed line through points; it is the perimeter of the hull only if it is convex."""
+    return float(np.hypot(*(np.roll(points, -1, axis=0) - points).T).sum())
+
+
+def _on_outline(points, hull):
+    """Return whether all points are close to an edge of a convex polygon."""
+    x, y, nx, ny, length = _with_normals(hull)
+    dx, dy = points[:, :1] - x, points[:, 1:] - y
+    along = dy * nx - dx * ny
+    distance = np.hypot(dx * nx + dy * ny, along - np.clip(along, 0.0, length))
+    return bool((distance.min(axis=1) <= 4 * SAME).all())
