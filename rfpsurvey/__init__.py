@@ -13,6 +13,7 @@ from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisio
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, available_instruments
+from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap, TangentPlane
 from rfpsurvey.region import Region
@@ -45,6 +46,7 @@ __all__ = [
     "InputTypeError",
     "InputUnitsError",
     "Instrument",
+    "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
     "RadialMap",
@@ -101,4 +103,4 @@ def __dir__():
     # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
     # names.
     hidden = {"compare", "report", "survey"}
-    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision"} - hidden)
+    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision", "observing"} - hidden)

@@ -22,7 +22,7 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
     Raises
     ------
     InputError
-        If the requests differ.
+        If the request differs from that of the unfinished work.
     """
     different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
     if different:

@@ -42,7 +42,7 @@ def submit(executor: Executor, function: Callable, *arguments: object) -> Future
 def end_with_parent() -> None:
     """Make this process end within a second after its parent process ends, even if the parent is killed.
 
-    Otherwise, workers of a `concurrent.futures.ProcessPoolExecutor` would wait for work forever.
+    Without this measure, workers of a `concurrent.futures.ProcessPoolExecutor` would wait for work forever.
     """
     from multiprocessing import parent_process
     from threading import Thread

@@ -13,7 +13,7 @@ MOST_NSIDE = 2**20
 
 
 def check_nside(nside: object) -> int:
-    """Return a resolution as an integer; raise an error unless it is a power of two."""
+    """Return the resolution ``nside`` as an integer; raise an error unless it is a power of two."""
     good = isinstance(nside, int | np.integer) and not isinstance(nside, bool) and 1 <= nside <= MOST_NSIDE
     if not good or int(nside) & (int(nside) - 1):
         raise refusal(f"nside must be a power of two from 1 to {MOST_NSIDE}", nside, Number)
@@ -80,5 +80,5 @@ def pixel_radius(nside: int) -> float:
 
 
 def nside_for(radius_rad: float) -> int:
-    """Return the lowest resolution at which pixels are no larger than the radius."""
+    """Return the lowest resolution at which pixels are no larger than a given radius."""
     return int(min(2 ** max(np.ceil(np.log2(1.0 / radius_rad)), 0), MOST_NSIDE))

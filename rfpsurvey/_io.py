@@ -65,7 +65,9 @@ def write_table(
             try:
                 _to_hdus(table, cards, name, others or {}).writeto(temporary)
             except UnicodeEncodeError as error:
-                raise InputError(f"{path}: FITS holds ASCII text only ({error}); write .ecsv instead") from error
+                raise InputError(
+                    f"{path}: FITS files can contain only ASCII text ({error}); write .ecsv instead"
+                ) from error
         else:
             opener = gzip.open if path.suffix.lower() == ".gz" else open
             with opener(temporary, "wt", encoding="utf-8", newline="\n") as file:
@@ -104,7 +106,7 @@ def check_fits_text(columns: dict, remedy: str) -> None:
         bad = [one for one in text if not (one.isascii() and one.isprintable()) and one]
         if bad:
             raise InputError(
-                f"FITS files hold printable ASCII text only, but {len(bad)} {what} are other, such as "
+                f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain others, such as "
                 f"{bad[0]!r}; change them, or {remedy}"
             )
 
@@ -114,7 +116,8 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
     """Provide a temporary path that is renamed to ``path`` on success, and removed otherwise.
 
     The temporary path is in a new folder beside ``path``, with a random name and without write permission for other
-    users. Therefore, no other thread or process writes there, and no link with the name of the path can exist.
+    users. Therefore, no other thread or process writes into this folder, and no link with the name of the path can
+    exist.
     """
     room = None
     try:
@@ -155,7 +158,7 @@ def temporary_folder(path: str | os.PathLike):
     """Provide a temporary folder beside ``path`` that is renamed to ``path`` on success."""
     path = to_path(path)
     if path.exists():
-        raise InputError(f"{path} exists; give a folder that does not")
+        raise InputError(f"{path} exists; give a folder that does not exist")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     with _in_place_of(path) as temporary:
@@ -228,9 +231,10 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
 
-    This is fast for thousands of small tables with the same columns, because astropy makes only the header of the first
-    table. This header contains the ``fixed`` cards, which are pairs of a name and a value (or a value and a comment).
-    For each table, ``cards`` are replaced or added.
+    This function is fast for thousands of small tables with the same columns, because astropy makes only the header of
+    the first table. The header of the first table contains the ``fixed`` cards, which are pairs of a name and a value
+    (or a value and a comment). In the header of each table, the given ``cards`` replace the cards of the same name or
+    are added.
     """
     primary, header, places, disk = _fits_template(rows.dtype, fixed)
     image = bytearray(header)
@@ -246,7 +250,9 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
         try:
             body[name] = np.where(column, ord("T"), ord("F")) if column.dtype.kind == "b" else column
         except UnicodeEncodeError as error:
-            raise InputError(f"FITS files hold ASCII text only, but the column {name!r} has other: {error}") from None
+            raise InputError(
+                f"FITS files can contain only ASCII text, but the column {name!r} has other characters: {error}"
+            ) from None
     return b"".join([primary, bytes(image), body.tobytes(), bytes(-body.nbytes % 2880)])
 
 

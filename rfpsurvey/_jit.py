@@ -1,9 +1,10 @@
 """The numba decorator that all kernels use, and the settings of its on-disk cache.
 
 Numba identifies the cached code of a kernel by the modification time and size of the file that defines the kernel. If
-another file with functions that the kernel calls is edited, or if an upgrade changes neither time nor size, numba would
-run old code. To prevent this, the version of the cache contains a digest of the source of all kernels. Numba compares
-the version before it reads the cached code, which may refer to classes that no longer exist.
+another file with functions that the kernel calls is edited, or if an upgrade changes the code but neither the time nor
+the size of the file, numba would run old code. To prevent the use of old code, the version of the cache contains a
+digest of the source of all kernels. Numba compares the version before it reads the cached code, which may refer to
+classes that no longer exist.
 """
 
 import hashlib

@@ -13,7 +13,7 @@ __all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
 
 @dataclass(frozen=True)
 class Plugin:
-    """A plugin, which is an object of another package or a function of the user."""
+    """A plugin: an object from another package, or a function of the user."""
 
     what: str
     name: str
@@ -85,7 +85,9 @@ def _load(group: str, name: str, what: str) -> Plugin:
     found = [Plugin(what, name, None, point.dist.name, point.dist.version, point.value) for point in points]
     if len(found) > 1:
         packages = ", ".join(sorted(f"{one.package} {one.version}" for one in found))
-        raise InputError(f"several packages add the {what} {name!r}: {packages}; all but one must go")
+        raise InputError(
+            f"several packages add the {what} {name!r}: {packages}; uninstall all of these packages but one"
+        )
     (plugin,), (point,) = found, points
     with plugin.answering():
         return replace(plugin, value=point.load())

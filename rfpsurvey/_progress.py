@@ -80,7 +80,7 @@ class Progress:
         if not self._unit:
             return f"{self._done / self._total:.0%}{left}{self._note}"
         kept = round(self._done - self._new)
-        kept = f" ({kept} of them were there)" if kept else ""
+        kept = f" ({kept} of them from an earlier run)" if kept else ""
         return f"{self._done} of {self._total} {self._unit}{kept}, {rate:.1f} {self._unit}/s{left}{self._note}"
 
 

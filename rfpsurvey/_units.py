@@ -144,7 +144,7 @@ def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.n
     try:
         icrs = direction.icrs
     except Exception as error:  # frames that lack an observer or a time can raise any exception
-        raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be brought to ICRS: {error}") from error
+        raise InputError(f"{name} in the frame {coord.frame.name!r} cannot be converted to ICRS: {error}") from error
     xyz = icrs.represent_as(UnitSphericalRepresentation).to_cartesian().xyz.value
     return np.ascontiguousarray(np.atleast_2d(xyz.T), dtype=np.float64)
 

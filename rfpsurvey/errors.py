@@ -88,7 +88,7 @@ def warn(text: str) -> None:
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return a hint (a question) with the choice most similar to ``name``, or empty text if no choice is similar."""
+    """Return a question that names the choice most similar to ``name``, or empty text if no choice is similar."""
     lower = {str(one).lower(): str(one) for one in choices}
     close = get_close_matches(str(name).lower(), sorted(lower), n=1, cutoff=cutoff)
     return f"did you mean {lower[close[0]]!r}?" if close else ""

@@ -73,7 +73,7 @@ def test_functions_that_check_keywords_keep_their_signature():
 def test_warnings_point_to_the_caller_of_the_package():
     center = SkyCoord(95 * u.deg, 23 * u.deg)
     stars = rs.Catalog(SkyCoord([95.3, 95.4] * u.deg, [23.4, 23.3] * u.deg), id=[1, 1])
-    with pytest.warns(rs.RfpsurveyWarning, match="with the id of another") as caught:
+    with pytest.warns(rs.RfpsurveyWarning, match="with the same id as another target") as caught:
         rs.plan_tile(stars, "sdss_apo", center)
     assert [one.filename for one in caught] == [__file__]
     with warnings.catch_warnings(record=True) as caught:

@@ -42,7 +42,7 @@ def sky_table(**columns):
 
 CALLS = {
     "coord must have the shape (n,), got (1, 2)": lambda: rs.Catalog(SkyCoord([[1, 2]], [[1, 2]], unit="deg")),
-    "epoch must be one time or shape (2,), got (3,)": lambda: rs.Catalog(
+    "epoch must be one time or have the shape (2,), got (3,)": lambda: rs.Catalog(
         TWO, epoch=Time([2000, 2001, 2002], format="jyear")
     ),
     "id must be integers or text for every row, but 1 of 2 rows (row 2) have none": lambda: rs.Catalog(
@@ -89,7 +89,7 @@ CALLS = {
     "handedness must be one name or have the shape (3,), got (1,)": lambda: rs.find_collisions(
         PLANE, PLANE.xy, handedness=["left"]
     ),
-    "handedness belongs to tips": lambda: place_arms(
+    "handedness can be given only with tips": lambda: place_arms(
         PLANE, theta=[0, 0, 0] * DEG, phi=[0, 0, 0] * DEG, handedness="left"
     ),
     "fiber_type must have the shape (3,), got (2,)": lambda: rs.find_collisions(TYPED, PLANE.xy, fiber_type=["A", "B"]),
@@ -102,16 +102,16 @@ CALLS = {
     "required must hold ids of targets, integers or text, got truth values": lambda: rs.AllocationOptions(
         required=[True, False]
     ),
-    "required must hold ids of targets in one row, got the shape (1, 2)": lambda: rs.AllocationOptions(
+    "required must be a one-dimensional list of target ids, got the shape (1, 2)": lambda: rs.AllocationOptions(
         required=[[1, 2]]
     ),
     "required must be integers or text for every row, got numbers such as 1.5": lambda: rs.AllocationOptions(
         required=1.5
     ),
-    "ids of required targets need a catalog, as plan_tile has, got 4, 5 (2 in all); allocate takes": lambda: (
-        rs.allocate(PLANE, XY, allocator=rs.AllocationOptions(required=[4, 5]))
+    "ids of required targets need a catalog, got 4, 5 (2 in all); use plan_tile": lambda: rs.allocate(
+        PLANE, XY, allocator=rs.AllocationOptions(required=[4, 5])
     ),
-    "keep_out needs a sky, as plan_tile has, got 1 circles; allocate takes obstacles": lambda: rs.allocate(
+    "keep_out needs positions on the sky, got 1 circles; use plan_tile": lambda: rs.allocate(
         PLANE, XY, allocator=rs.AllocationOptions(keep_out=CIRCLE)
     ),
     "required must hold ids of the catalog, got 7 (1 of 2)": lambda: rs.plan_tile(
@@ -129,8 +129,8 @@ CALLS = {
     "allocator must have no required targets and no keep_out": lambda: rs.collision_probability(
         PLANE, allocator=rs.AllocationOptions(keep_out=[CIRCLE])
     ),
-    "keep_out must be circles made by Region.cap, one or a list, got dict": lambda: rs.AllocationOptions(keep_out={}),
-    "keep_out must be circles made by Region.cap, one or a list, got <Region polygon": lambda: rs.AllocationOptions(
+    "keep_out must be one or more circles made by Region.cap, got dict": lambda: rs.AllocationOptions(keep_out={}),
+    "keep_out must be one or more circles made by Region.cap, got <Region polygon": lambda: rs.AllocationOptions(
         keep_out=[CIRCLE, rs.Region.parse("polygon 1 1 2 1 2 2")]
     ),
     "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
@@ -163,7 +163,7 @@ CALLS = {
     "table must be a QTable, got dict": lambda: rs.Tile({}),
     "the table is not that of a tile: it lacks ": lambda: rs.Tile(QTable({"id": [1]})),
     "center must be one direction, got the shape (2,)": lambda: rs.plan_tile(rs.Catalog(TWO), "moons", TWO),
-    "the survey has no tile nine; its tiles are such as ": lambda: survey().visits("nine"),
+    "the survey has no tile nine; its tiles have names such as ": lambda: survey().visits("nine"),
 }
 
 
@@ -191,7 +191,7 @@ def test_a_wrong_path_is_a_sentence(tmp_path):
 def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
     """Regression: the error message asked for other target identifiers."""
     instrument = rs.Instrument("small", replace(PLANE, fiber_type=["Ä"] * 3), plate_scale=200 * MM / DEG)
-    with pytest.raises(rs.InputError, match="hold ASCII text only, but the column 'fiber_type' has other"):
+    with pytest.raises(rs.InputError, match="only ASCII text, but the column 'fiber_type' has other"):
         rs.plan_survey(rs.Catalog(TWO), instrument, CENTER, folder=tmp_path / "survey")
 
 
@@ -223,8 +223,14 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
             ),
             "the arms are those of 1 positioners, not of 37",
         ),
-        (lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s), "got Instrument; an Instrument has one"),
-        (lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg), "stuck must give both theta"),
+        (
+            lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s),
+            "got Instrument; use the attribute focal_plane",
+        ),
+        (
+            lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg),
+            "stuck must contain both theta",
+        ),
         (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
         (lambda s: replace(s.focal_plane, id=3), "id must have one value per positioner"),
         (

@@ -144,7 +144,10 @@ def test_surveys_take_functions_on_threads(small):
         mine = rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
     assert mine.summary == usual.summary
     assert mine.provenance["parameters"]["allocator"] == f"{__name__}.begin_optimal"
-    with ProcessPoolExecutor(1) as executor, pytest.raises(rs.InputError, match="must be a name where processes do"):
+    with (
+        ProcessPoolExecutor(1) as executor,
+        pytest.raises(rs.InputError, match="must be a name, such as that of an entry point"),
+    ):
         rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
 
 

@@ -51,7 +51,7 @@ def test_the_remaining_time_after_a_resume_is_that_of_the_work_that_is_left(cloc
         for k in range(10):
             clock[0] += 0.1
             tell(901 + k)
-        assert "910 of 1000 tiles (900 of them were there), 10.0 tiles/s, 0:00:09 left" in terminal.getvalue()
+        assert "910 of 1000 tiles (900 of them from an earlier run), 10.0 tiles/s, 0:00:09 left" in terminal.getvalue()
 
 
 def test_what_an_earlier_run_did_does_not_count_for_the_rate(clock, open_terminal):
@@ -62,8 +62,8 @@ def test_what_an_earlier_run_did_does_not_count_for_the_rate(clock, open_termina
         clock[0] += 20
         tell(100)
     text = terminal.getvalue()
-    assert "90 of 100 designs (80 of them were there), 0.5 designs/s, 0:00:20 left" in text
-    assert "100 of 100 designs (80 of them were there), 0.5 designs/s, 0:00:00 left" in text
+    assert "90 of 100 designs (80 of them from an earlier run), 0.5 designs/s, 0:00:20 left" in text
+    assert "100 of 100 designs (80 of them from an earlier run), 0.5 designs/s, 0:00:00 left" in text
 
 
 def test_a_fraction_is_shown_in_percent_and_may_fall(clock, open_terminal):

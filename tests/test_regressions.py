@@ -15,7 +15,7 @@ from rfpsurvey.collision import place_arms
 from scenes import CENTER, MM, few
 
 
-@pytest.mark.filterwarnings("ignore:.*with the id of another")
+@pytest.mark.filterwarnings("ignore:.*with the same id as another target")
 @pytest.mark.parametrize("suffix", [".fits", ".ecsv"])
 @pytest.mark.parametrize(
     "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]
@@ -53,7 +53,7 @@ def test_decimal_text_is_not_sexagesimal():
         (Table({"ra": Column(["95.5"], unit="deg"), "dec": Column(["23.0"], unit="deg")}), {}),
     ):
         assert rs.Catalog.from_table(table, units=units).coord.ra[0].deg == pytest.approx(95.5)
-    with pytest.warns(rs.RfpsurveyWarning, match="assumed are ra in deg, dec in deg"):
+    with pytest.warns(rs.RfpsurveyWarning, match="assumed units are ra in deg, dec in deg"):
         catalog = rs.Catalog.from_table(Table({"ra": ["95.5"], "dec": ["23.0"]}))
     assert catalog.coord.ra[0].deg == pytest.approx(95.5)
     table = Table({"l": ["12:00:00"], "b": ["0:30:00"]})
@@ -194,7 +194,7 @@ def test_a_tile_does_not_make_every_unit_stuck(small):
     assert rs.FocalPlane.from_table(tile.table, small.focal_plane.positioner).arrays.usable.all()
 
 
-@pytest.mark.filterwarnings("ignore:without proper motions the epoch changes nothing")
+@pytest.mark.filterwarnings("ignore:the epoch has no effect, because the targets have no proper motions")
 def test_catalogs_with_velocities_and_odd_representations(small):
     """Radial velocities without proper motions, cartesian coordinates and distances raised errors of other packages."""
     still = few(3)
@@ -221,14 +221,14 @@ def test_epochs_matter_only_where_something_moves():
     moving = {**base, "pmra": [5, np.nan] * pm, "pmdec": [5, np.nan] * pm, "ref_epoch": [2015.5, 0.0]}
     assert rs.Catalog.from_table(QTable(moving)).epoch.jyear == pytest.approx(2015.5)
     assert rs.Catalog.from_table(QTable(base, meta={"ref_epoch": ""})).epoch is None
-    with pytest.raises(rs.InputError, match="time must be one time or shape"):
+    with pytest.raises(rs.InputError, match="time must be one time or have the shape"):
         rs.Catalog.from_table(QTable(moving)).at_epoch([2016, 2017, 2018] * u.yr)
 
 
 def test_proper_motions_of_another_frame_are_not_used_without_a_word():
     """The proper motions were ignored without a warning."""
     table = QTable({"l": [1] * u.deg, "b": [2] * u.deg, "pmra": [1] * u.mas / u.yr, "pmdec": [1] * u.mas / u.yr})
-    with pytest.warns(rs.RfpsurveyWarning, match="are not those of the frame asked for"):
+    with pytest.warns(rs.RfpsurveyWarning, match="are not in the requested frame"):
         assert not rs.Catalog.from_table(table, frame="galactic").has_proper_motion
 
 
@@ -291,11 +291,11 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
     with pytest.warns(rs.RfpsurveyWarning, match="2 of 2 targets are out of reach"):
         rs.score_tile(plan, small)
     plan["x"] = x
-    with pytest.warns(rs.RfpsurveyWarning, match="center, epoch not used"):
+    with pytest.warns(rs.RfpsurveyWarning, match="not used, because .*: center, epoch; to use"):
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
-    with pytest.warns(rs.RfpsurveyWarning, match="without proper motions the epoch changes nothing"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the epoch has no effect, because the targets have no proper motions"):
         rs.plan_tile(few(), small, CENTER, epoch=2030)
-    with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the id of another"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the same id as another target"):
         rs.plan_tile(few(2, id=[7, 7]), small, CENTER)
 
 

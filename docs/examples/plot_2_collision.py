@@ -2,8 +2,8 @@
 Close-up of a collision
 =======================
 
-LAMOST's allocation rule ignores collisions. This example shows the collision with the smallest distance between two
-arms, and the optimal allocation of the same positioners.
+The allocation rule of LAMOST does not account for collisions. This example shows the collision with the smallest
+distance between two arms, and the optimal allocation of the same positioners.
 """
 
 import astropy.units as u

@@ -3,7 +3,7 @@ Number of targets against clearance
 ===================================
 
 Arms with a larger clearance collide more often. This example shows how many targets MOONS loses with allocators that
-avoid collisions and with allocators that ignore them.
+avoid collisions and with allocators that ignore collisions.
 """
 
 from dataclasses import replace

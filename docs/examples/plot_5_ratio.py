@@ -22,8 +22,9 @@ for ratio, one in zip(ratios, found, strict=True):
     print(f"{ratio:.1f}: {one.value:.3f} ({one.low:.3f} to {one.high:.3f}), {one.n} realizations")
 
 # %%
-# The plot compares two estimands. For allocated targets, each target goes to one positioner. For independent targets,
-# every positioner draws its own target; the surrogate interpolates this probability.
+# The plot compares two estimands. For allocated targets, each target is assigned to at most one positioner. For
+# independent targets, every positioner has its own random target; the surrogate interpolates the probability of this
+# estimand.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
 values = np.array([one.value for one in found])

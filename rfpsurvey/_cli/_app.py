@@ -179,14 +179,14 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the instrument with a given name; without a name, return the instrument of a tile of this package."""
+    """Return the instrument with a given name; without a name, return the instrument that the file of a tile names."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if own is None and is_plan(table):
         return as_instrument(name or table.meta["instrument"])
     if name is None and own is None:
         known = ", ".join(rs.available_instruments())
-        raise rs.InputError(f"--instrument must say what the assignment was made for: {known}, or a TOML file")
+        raise rs.InputError(f"--instrument must name the instrument of the assignment: {known}, or a TOML file")
     instrument = as_instrument(name or own)
     if own is not None and own != instrument.name:
         raise rs.InputError(f"the tile was made for {own}, and cannot be scored for {instrument.name}")
@@ -206,7 +206,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
-    """Return a catalog, from a file or synthetic, and the field center; None means the center of the catalog."""
+    """Return a catalog, which is read or synthetic, and the field center, or None for the center of the catalog."""
     field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -262,7 +262,7 @@ def read_assignment(path: Path, select: list[str] | None):
             raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {', '.join(table.colnames)}")
         table = table[[str(getattr(v, "value", v)) == value for v in table[name]]]
         if len(table) == 0:
-            raise rs.InputError(f"--select {name}={value} leaves no row")
+            raise rs.InputError(f"--select {name}={value} selects no row")
     table.meta.update(file=path.name, select=", ".join(select or []))
     return table
 

@@ -8,7 +8,7 @@ __all__ = ["announce_compilation"]
 
 
 class _Announcement(event.Listener):
-    """Prints one line per process when numba compiles a function that is not in its cache."""
+    """Handler that prints one line per process when numba compiles a function that is not in its cache."""
 
     def __init__(self):
         self._told = False

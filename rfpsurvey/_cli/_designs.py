@@ -14,9 +14,9 @@ __all__ = ["axes", "finish", "loss"]
 
 MOST_ROWS = 30
 FIGURE = (
-    "The designs. Each point is a design, and its color and marker are the ratio of the arms or the parameter with "
-    "most values. Large points with an edge, joined by a line, are the front: no other design is better in both "
-    "objectives. A star with its name is the instrument of the scan, if there is one."
+    "The designs. Each point is a design. The color and the marker show the ratio of the arms or the parameter with "
+    "the most values. Large points with an edge, joined by a line, are the front: no other design is better than "
+    "these in both objectives. If the scan is around an instrument, a star and a name mark its design."
 )
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Default values and limits of parameters, and default number of nodes of a grid."""
@@ -37,8 +37,8 @@ COLUMNS = (
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
     """Convert text such as 8.25, or 7,8,9, or 22:30:9, or 22:30 to the parameters of a scan; lengths are in mm.
 
-    Parameters that are not given have default values. In a scan ``around`` an instrument, they have the values of the
-    instrument.
+    Parameters that are not given have default values. In a scan ``around`` an instrument, these parameters have the
+    values of the instrument.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
@@ -62,9 +62,9 @@ def _axis(name, text, n_designs):
     if ":" not in text:
         return np.array(numbers)
     if n_designs is not None and nodes is not None:
-        raise rs.InputError(f"{option} {text}: with --n-designs give limits only, as {words[0]}:{words[1]}")
+        raise rs.InputError(f"{option} {text}: with --n-designs, give only limits, such as {words[0]}:{words[1]}")
     if n_designs is None and (nodes is None or nodes < 2):
-        raise rs.InputError(f"{option} {text}: a grid needs at least two nodes, as {words[0]}:{words[1]}:5")
+        raise rs.InputError(f"{option} {text}: a grid needs at least two nodes, such as {words[0]}:{words[1]}:5")
     return np.array(numbers) if nodes is None else np.linspace(*numbers, nodes)
 
 
@@ -102,7 +102,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "share of the variance that each parameter explains, and percent of change for one percent more of it:"
+                "share of the variance that each parameter explains, and change in percent if the parameter "
+                "grows by one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:
@@ -124,7 +125,7 @@ def _print_rows(front, table) -> None:
 
 
 def _format(column) -> None:
-    """Set the format of a column such that different numbers look different, with up to 12 digits."""
+    """Set the format of a column so that distinct numbers have distinct texts, with at most 12 digits."""
     values = np.asarray(column, dtype=float)
     n_different = len({f"{value:.12g}" for value in values.tolist()})
     for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):

@@ -25,7 +25,8 @@ CatalogArgument = Annotated[
 CenterOption = Annotated[
     str | None,
     typer.Option(
-        help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. By default, the mean direction."
+        help="Field center (ICRS): '95.1 23.0' (deg) or '06:20:24 +23:00:00'. By default, the mean "
+        "direction of the catalog."
     ),
 ]
 PaOption = Annotated[
@@ -63,7 +64,8 @@ SkyOption = Annotated[
 ObjectiveOption = Annotated[
     str,
     typer.Option(
-        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize all first)."
+        help="For sdss and optimal: priority (maximize one priority after the other) or count (maximize "
+        "the number of all targets first)."
     ),
 ]
 TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the search (s), for sdss and optimal.")]
@@ -88,7 +90,7 @@ UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT for a colu
 FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE that replaces missing values, such as priority=0 or visits=1.")
 ]
-ParkedOption = Annotated[bool, typer.Option(help="Idle positioners with equal arms are obstacles.")]
+ParkedOption = Annotated[bool, typer.Option(help="Idle positioners whose arms have equal lengths are obstacles.")]
 OutputOption = Annotated[
     Path | None,
     typer.Option(help="Write the tile (.fits or .ecsv); only FITS files contain the outcomes of all targets."),
@@ -132,7 +134,7 @@ CentersOption = Annotated[
 ]
 DeclinationOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(help="Lowest and highest declination of a center (deg).", metavar="LOW HIGH"),
+    typer.Option(help="Lowest and highest declination of the center of a tile (deg).", metavar="LOW HIGH"),
 ]
 RadiusOption = Annotated[
     float | None,
@@ -151,20 +153,20 @@ TilingAllocatorOption = Annotated[
 TilingPaOption = Annotated[
     float | None,
     typer.Option(
-        help="Position angle of +y (deg), from north toward east. By default, the value in --centers, or 0.",
+        help="Position angle of +y (deg), from north toward east. By default, the position angle in --centers, or 0.",
         callback=check_angle,
     ),
 ]
 TilingMethodOption = Annotated[
     str,
     typer.Option(
-        help="hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one tile after "
-        "the other, as for LAMOST), sdss (network flow), or given (the tiles of --centers)."
+        help="Method: hexagonal, spiral (coverings without gaps), max_density, density_gradient, mean_shift (one "
+        "tile after the other, as for LAMOST), sdss (network flow), or given (the tiles of --centers)."
     ),
 ]
-PassesOption = Annotated[int, typer.Option(help="Number of passes (hexagonal and spiral).")]
+PassesOption = Annotated[int, typer.Option(help="Number of passes, for the methods hexagonal and spiral.")]
 CompletenessOption = Annotated[
-    float | None, typer.Option(help="Fraction of the visits, from 0 to 1, at which no more tiles are placed.")
+    float | None, typer.Option(help="Place no more tiles when this fraction of the visits (0 to 1) is reached.")
 ]
 FibersOption = Annotated[
     int | None,
@@ -208,8 +210,8 @@ LostOption = Annotated[
 OrderOption = Annotated[
     str,
     typer.Option(
-        help="color: one pass after the other; within a pass, tiles that do not overlap can be planned in parallel. "
-        "given: the order of the list."
+        help="Order of the tiles. color: one pass after the other, where tiles of a pass that do not overlap can be "
+        "planned in parallel. given: the order of the list."
     ),
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which each tile is written.")]
@@ -226,44 +228,53 @@ SurveyQualityOption = Annotated[
 ]
 DesignInstrumentOption = Annotated[
     str | None,
-    typer.Option(help="Preset or TOML file around whose design to scan; its values replace the default values below."),
+    typer.Option(
+        help="Preset or TOML file of the design around which to scan; its values replace the default values below."
+    ),
 ]
 SpreadOption = Annotated[
     float | None,
     typer.Option(
-        help="Relative range of central arm, ratio and pitch around their values in --instrument. By default, 0.15."
+        help="With --instrument, vary the central arm, the ratio and the pitch by up to this fraction. By default, "
+        "0.15."
     ),
 ]
 CentralArmOption = Annotated[
     str | None,
-    typer.Option(help="Central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."),
+    typer.Option(
+        help="Length of the central arm (mm): 8.25, or 7,8,9, or 7:9:5 (five nodes), or LOW:HIGH. By default, 8.25."
+    ),
 ]
 RatioOption = Annotated[
     str | None,
-    typer.Option(help="Eccentric arm divided by central arm, in the same forms. By default, from 1 to 2."),
+    typer.Option(
+        help="Eccentric arm divided by central arm, in the forms of --central-arm. The default range is 1 to 2."
+    ),
 ]
 PitchOption = Annotated[
     str | None,
-    typer.Option(help="Distance between neighboring centers (mm), in the same forms. By default, from 24 to 34."),
+    typer.Option(
+        help="Distance of neighboring centers (mm), in the forms of --central-arm. The default range is 24 to 34."
+    ),
 ]
 ClearanceOption = Annotated[
-    str | None, typer.Option(help="Clearance of an arm (mm), in the same forms. By default, 2.25.")
+    str | None, typer.Option(help="Clearance of an arm (mm), in the forms of --central-arm. By default, 2.25.")
 ]
 NDesignsOption = Annotated[
-    int | None, typer.Option(help="Number of designs between LOW:HIGH, at Sobol points instead of a grid.")
+    int | None, typer.Option(help="Number of designs at Sobol points between LOW and HIGH, instead of a grid.")
 ]
 EstimandOption = Annotated[
     str | None,
     typer.Option(
-        help="Definition of the loss. independent: collisions of independent random targets. allocated: collisions "
-        "after allocation. collision_free: fibers that are idle if no collision is allowed."
+        help="Definition of the loss to collisions. independent: collisions of independent random targets. "
+        "allocated: collisions after allocation. collision_free: fibers that are idle if no collision is allowed."
     ),
 ]
 DesignMethodOption = Annotated[
     str,
     typer.Option(
-        help="surrogate, quadrature, conditional, optimal, repair, or auto, which is the fastest method that is "
-        "accurate enough."
+        help="Method: surrogate, quadrature, conditional, optimal, repair, or auto, which is the fastest method that "
+        "is accurate enough."
     ),
 ]
 EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. By default, 4.")]
@@ -273,7 +284,7 @@ DensityOption = Annotated[
 SkiesOption = Annotated[int, typer.Option(help="Number of realizations to average over.")]
 DesignObjectiveOption = Annotated[
     list[str] | None,
-    typer.Option(help="COLUMN=max or COLUMN=min; must be given twice. By default, coverage=max and loss=min."),
+    typer.Option(help="COLUMN=max or COLUMN=min; give this option twice. By default, coverage=max and loss=min."),
 ]
 DesignOutputOption = Annotated[Path | None, typer.Option(help="Write finished designs to this file (.fits or .ecsv).")]
 DesignResumeOption = Annotated[bool, typer.Option(help="Continue the scan in --output.")]

@@ -27,9 +27,10 @@ __all__ = [
 PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12
 MAP = (
-    "Collision probability of each positioner. Values of single positioners scatter, since the number of trials is "
-    "finite. Inside of a regular lattice without gaps, the expected value is the same everywhere; positioners at edges "
-    "and beside gaps have fewer neighbors to collide with. Dashed circles are positioners that are not counted."
+    "The color gives the collision probability of each positioner. Values of single positioners scatter, since the "
+    "number of trials is finite. Inside of a regular lattice without gaps, the expected value is the same everywhere; "
+    "positioners at edges and beside gaps have fewer neighbors to collide with. Dashed circles are positioners that "
+    "are not counted."
 )
 
 
@@ -38,8 +39,8 @@ def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None)
     """Write files before the summary is printed, and print the file names after the summary.
 
     The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
-    Each file is given as a path and a content. The content of ``output`` is a function that writes to a path. The
-    content of ``plot`` and ``quality`` is a function that makes a figure. The content of ``report`` is a result with
+    Each parameter is a pair: the path of a file, and its content. For ``output``, the content is a function that writes
+    to a path. For ``plot`` and ``quality``, it is a function that makes a figure. For ``report``, it is a result with
     the options of its page.
     """
     written = []
@@ -148,7 +149,8 @@ def finish_table(table, draw, output: Path, plot: Path, report: Path | None, *, 
     """Write a table of results and, if requested, its plot and page, and print it."""
     name, page = table.meta["instrument"], {"data": output}
     if report is not None:
-        page |= {"title": f"Benchmark: {name}", "figures": {f"Time against error, on {name}.": _first(draw(table))}}
+        caption = f"Computing time and error of each method, for {name}."
+        page |= {"title": f"Benchmark: {name}", "figures": {caption: _first(draw(table))}}
     with files(
         overwrite=overwrite,
         output=(output, partial(write_table, table)),

@@ -38,7 +38,7 @@ def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
         warn_of_targets(read_table(path), len(targets))
         return tiling
     if isinstance(targets, rs.PartitionedCatalog):
-        raise rs.InputError("a catalog in partitions needs --tiles, such as those of: rfpsurvey tile --region ...")
+        raise rs.InputError("a catalog in partitions needs --tiles: make a list of tiles with rfpsurvey tile --region")
     return rs.place_tiles(targets, model, passes=2)
 
 
@@ -69,7 +69,7 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
 
 
 def _set_up_worker() -> None:
-    """Ignore Ctrl-C in a worker process, because the main process would wait forever for workers that it ends."""
+    """Ignore Ctrl-C in a worker process, because the main process would wait forever for a worker that Ctrl-C ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
 
@@ -85,8 +85,8 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     print("after each pass:")
     _app.print_table(survey.completeness)
     if s["collision_rate"] > MANY:
-        print("many arms collide: --allocator repair or optimal leave no collision")
-    print(f"{seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms a tile")
+        print("many arms collide: --allocator repair or --allocator optimal removes collisions")
+    print(f"{seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
 
 
 def run(
@@ -106,7 +106,9 @@ def run(
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
     except KeyboardInterrupt:
         there = (
-            "what was written stays: continue with --resume" if options["folder"] else "without --folder nothing stays"
+            "finished tiles are kept: continue with --resume"
+            if options["folder"]
+            else "without --folder, nothing is kept"
         )
         print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
         raise

@@ -20,9 +20,9 @@ _app.app.add_typer(benchmark, name="benchmark")
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
     method: Annotated[
-        list[str] | None, typer.Option(help="Methods to compare; may be repeated. By default, all methods.")
+        list[str] | None, typer.Option(help="Method to compare; may be repeated. By default, all are compared.")
     ] = None,
-    repeats: Annotated[int, typer.Option(help="Largest number of runs of each method.")] = 15,
+    repeats: Annotated[int, typer.Option(help="Maximum number of runs of each method.")] = 15,
     seed: Annotated[int, typer.Option(help="Seed of the random targets.")] = 0,
     plot: Annotated[
         Path, typer.Option(help="Plot (.png, .pdf or .svg); the table is written to the same folder.")

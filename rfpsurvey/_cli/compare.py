@@ -25,7 +25,7 @@ def compare(
     catalog: Annotated[
         Path | None,
         typer.Option(
-            help="Catalog for all instruments, a file or example:anticenter. By default, synthetic Poisson targets."
+            help="Catalog for all instruments, a file or example:anticenter. The default is synthetic Poisson targets."
         ),
     ] = None,
     center: _options.CenterOption = None,
@@ -41,7 +41,7 @@ def compare(
         int | None, typer.Option(help="Number of synthetic fields of each instrument. By default, 4.")
     ] = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Allocator; may be repeated. By default, lamost and optimal.")
+        list[str] | None, typer.Option(help="Allocator; may be repeated. The default is lamost and optimal.")
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,

@@ -16,7 +16,8 @@ def convert(
     format: Annotated[  # noqa: A002
         str | None,
         typer.Option(
-            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the ending of the file decides."
+            help="Format: confsummary, fiberassign, pfsdesign or table. By default, "
+            "the ending of the file determines the format."
         ),
     ] = None,
     overwrite: _options.OverwriteOption = False,

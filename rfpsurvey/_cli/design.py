@@ -36,7 +36,7 @@ def design(
     _app.check_outputs(None, plot, report, overwrite=again)
     around = instrument is not None
     if spread is not None and not around:
-        raise rs.InputError("--spread is the spread around an --instrument: give one")
+        raise rs.InputError("--spread must be used with --instrument, around whose design it scans; got no instrument")
     parameters = {"central_arm": central_arm, "ratio": ratio, "pitch": pitch, "clearance": clearance}
     scan = _designs.axes(n_designs, around=around, **parameters)
     scan["loss"] = _designs.loss(estimand, method, targets_per_positioner, target_density, n_skies, time_limit)

@@ -64,5 +64,5 @@ def _targets(name, number, radius, separation):
     given = {"--n-targets": number, "--target-radius": radius, "--min-separation": separation}
     for option, value in given.items():
         if value is not None:
-            raise rs.InputError(f"{option} belongs to random targets, got a catalog")
+            raise rs.InputError(f"{option} must be used with random targets, got a catalog")
     return targets

@@ -12,8 +12,12 @@ from rfpsurvey._cli import _app, _options
 
 @_app.app.command(epilog=_options.REPRODUCE_EXAMPLES)
 def reproduce(
-    experiment: Annotated[str, typer.Argument(help="small, large, poisson, fit, intervals, speed, or all.")] = "all",
-    folder: Annotated[Path, typer.Option(help="Folder for tables, figures and claims.")] = Path("reproduction"),
+    experiment: Annotated[
+        str, typer.Argument(help="Experiment: small, large, poisson, fit, intervals, speed, or all.")
+    ] = "all",
+    folder: Annotated[Path, typer.Option(help="Folder for the tables, the figures, and the list of claims.")] = Path(
+        "reproduction"
+    ),
     quick: Annotated[bool, typer.Option("--quick", help="Use few designs and repeats, for a short test.")] = False,
     workers: Annotated[
         int | None, typer.Option(help="Number of threads; by default, the number of cores.", min=1)

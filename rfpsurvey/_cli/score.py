@@ -15,21 +15,24 @@ from rfpsurvey.tile import north_of_date
 def score(
     assignment: Annotated[
         Path,
-        typer.Argument(help="Plan of another program, or a table: positioner (or hole) and position of each target."),
+        typer.Argument(
+            help="Plan of another program, or a table with the positioner (or hole) and position of each target."
+        ),
     ],
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Preset, or path of a TOML file or of an instrument as built. By default, that of the plan or tile."
+            help="Name of a preset, or path of a TOML file or of an instrument as built. By default, the "
+            "instrument of the plan or tile."
         ),
     ] = None,
     center: Annotated[
-        str | None, typer.Option(help="Field center, ICRS. By default, racen and deccen in the table.")
+        str | None, typer.Option(help="Field center (ICRS). By default, racen and deccen in the table.")
     ] = None,
     pa: Annotated[
         float | None,
         typer.Option(
-            help="Position angle, deg. By default, position_angle in the table.", callback=_options.check_angle
+            help="Position angle (deg). By default, position_angle in the table.", callback=_options.check_angle
         ),
     ] = None,
     equinox: _options.EquinoxOption = None,

@@ -78,7 +78,7 @@ def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
 
 
 def _centers(path, declination, pa):
-    """Return the constraints on centers."""
+    """Return the constraints on the centers of tiles."""
     return rs.tiling.Centers(
         None if path is None else rs.Tiling.read(path),
         None if declination is None else declination * u.deg,
@@ -90,7 +90,7 @@ def _options_of(allocator, require, sky_separation, time_limit, parked, *, given
     """Return the options of an allocation, or None if all options have their default values."""
     asked = require is not None or sky_separation is not None or not parked
     if allocator is None and given and asked:
-        raise rs.InputError("--fibers and --radius need an --allocator where an option of allocators is given")
+        raise rs.InputError("--fibers and --radius need an --allocator if another option of the allocation is given")
     if allocator is None and not asked:
         return None
     return _app.allocation_options(allocator or "lamost", require, sky_separation, time_limit, parked=parked)

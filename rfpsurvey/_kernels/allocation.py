@@ -223,8 +223,8 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
 
     The candidates of each positioner must be sorted by class, then by distance. The method is deferred acceptance: each
     positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has proposed to
-    it. The result is the same as if the closest pair of the first class is assigned, then the closest remaining pair,
-    and so on.
+    it. The result is the same as that of assigning the closest pair of the first class, then the closest remaining pair
+    of this class, and so on.
     """
     n = indptr.size - 1
     cursor = indptr[:-1].copy()
@@ -248,7 +248,7 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Assign each positioner, in the given order, its nearest free target that ``wanted`` marks, until ``need`` is met.
+    """Assign ``need`` targets that ``wanted`` marks: each positioner takes its nearest free one, in the given order.
 
     The previous targets of these positioners become free. Returns the number of targets that are still missing.
     """
@@ -273,7 +273,7 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
 
 @kernel
 def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
-    """Match each target, in the given order, for which there is an augmenting path.
+    """Match targets to positioners in the given order; a target without an augmenting path is not matched.
 
     A matched target may change its positioner, but it remains matched. The result is therefore the best matching if
     matchings are compared lexicographically in the given order of the targets.

@@ -21,8 +21,8 @@ def half_angle(r, d, radius):
 def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
     """Return the fraction of positioner i's patrol area that at least one neighbor's patrol area also covers.
 
-    The patrol area is divided into rings of equal area. Each ring is represented by one circle in it. The arcs of this
-    circle that lie in the annuli of neighbors are computed exactly.
+    The patrol area is divided into rings of equal area. One circle in each ring represents the ring. The arcs of the
+    circle that lie in the patrol areas of neighbors are computed exactly.
     """
     total = 0.0
     low2, high2 = inner[i] ** 2, outer[i] ** 2
@@ -58,7 +58,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
 
 @kernel
 def covered_parts(indptr, neighbor, cx, cy, inner, outer, n_steps, out):
-    """Compute `covered` for all positioners."""
+    """Compute the fraction that `covered` returns for all positioners."""
     size = 1
     for i in range(out.size):
         size = max(size, 4 * (indptr[i + 1] - indptr[i]))

@@ -1,7 +1,7 @@
 """Kinematics of a positioner with two arms: elbows from targets, and the segments that can collide from elbows.
 
-Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. With this
-layout and without branches, the compiler can process several positioners at a time.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. With
+segments as columns and loops without branches, the compiler can process several positioners at a time.
 """
 
 import math
@@ -46,7 +46,7 @@ def inner_difference(l1, l2):
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the elbow relative to the center, and the sine and cosine of phi, multiplied by one positive factor.
+    """Return the elbow relative to the center, and sine and cosine of phi, both multiplied by the same positive factor.
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose is
     that of the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
@@ -75,7 +75,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Compute the joint angles of each positioner from its tip; the shape of ``tips`` is (n, 2), and NaN gives NaN."""
+    """Compute the joint angles of each positioner from its tip, shape (n, 2); the angles of a NaN tip are NaN."""
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -97,7 +97,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Compute the elbow of each positioner from its tip; the shape of ``tips`` is (n, 2), and NaN gives NaN."""
+    """Compute the elbow of each positioner from its tip, shape (n, 2); the elbow of a NaN tip is NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]

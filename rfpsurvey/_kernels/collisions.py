@@ -1,4 +1,4 @@
-"""Find arms closer than the minimum separation, by a broad phase and then by distances with a proven error limit.
+"""Find arms closer than the minimum separation: a broad phase selects pairs, whose distances have a proven error limit.
 
 Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1; the column of an absent arm is NaN.
 
@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.outlines import NO_OUTLINE, UNIT, Outline, outlines_squared
 
-UNIT = 2.0**-53
 # The error of the computed distance of a pair is at most this factor times S.
 DISTANCE_ERROR = 20.0 * UNIT
 # The sign of an orientation is certain if its magnitude exceeds this factor times the sum of the magnitudes of its two
@@ -27,7 +27,10 @@ SHORT_RUN = 8
 
 
 class Limits(NamedTuple):
-    """Minimum separation and allowances for rounding, for segments of limited length and distance from the origin."""
+    """Minimum separation and allowances for rounding, for segments of limited length and distance from the origin.
+
+    With an outline, the segments are the cores of the arms, and the separation is that of two cores.
+    """
 
     separation: float
     slack: float
@@ -36,14 +39,21 @@ class Limits(NamedTuple):
     """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
     """Largest difference of a squared distance from separation^2 at which rounding could change their comparison."""
+    outline: Outline
+    """Outline of the arms; without parts if the segments themselves collide."""
 
 
-def limits(separation, length, extent):
-    """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin."""
+def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0):
+    """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin.
+
+    With an outline, ``separation`` is that of two cores, and ``outline_error`` (mm) is the limit of the rounding error
+    of the distances that `outlines_squared` computes.
+    """
     size = 2.0 * length + separation  # S of a pair at the minimum separation; pairs with a larger S are farther apart
     slack = REJECT_ERROR * (extent + size)
     error = 1.2 * DISTANCE_ERROR * size  # the factor 1.2 covers the rounding of separation^2 and of the comparison
-    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error))
+    error += outline_error
+    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error), outline)
 
 
 @kernel
@@ -70,9 +80,9 @@ def orientation(ax, ay, bx, by, px, py):
 
 @kernel
 def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Return the least squared distance from an end of one segment to the other segment.
+    """Return the smallest of the squared distances from an end of one segment to the other segment.
 
-    This is the squared distance of the segments, unless they cross.
+    This is the squared distance between the segments, unless they cross.
     """
     return min(
         min(point_segment_squared(ax, ay, cx, cy, dx, dy), point_segment_squared(bx, by, cx, cy, dx, dy)),
@@ -84,8 +94,8 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
     """Return the squared distance of the segments a-b and c-d; the error of its root is at most DISTANCE_ERROR * S.
 
-    The result is 0 if the segments certainly cross. If rounding makes this uncertain, the least distance from an end of
-    one segment to the other segment is accurate enough.
+    The result is 0 if the segments certainly cross. If it is uncertain because of rounding whether they cross, the
+    result is the smallest squared distance from an end of one segment to the other segment, which is accurate enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
         orientation(cx, cy, dx, dy, ax, ay) * orientation(cx, cy, dx, dy, bx, by) < 0
@@ -110,13 +120,41 @@ def pair_squared(segments, i, j):
 
 
 @kernel
+def outlined_squared(segments, a, b, limits, i, j):
+    """Return the square of the gap between two outlines plus the offset, for cores a and b of positioners i and j."""
+    return outlines_squared(
+        limits.outline,
+        limits.separation,
+        i,
+        j,
+        segments[0, a],
+        segments[1, a],
+        segments[2, a],
+        segments[3, a],
+        segments[0, b],
+        segments[1, b],
+        segments[2, b],
+        segments[3, b],
+    )
+
+
+@kernel
+def outline_gaps(segments, pairs, limits, out):
+    """Compute the distance between the outlines of each pair of positioners; it is 0 if they overlap."""
+    limits = Limits(math.inf, limits.slack, limits.near, limits.band, limits.outline)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        out[k] = max(math.sqrt(outlined_squared(segments, i, j, limits, i, j)) - limits.outline.offset, 0.0)
+
+
+@kernel
 def apart(mx, my, ax, ay, bx, by, squared):
     """Return whether an axis separates two segments by more than the square root of ``squared``.
 
     The vector m connects the midpoints, and a and b are half the vectors from end to end. The axes tested are m and the
-    normals of both segments. In the projection on any axis, no point of a segment is farther from its midpoint than the
-    end of its half vector. The normal of a segment is ignored if the segment is so short that its squared length could
-    underflow.
+    normals of both segments. In the projection on any axis, the largest distance of a point of a segment from its
+    midpoint is the length of the projected half vector. The normal of a segment is ignored if the segment is so short
+    that its squared length could underflow.
     """
     # There are no branches, because a mispredicted branch takes longer than the tests of all three axes.
     m2 = mx * mx + my * my
@@ -199,9 +237,10 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
+    outlined = limits.outline.start.size > 1
     for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
-        d2 = pair_squared(segments, i, j)
+        d2 = outlined_squared(segments, i, j, limits, i, j) if outlined else pair_squared(segments, i, j)
         if d2 < limit + band:
             first[n], second[n], squared[n] = i, j, d2
             n += 1

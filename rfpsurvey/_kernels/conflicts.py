@@ -1,7 +1,7 @@
 """Candidates, which are the possible poses of each arm, and the pairs of candidates that exclude each other.
 
 Candidates are sorted by positioner: those of positioner i have the indices from ``start[i]`` up to, but not including,
-``start[i + 1]``. Exactly one candidate of each positioner is in use.
+``start[i + 1]``. A plan uses exactly one candidate of each positioner.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.collisions import keep_near, pair_squared
+from rfpsurvey._kernels.collisions import keep_near, outlined_squared, pair_squared
 
 # Number of candidate pairs that are tested together.
 BATCH = 2048
@@ -31,7 +31,7 @@ class Options(NamedTuple):
     """``as_good[key[a], key[b]]`` states whether candidate a meets the requirements at least as well as candidate b."""
     t_indptr: np.ndarray
     t_candidate: np.ndarray
-    """Candidates of all targets; those of target t begin at ``t_indptr[t]``."""
+    """Indices of candidates, sorted by target; those of target t begin at ``t_indptr[t]``."""
     indptr: np.ndarray
     other: np.ndarray
     """Candidates that collide with each candidate; those that collide with c begin at ``indptr[c]``."""
@@ -48,6 +48,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
     touching, limit, band = limits.separation + limits.slack, limits.separation**2, limits.band
     near2 = limits.near**2
+    outlined = limits.outline.start.size > 1
     size = start[-1]
     ahead = np.empty(size)
     near = np.empty(size, np.int64)
@@ -93,8 +94,9 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
                         found += marks[k]
                 a += 1
             for k in range(keep_near(halves, found, touching**2, one, two)):
-                d2 = pair_squared(segments, one[k], two[k])
-                first[n], second[n], borderline[n] = one[k], two[k], d2 >= limit - band
+                c, d = one[k], two[k]
+                d2 = outlined_squared(segments, c, d, limits, i, j) if outlined else pair_squared(segments, c, d)
+                first[n], second[n], borderline[n] = c, d, d2 >= limit - band
                 n += d2 < limit + band
     return n, p
 
@@ -124,8 +126,8 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
     ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
     of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
     the second positioner. A clique is made from one candidate a and all candidates that a excludes. Each other
-    candidate of the same positioner is added if it also excludes all of these. Returns the number of cliques. If
-    ``column`` is empty, only the sizes of the cliques are computed.
+    candidate of the positioner of a is added to the clique if it also excludes all of these candidates. Returns the
+    number of cliques. If ``column`` is empty, only the sizes of the cliques are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0

@@ -47,7 +47,7 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
     """List up to ``most`` blank points of each positioner in ``own``, and return the total number of points.
 
-    Each tested point lies on a circle that contains a fraction of the patrol area; these fractions are in ``fraction``.
+    ``fraction`` contains, for each tested point, the fraction of the patrol area inside the circle through this point.
     Successive points are rotated by the golden angle about the center.
     """
     x0, y0, size, nx, ny, start, order = grid

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import inlined_kernel, kernel
-from rfpsurvey._kernels.collisions import UNIT
 
+UNIT = 2.0**-53
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).
 OUTLINE_ERROR = 1024.0 * UNIT
 # The error of a separation along the normal of an edge is less than this factor times the distance of the origins of
@@ -55,6 +55,28 @@ class Outline(NamedTuple):
     """The same for the central parts."""
     centers: np.ndarray
     """Centers of all positioners, and the inverse length of the central arm, shape (3, n)."""
+
+
+def _nothing(*shape, dtype=np.float64):
+    """Return an array of zeros that is read-only, as the arrays of all outlines."""
+    array = np.zeros(shape, dtype)
+    array.setflags(write=False)
+    return array
+
+
+NO_OUTLINE = Outline(
+    _nothing(5, 0),
+    _nothing(1, dtype=np.int64),
+    _nothing(4, 0),
+    0,
+    0.0,
+    0.0,
+    0.0,
+    (0.0,) * 4,
+    (0.0,) * 4,
+    _nothing(3, 0),
+)
+"""The value for arms that are segments."""
 
 
 @kernel
@@ -183,10 +205,16 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     k, limit = outline.inverse_length, separation - outline.offset
     x, y, wide, high = outline.eccentric_box
     ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
-    ax, ay, bx, by = ax0 + (x * ac - y * as_), ay0 + (y * ac + x * as_), bx0 + (x * bc - y * bs), by0 + (y * bc + x * bs)
+    ax, ay, bx, by = (
+        ax0 + (x * ac - y * as_),
+        ay0 + (y * ac + x * as_),
+        bx0 + (x * bc - y * bs),
+        by0 + (y * bc + x * bs),
+    )
     x, y, other_wide, other_high = outline.central_box
     cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
-    px, py, qx, qy = cx + (x * cc - y * cs), cy + (y * cc + x * cs), dx + (x * dc - y * ds), dy + (y * dc + x * ds)
+    px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)
+    qx, qy = dx + (x * dc - y * ds), dy + (y * dc + x * ds)
     loose = limit + LOOSE * outline.scale
     near = (
         boxes_near(ax, ay, ac, as_, wide, high, bx, by, bc, bs, wide, high, loose),

@@ -12,7 +12,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
-from rfpsurvey._kernels.collisions import halve, keep_near, pair_squared, point_segment_squared
+from rfpsurvey._kernels.collisions import halve, keep_near, outlined_squared, pair_squared, point_segment_squared
 
 # Number of pairs of entries that are tested together.
 BATCH = 2048
@@ -87,8 +87,9 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
 
     The probability of a positioner without entries is NaN. Entries are first compared in the projection on the line
     between the centers of the two positioners: their separation along this line is a lower limit of their distance. An
-    entry that is too far from all entries of the other positioner along this line is skipped. All of this is in one
-    function, because passing the arrays to a second function takes longer than testing short queues.
+    entry is skipped if its separation along this line from every entry of the other positioner is too large for a
+    collision. All these steps are in one function, because passing the arrays to a second function takes longer than
+    testing short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead
@@ -99,6 +100,7 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
     touching, limit = limits.separation + limits.slack, limits.separation**2
     near2 = limits.near**2
+    outlined = limits.outline.start.size > 1
     for p in range(pairs.shape[0]):
         i, j = pairs[p, 0], pairs[p, 1]
         pair_probability[p] = 0.0
@@ -137,7 +139,10 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
                 a += 1
             for k in range(keep_near(halves, m, touching**2, first, second)):
                 own, other = first[k], second[k]
-                collides = pair_squared(segments, own, other) < limit
+                if outlined:
+                    collides = outlined_squared(segments, own, other, limits, i, j) < limit
+                else:
+                    collides = pair_squared(segments, own, other) < limit
                 hit[own] += weight[other] * collides
                 hit[other] += weight[own] * collides
                 found |= collides

@@ -61,7 +61,8 @@ def reachable_pairs(
     """List the pairs within reach in ascending order of the target, then of the positioner.
 
     Returns the number of pairs. If ``owner`` is too short for all pairs, the last pairs are counted but not stored.
-    ``accepts`` and ``offers`` are bit masks of fiber types. ``code`` is INSIDE or BORDERLINE.
+    ``accepts`` (of each target) and ``offers`` (of each positioner) are bit masks of fiber types. ``code`` is INSIDE or
+    BORDERLINE for each pair.
     """
     n = 0
     right, top = x0 + nx * size, y0 + ny * size

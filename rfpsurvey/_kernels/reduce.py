@@ -1,6 +1,7 @@
 """Remove candidates that an optimal plan does not need, and use a candidate if it is the last of its positioner.
 
-A candidate excludes all candidates with which its arm would collide, and all candidates of the same target.
+A candidate is a positioner with one target and one elbow position, or a positioner without a target. A candidate
+excludes all candidates with which its arm would collide, and all candidates of the same target.
 """
 
 import numpy as np
@@ -10,7 +11,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def dominates(a, b, i, alive, options, mark):
-    """Return whether b excludes all candidates that a excludes; ``mark[c]`` equals b if candidate c collides with b."""
+    """Return whether candidate b excludes all candidates that a excludes; ``mark[c]`` equals b if c collides with b."""
     own, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
     indptr, other = options.indptr, options.other
     for k in range(indptr[a], indptr[a + 1]):

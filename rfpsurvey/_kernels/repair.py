@@ -1,4 +1,7 @@
-"""Local moves that remove collisions: a new target, the other elbow, a move of one blocking arm, or no target."""
+"""Local moves that remove collisions: a new target, the other elbow, a move of one blocking arm, or no target.
+
+A candidate is an assignment that a plan may use: a positioner with a target and an elbow, or with its idle arm.
+"""
 
 import numpy as np
 
@@ -7,7 +10,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def put(i, c, options, chosen, blocked, holder):
-    """Assign candidate c (none if c = -1) to positioner i, and update ``chosen``, ``blocked`` and ``holder``.
+    """Assign candidate c to positioner i (no candidate if c = -1), and update ``chosen``, ``blocked`` and ``holder``.
 
     ``blocked`` is the number of candidates in use that collide with each candidate, and ``holder`` is the positioner of
     each target.

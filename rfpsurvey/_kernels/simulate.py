@@ -54,7 +54,7 @@ class Realization(NamedTuple):
 
 @kernel
 def scatter(rng, sky, x, y):
-    """Draw independent points."""
+    """Draw points that are independent of each other."""
     for t in range(x.size):
         a = b = 1.0
         while a * a + b * b > 1.0:
@@ -133,7 +133,7 @@ def realize(rng, number, sky, positioners, realization):
 
 @kernel
 def thin(rng, most, indptr, queue):
-    """Reduce each queue to at most ``most`` entries, which are drawn uniformly; in place."""
+    """Reduce each queue in place to at most ``most`` entries, which are drawn with equal probabilities."""
     n = begin = 0
     for i in range(indptr.size - 1):
         stop = indptr[i + 1]
@@ -254,7 +254,7 @@ def queue_and_expect(
 
 @kernel
 def expect_given(indptr, pairs, positioners, setup, entries, probability, pair_probability, sums, times, counted):
-    """Compute the expected collisions of given queues from all their entries, whose segments are in ``entries``."""
+    """Compute the expected collisions of queues from all of their targets; ``entries`` contains the arm segments."""
     prepare_entries(indptr, positioners.idle, entries)
     sum_realization(
         indptr, pairs, positioners.geometry, setup, entries, probability, pair_probability, sums, times, counted

@@ -95,11 +95,11 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
 
 @kernel
 def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
-    """Assign numbers to directions, in the order of their rows; directions near each other have different numbers.
+    """Assign numbers to directions, in the order of their rows; directions near each other have distinct numbers.
 
-    The number of a direction depends only on the directions near it in earlier rows. It is one more than the largest of
-    their numbers. With ``smallest``, it is the smallest number that does not occur among those of the same group.
-    ``order`` contains the row of each position in the index.
+    The number of a direction depends only on the directions near it in earlier rows. By default, the number is one more
+    than the largest number of those directions. With ``smallest``, only directions of the same group are compared, and
+    the number is the smallest one that none of them has. ``order`` contains the row of each position in the index.
     """
     n = order.size
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)

@@ -25,13 +25,13 @@ FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 def read_fits(path: Path, number: int | None = None) -> QTable:
     """Return the table with the given number in a FITS file; by default, return the first table.
 
-    Text is returned as bytes. By default, a warning states that the file contains other tables, if there are any and
-    this package did not write the file.
+    Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
+    by this package.
     """
     with open_content(path) as file:
         found = _find_tables(file, path)
         if number is not None and number >= len(found):
-            raise InputError(f"{path}: the file must have {number + 1} tables, got {len(found)}")
+            raise InputError(f"{path}: the file must have at least {number + 1} tables, got {len(found)}")
         table, n_rows = _read(file, found[number or 0])
         if number is None and len(found) > 1 and META_KEY not in table.meta:
             text = f"{path}: the file has {len(found)} tables, of which the first was read"
@@ -262,5 +262,5 @@ def _check_table(file, cards, what, begin, end, path):
     file.seek(begin)
     if end - begin >= width and file.read(end - begin).strip(b"\0 "):
         raise InputError(
-            f"{path}: the {end - begin} bytes after the last row must be zero, got others: NAXIS2 may be wrong"
+            f"{path}: the {end - begin} bytes after the last row must be zero, got other values: NAXIS2 may be wrong"
         )

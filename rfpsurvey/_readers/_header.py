@@ -18,10 +18,10 @@ QUOTED = re.compile(rb'"[^"]*"')
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
     """Return the content of a table with column names as the first row, its delimiter, and its units by column name.
 
-    The delimiter is the one in the line of names. If this line contains several possible delimiters, the delimiter is
-    the one that occurs equally often in the next line. Names can be in a comment before the first row. Lines that are
-    not rows become comments. Examples are the line ``sep=;`` of spreadsheets, and the lines with units and dashes that
-    VizieR writes after the names.
+    The delimiter is taken from the line with the names of the columns. If this line contains several possible
+    delimiters, the delimiter that occurs equally often in the next line is used. The names of the columns can be in a
+    comment before the first row. Lines that are not rows become comments. Examples are the line ``sep=;`` of
+    spreadsheets, and the lines with units and dashes that VizieR writes after the names.
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content

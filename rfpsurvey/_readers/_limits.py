@@ -81,6 +81,6 @@ def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) ->
     needed = 4 * n_rows * longest
     if needed > max(FREE_TEXT, MOST_PADDING * size):
         raise InputError(
-            f"{path}: {where} must be short enough for a column of its width, got {longest} characters, which in "
+            f"{path}: texts in {where} must be short enough to fit into memory, got {longest} characters, which in "
             f"{n_rows} rows take {needed / 1e9:.0f} GB"
         )

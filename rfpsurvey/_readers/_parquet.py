@@ -132,7 +132,7 @@ def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
 
 
 def _with_index(table: Table, metadata: dict) -> Table:
-    """Return the table; add the index of pandas as a column if it has a name and is stored as limits and a step."""
+    """Return the table, with the index of pandas as a column if the index is a range that has a name."""
     for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
         if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
             numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))

@@ -86,7 +86,7 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
     except InputError:
         raise
     except RecursionError as error:
-        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: it is nested too deep") from error
+        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: the file is nested too deeply") from error
     except Exception as error:  # the readers can raise any exception
         raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {sentence(error)}") from error
     if META_KEY in table.meta:

@@ -130,7 +130,7 @@ def _is_data(line: str) -> bool:
 
 
 def _end_of_header(content: bytes) -> int:
-    """Return the end of the comments at the beginning of an ECSV file."""
+    """Return the position of the first byte after the comments at the beginning of an ECSV file."""
     place = 0
     while place < len(content):
         end = content.find(b"\n", place) + 1 or len(content)

@@ -1,6 +1,7 @@
 """Read VOTables, without reading the files and addresses to which they refer.
 
-A first pass over the XML counts rows and columns. The table that astropy returns must have the same numbers.
+A first pass over the XML counts rows and columns. The table that astropy returns must have the same numbers of rows and
+columns.
 """
 
 import binascii
@@ -132,18 +133,19 @@ class _Contents:
             self._refuse(f"a table must have at most {MOST_COLUMNS} columns, got more")
 
     def n_rows(self, size: int) -> int:
-        """Return the number of rows; raise an error if they are incomplete or too large for a file of this ``size``."""
+        """Return the number of rows; raise an error if rows are incomplete or too large for a file of this ``size``."""
         path = self._path
         if self._n_tables != 1:
             raise InputError(f"{path}: the file must hold one table, got {self._n_tables}")
         n = self._n_tr if self._data == "TABLEDATA" else 0 if self._data is None else self._binary_rows()
         said = self._rows_said
         if said is not None and said.strip() != str(n):
-            raise InputError(f"{path}: the table must have the nrows = {said[:20]} rows that it names, got {n}")
+            raise InputError(f"{path}: the number of rows must be that of the attribute nrows = {said[:20]}, got {n}")
         width = sum((4 if kind in ("char", "unicodeChar") else SIZES[kind]) * k for kind, k, open_ in self._fields)
         if width > MOST_ROW or (n + 512) * width > max(FREE_ROWS, MOST_PADDING * size):
             raise InputError(
-                f"{path}: a row must have at most {MOST_ROW} bytes and be filled, got {width:.0f} bytes a row"
+                f"{path}: a row must have at most {MOST_ROW} bytes, and all rows together must not be much larger "
+                f"than the file, got {width:.0f} bytes per row"
             )
         return n
 
@@ -174,7 +176,7 @@ class _Contents:
                     break
                 n_rows += 1
         if place != len(content):
-            raise InputError(f"{self._path}: STREAM must hold whole rows, got a rest after {n_rows} rows")
+            raise InputError(f"{self._path}: STREAM must hold whole rows, got a part of a row after {n_rows} rows")
         return n_rows
 
 

@@ -226,11 +226,11 @@ def _marked(required, n):
     rows = np.atleast_1d(to_plain(required, "required"))
     if rows.dtype.kind not in "iu" or rows.ndim != 1:
         raise InputTypeError(
-            f"required must be rows of targets, whole numbers, got {rows.dtype.name} of the shape {rows.shape}; "
-            "np.flatnonzero gives the rows of truth values"
+            f"required must be row numbers of targets (whole numbers), got {rows.dtype.name} of the shape {rows.shape}"
+            "; np.flatnonzero converts truth values to row numbers"
         )
     if rows.min() < 0 or rows.max() >= n:
-        raise InputError(f"required must be rows of targets, 0 to {n - 1}, got {rows.min()} to {rows.max()}")
+        raise InputError(f"required must be row numbers of targets, 0 to {n - 1}, got {rows.min()} to {rows.max()}")
     marked = np.zeros(n, dtype=bool)
     marked[rows] = True
     return marked

@@ -102,17 +102,17 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """Upper bound of the objective over all plans with this plan's proven values; NaN if no bound is known."""
+        """Upper bound of the objective of all plans that share this plan's proven values; NaN if no bound is known."""
         # The bound of an unproven class includes all earlier classes. Therefore, the largest difference is used, not
         # the sum.
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property
     def gap(self) -> float:
-        """Relative difference between bound and objective: 0 for a proven optimum, NaN if no bound is known.
+        """Relative difference between `bound` and `objective`: 0 for a proven optimum, NaN if no bound is known.
 
-        The bound of ``repair`` ignores collisions. Its gap is therefore an upper limit of the fraction of targets that
-        are lost to collisions.
+        The bound of ``repair`` ignores collisions. The gap of ``repair`` is therefore an upper limit of the fraction of
+        targets that are lost to collisions.
         """
         missing = self.bound - self.objective
         return missing / max(abs(self.bound), 1.0) if missing else 0.0

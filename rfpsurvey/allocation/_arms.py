@@ -13,7 +13,8 @@ def place_segments(
 ) -> np.ndarray:
     """Return the segments that can collide, shape (4, n), of positioners (given as rows) at their targets.
 
-    ``idle`` lists the indices of idle arms in ``own``, one for each positioner; their target is -1.
+    ``own`` contains a positioner for each segment. ``idle`` contains those indices in ``own`` that stand for idle arms,
+    one for each positioner; the target of idle arms is -1.
     """
     columns = problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

@@ -9,7 +9,7 @@ from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.collision import closer_exactly, touching
+from rfpsurvey.collision import arms_closer_exactly, touching
 
 __all__ = ["Candidates", "find_candidates"]
 
@@ -43,7 +43,7 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates with fewer collisions; the best plan of these candidates is an upper bound for all plans.
+        """Return candidates with fewer collisions; their best plan gives an upper bound for all plans.
 
         The collisions of candidates that represent omitted candidates are removed. The bound is therefore also valid
         for plans that use omitted candidates.
@@ -64,8 +64,8 @@ def find_candidates(
 ) -> Candidates:
     """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
-    Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains a target for
-    each positioner that is always kept.
+    Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains one target for
+    each positioner; this target is always kept.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -147,8 +147,9 @@ def _conflicts(plane, start, segments):
         part = np.array([first[:n], second[:n]])
         edge = np.flatnonzero(borderline[:n])
         if len(edge):
-            ends = segments.T.tolist()
-            close = [closer_exactly(ends[part[0, k]], ends[part[1, k]], columns.separation) for k in edge]
+            owner = np.repeat(np.arange(len(size)), size)
+            rows = [(*part[:, k], *owner[part[:, k]]) for k in edge]
+            close = [arms_closer_exactly(columns, segments, *four) for four in rows]
             part = np.delete(part, edge[~np.array(close)], axis=1)
         found.append(part)
     return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)

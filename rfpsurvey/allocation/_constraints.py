@@ -22,14 +22,14 @@ def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
     if np.asarray(required).dtype.kind == "b":
         raise InputTypeError("required must hold ids of targets, integers or text, got truth values")
     if names.ndim != 1:
-        raise InputError(f"required must hold ids of targets in one row, got the shape {names.shape}")
+        raise InputError(f"required must be a one-dimensional list of target ids, got the shape {names.shape}")
     return tuple(dict.fromkeys(names.tolist()))
 
 
 def as_keep_out(keep_out: object) -> tuple[Region, ...]:
     """Convert one circle on the sky, a list of circles, or None to a tuple of circles."""
     regions = () if keep_out is None else (keep_out,) if isinstance(keep_out, Region) else keep_out
-    what = "keep_out must be circles made by Region.cap, one or a list"
+    what = "keep_out must be one or more circles made by Region.cap"
     if not isinstance(regions, list | tuple):
         raise InputTypeError(f"{what}, got {type(keep_out).__name__}")
     for region in regions:

@@ -59,7 +59,7 @@ class _Pursuit:
         return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
-        """Return the best variables for a goal, and its bound; try a linear program first unless ``integral``."""
+        """Return the variables that maximize a goal, and its bound; try a linear program first unless ``integral``."""
         x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
         self.n_programs += 1
         if not self.integral and x is not None:
@@ -86,7 +86,7 @@ class _Pursuit:
         return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
 
     def prove(self, k, deadline):
-        """Solve objective k and those combined with it; return how many are proven, and a bound of objective k."""
+        """Solve objective k and those combined with it; return the number proven, and a bound of objective k."""
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
@@ -121,14 +121,14 @@ class _Pursuit:
         return 0, np.inf
 
     def fill(self, k, deadline):
-        """Improve objective k and all later objectives, which could not be proven, approximately in their order."""
+        """Improve objective k and all later objectives, which are not proven, approximately in their order."""
         worth = np.maximum(STEEP ** -np.arange(len(self.program.objectives) - k, dtype=float), FLATTEST)
         x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
         if x is not None:
             self.take(x)
 
     def is_kept(self, values):
-        """Return whether a plan with the given values has all proven values."""
+        """Return whether the values of a plan are equal to all values that are already proven."""
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 

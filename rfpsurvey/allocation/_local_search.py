@@ -1,4 +1,4 @@
-"""Plans without a proof: the best matching if arms may collide, and local moves that remove collisions."""
+"""Plans that are not proven optimal: the best matching if arms may collide, and local moves that remove collisions."""
 
 import numpy as np
 
@@ -59,9 +59,9 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
 def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
     """Return a plan without collisions, the number of moved positioners, and the number of lost targets.
 
-    A moved positioner has a new candidate that is as good as its previous one. If no such candidate exists, the target
-    is lost. The last candidate of each positioner must be its idle arm; it is used for positioners without a candidate
-    (-1).
+    A moved positioner has a new candidate that is as good as its previous one. If a positioner has no such candidate,
+    it loses its target. The last candidate of each positioner must be its idle arm; this candidate is used for
+    positioners without another candidate (-1).
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
@@ -70,7 +70,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
 
     def order():
-        """Return the order of moves: first positioners that no requirement counts, then the least important targets."""
+        """Return the order of moves: first positioners that no requirement counts, then low-priority targets."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = moves.repair(options, order(), now, *state, ROUNDS)
@@ -92,7 +92,7 @@ def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
 
 
 def _stand(candidates, chosen):
-    """Return the candidates in use, how many of these block each candidate, and the positioner of each target."""
+    """Return the candidates in use, how many of them block each candidate, and the positioner of each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)

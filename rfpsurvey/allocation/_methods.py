@@ -1,4 +1,4 @@
-"""The built-in allocators: functions from an allocation problem to its answer."""
+"""The built-in allocators: functions that take an allocation problem and return its solution."""
 
 import numpy as np
 
@@ -83,11 +83,11 @@ METHODS = {
     "optimal": optimal,
     "repair": repair,
 }
-"""Allocators by name: functions from an allocation problem to its answer."""
+"""Allocators by name: functions that take an allocation problem and return its solution."""
 
 
 def _bounded(problem, target_of, blind):
-    """Return the levels of a plan; bounds, if known, are the values of a plan whose arms may collide."""
+    """Return the objectives of a plan with their bounds, which are the values of a plan in which arms may collide."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():
@@ -99,7 +99,7 @@ def _bounded(problem, target_of, blind):
 def _in_order(problem):
     """Return the pairs that may be assigned, the class of each target, and the number of classes.
 
-    Required targets of any kind form a class before all others.
+    Required targets of any kind form a class before all other classes.
     """
     if not problem.any_required:
         return problem.only(problem.science), problem.rank, len(problem.classes)
@@ -111,7 +111,7 @@ def _best(problem, reach, rank):
     """Return the candidates of each positioner, sorted by class, then distance, and its number of targets in reach.
 
     If k other positioners reach candidates of a positioner, they can observe at most k of these candidates. One of the
-    first k + 1 candidates is therefore always available, and further candidates are omitted.
+    first k + 1 candidates of the positioner is therefore always available, and its further candidates are omitted.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
@@ -129,7 +129,7 @@ def _with_watched(problem, target_of):
 
 
 def _fill_quotas(problem, target_of, owner_of):
-    """Fill the requirements in place, first with idle positioners, then with positioners of unimportant targets."""
+    """Fill the requirements in place, first with idle positioners, then with those of the least important targets."""
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used

@@ -21,7 +21,7 @@ class Objective(NamedTuple):
 
     low: float
     high: float
-    """Smallest and largest possible value."""
+    """Smallest and largest possible value of the sum."""
     is_class: bool = False
     """Whether the objective is the number of targets of a priority class."""
 
@@ -30,8 +30,8 @@ class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
     ``others`` are candidates of other positioners that are already in use; they also count for the requirements.
-    ``edges`` are the collisions between ``rows``, shape (2, m). The variable of a candidate is 1 if the candidate is in
-    use. The variable of a requirement is its number of missing fibers.
+    ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a candidate is 1 if
+    the candidate is in use. The variable of a requirement is its number of missing fibers.
     """
 
     def __init__(self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray):
@@ -60,7 +60,7 @@ class Program:
         return x
 
     def chosen(self, x: np.ndarray) -> np.ndarray:
-        """Return the candidates in use according to the variables."""
+        """Return the candidates that are in use if the variables have the given values."""
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]
 
     def reaches(self, x: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ class Program:
         return bool((total >= low - 1e-6).all() and (total <= high + 1e-6).all())
 
     def maximize(self, goal: np.ndarray, deadline: float, *, integral: bool, gap: float, keep=()):
-        """Return the variables that maximize a goal, and the upper bound of the goal.
+        """Return the variables that maximize an objective, and the upper bound of this objective.
 
         The variables are None if no solution is found before the deadline. ``keep`` contains minimum values of the
         first objectives; ``gap`` is the relative error allowed.
@@ -114,7 +114,7 @@ class Program:
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
-        """Add constraints whose coefficients are all 1, with their bounds.
+        """Add constraints whose coefficients are all 1, and the bounds of these constraints.
 
         For each coefficient, ``row`` is the index of its constraint, counted from the first added constraint.
         """

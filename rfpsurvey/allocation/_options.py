@@ -190,7 +190,7 @@ class AllocationOptions:
         return float(self.time_limit.to_value(u.s))
 
     def for_instrument(self, instrument: object) -> "AllocationOptions":
-        """Return the options for an instrument, with its requirements and with the separation as a length.
+        """Return the options for an instrument, with its requirements and with ``sky_separation`` as a length.
 
         Parameters
         ----------
@@ -212,21 +212,21 @@ class AllocationOptions:
         requirements, separation = self.requirements, self.sky_separation
         if instrument is None and (self._of_instrument or _is_angle(separation)):
             given = "requirements='instrument'" if self._of_instrument else f"sky_separation={separation}"
-            raise InputError(f"{given} needs an instrument, as plan_tile has; allocate takes lengths and requirements")
+            raise InputError(f"{given} needs an instrument; use plan_tile, or pass lengths and requirements")
         if instrument is None and self.required:
             raise InputError(
-                f"ids of required targets need a catalog, as plan_tile has, got {brief(self.required)}; allocate takes "
-                "rows of targets as its own required="
+                f"ids of required targets need a catalog, got {brief(self.required)}; use plan_tile, or pass rows "
+                "of targets as the argument required of allocate"
             )
         if instrument is None and self.keep_out:
             raise InputError(
-                f"keep_out needs a sky, as plan_tile has, got {len(self.keep_out)} circles; allocate takes obstacles "
-                "of the focal plane"
+                f"keep_out needs positions on the sky, got {len(self.keep_out)} circles; use plan_tile, or define "
+                "obstacles of the focal plane"
             )
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
-            text = "sky_separation changes nothing: no requirement asks for sky, such as 'sky=20/spectrograph'"
+            text = "sky_separation has no effect: no requirement asks for sky positions, such as 'sky=20/spectrograph'"
             warn(text)
             separation = None
         elif separation is not None and _is_angle(separation):

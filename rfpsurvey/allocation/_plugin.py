@@ -19,7 +19,7 @@ ELBOWS = ("right", "left")
 
 
 def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function of an allocator, which is given as a function or as a name (built in or of a package)."""
+    """Return the function of an allocator from this function, or from the name of a built-in or installed allocator."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given]
     return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
@@ -68,7 +68,7 @@ def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: All
 
 
 def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
-    """Return the target of each positioner from an answer; raise an error if the answer is not valid."""
+    """Return the target of each positioner from an allocator's answer; raise an error if the answer is not valid."""
     n, n_targets = len(problem.focal_plane), len(problem.xy)
     target_of = _plain(given)
     if target_of.shape != (n,) or target_of.dtype.kind not in "iu":
@@ -122,7 +122,7 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
 
 
 def _plain(given: object) -> np.ndarray:
-    """Convert the column of an answer to an array; if this is impossible, return an empty array with two dimensions."""
+    """Convert a column of an allocator's answer to an array; return an array of shape (0, 0) if it cannot be."""
     try:
         return to_plain(given)
     except (TypeError, ValueError):

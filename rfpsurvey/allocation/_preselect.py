@@ -25,17 +25,17 @@ class Preselection(NamedTuple):
     code: np.ndarray
     """Code of each target; the same requirements count all targets with the same code."""
     shortened: np.ndarray
-    """Whether targets of a positioner and a code were omitted, shape (n_positioners, n_codes)."""
+    """Whether any targets were omitted for each positioner and code, shape (n_positioners, n_codes)."""
     n_left_out: int
 
 
 def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
-    """Return a subset of the reachable pairs that is sufficient for a plan.
+    """Return a subset of the reachable pairs (positioner, target) that is sufficient for an optimal plan.
 
-    If k other positioners reach targets of a positioner, they can observe at most k of its targets. At least one of its
-    best k + 1 targets of each code is therefore always free, and the preselection is exact if arms may collide. If arms
-    must not collide, the best plan of the kept pairs may be worse than the best plan of all pairs; `replaceable` is
-    used to find an upper limit of the difference.
+    If k other positioners reach targets of a positioner, they can observe at most k of its targets. At least one of the
+    positioner's best k + 1 targets of each code is therefore always free, and the preselection is exact if arms may
+    collide. If arms must not collide, the best plan of the kept pairs may be worse than the best plan of all pairs;
+    `replaceable` is used to find an upper limit of the difference.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 
     An omitted target is no better than the kept targets of its positioner and code. One of the last ``n_rivals + 1`` of
     these kept targets is always free. Suppose that these last targets, and all targets of their class or of a later
-    class, cannot collide. A plan could then replace any omitted target by one of them, and would be at least as good.
+    class, cannot collide. Replacing any omitted target in a plan by one of these kept targets then gives a plan that is
+    at least as good.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ class AllocationAnswer(NamedTuple):
 
 
 def _no_start() -> AllocationAnswer:
-    raise InputError("there is no plan to begin with")
+    raise InputError("the option start must be given for an allocator that begins with another plan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ class AllocationProblem:
 
     @cached_property
     def priority(self) -> np.ndarray:
-        """Priority of each target; larger values are more important. Targets that are not science targets have NaN."""
+        """Priority of each target; larger values are more important. It is NaN for sky and standards."""
         return locked(np.append(self.classes, np.nan)[self.rank])
 
     @property
@@ -196,7 +196,7 @@ class AllocationProblem:
 
     @property
     def time_limit(self) -> float:
-        """Time limit in seconds."""
+        """Time limit of the search for a plan, in seconds."""
         return self.options.seconds
 
     @property
@@ -206,12 +206,12 @@ class AllocationProblem:
 
     @cached_property
     def any_required(self) -> bool:
-        """Whether any target is required."""
+        """Whether the options of the plan name required targets."""
         return bool(self.is_required.any())
 
     @property
     def several_fiber_types(self) -> bool:
-        """Whether the fiber types that the targets require are given."""
+        """Whether the targets state which fiber types they require."""
         return self.fiber_type.strides != (0,)
 
     @cached_property
@@ -237,7 +237,7 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the classes of targets; a row of -1 (no target) has a class after all other classes.
+        """Return the classes of targets; the class of a row of -1 (no target) follows all other classes.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class AllocationProblem:
         Returns
         -------
         ndarray of int
-            Classes, of the same shape.
+            Class of each element of ``target``, with the same shape.
         """
         found = np.full(np.shape(target), len(self.classes) + 1, dtype=np.int64)
         real = np.asarray(target) >= 0
@@ -256,7 +256,7 @@ class AllocationProblem:
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target requires; -1 means any type. The last element is for no target."""
+        """Index of the fiber type that each target requires, -1 for any type; one last element stands for no target."""
         index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
@@ -312,7 +312,7 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     def values(self, target_of: np.ndarray) -> dict[str, float]:
-        """Return the value of each objective of a plan, in order of precedence; larger is better.
+        """Return the value of each objective of a plan, in order of precedence; larger values are better.
 
         Parameters
         ----------
@@ -379,7 +379,7 @@ class AllocationProblem:
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
-            return f"all requirements ask for {asked} fibers, and there are {there}" if asked > there and enough else ""
+            return f"all requirements need {asked} fibers, but there are {there}" if asked > there and enough else ""
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:

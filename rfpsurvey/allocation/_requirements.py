@@ -23,7 +23,8 @@ class Requirement:
     """A minimum and a maximum number of observed targets of one kind or category.
 
     The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
-    ``repair`` do not exceed the maximum. The other allocators ignore it, and results then report that it is exceeded.
+    ``repair`` do not exceed the maximum. The other allocators ignore the maximum, and results report a maximum that is
+    exceeded.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ class Shortfall:
         where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
         missing = self.wanted - self.found
         if missing < 0:
-            return f"{self.what}{where}: {self.found}, {-missing} more than the {self.wanted} allowed"
+            return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.wanted}"
         why = f"; {_few(self.possible)} in reach" if self.possible < self.wanted else ""
         return (
             f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}{self.hint and '; ' + self.hint}"

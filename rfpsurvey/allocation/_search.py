@@ -26,7 +26,7 @@ FOR_BOUND = 0.3
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan with proven bounds; with ``collide``, arms must not collide."""
+    """Return the best plan with proven bounds; if ``collide`` is true, arms must not collide."""
     deadline = perf_counter() + problem.time_limit
     everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
@@ -67,7 +67,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
 
 
 def _plan(candidates, chosen, collide):
-    """Return an initial plan, without collisions if ``collide``; positioners without a target use their idle arm."""
+    """Return an initial plan, which has no collisions if ``collide`` is true; positioners without a target are idle."""
     if collide:
         return repair_collisions(candidates, chosen)[0]
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
@@ -75,7 +75,7 @@ def _plan(candidates, chosen, collide):
 
 class _Found(NamedTuple):
     chosen: np.ndarray
-    """Candidate in use of each positioner; -1 if no candidate was found in time."""
+    """Candidate that each positioner uses; -1 if no candidate was found within the time limit."""
     values: np.ndarray
     bounds: np.ndarray
     complete: bool
@@ -83,7 +83,7 @@ class _Found(NamedTuple):
 
 
 def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Found:
-    """Solve the parts one after the other.
+    """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching whose arms may collide, or -1 for no target.
     """

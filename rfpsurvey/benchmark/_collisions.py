@@ -32,7 +32,7 @@ __all__ = ["benchmark_collisions"]
 
 
 def every_pair(case: Configuration) -> Found:
-    """Compute the exact distance of all pairs of neighbors in a loop, without a broad phase."""
+    """Compute the exact distances of all pairs of neighbors in a loop, without excluding distant pairs first."""
     first, second = case.plane.arrays.neighbors.T.copy()
     squared = np.empty(len(first))
     reference.all_pairs(case.segments, first, second, squared)
@@ -172,7 +172,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
 
 
 def _true_pairs(case):
-    """Return all colliding pairs and their distances, computed in rational arithmetic without a broad phase."""
+    """Return all colliding pairs and their distances, computed in rational arithmetic from all pairs of neighbors."""
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]

@@ -16,7 +16,7 @@ __all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 def random_tips(plane, rng):
     """Return one target (mm) per positioner, uniform within its reach.
 
-    It is NaN if a hundred random points are out of reach.
+    The target of a positioner is NaN if a hundred random points are out of reach.
     """
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)

@@ -41,8 +41,8 @@ def benchmark_probability(
     """Measure the time and the error of each method of estimating collision probabilities.
 
     The reference value for allocated targets is computed by a long conditional simulation. The reference value for
-    independent (uniform) targets is computed by a fine quadrature. Methods run alternately. Errors smaller than
-    ``truth_error``, the error of the reference value, are not significant.
+    independent (uniform) targets is computed by a fine quadrature. The runs of the methods alternate. Errors smaller
+    than ``truth_error``, the error of the reference value, are not significant.
 
     Parameters
     ----------
@@ -165,8 +165,9 @@ def benchmark_densities(
     Returns
     -------
     QTable
-        Table with a row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (the difference from
-        the value of allocated targets), and ``factor`` (the ratio to it). The first row is that of allocated targets.
+        Table with a row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (the difference from the
+        value of allocated targets), and ``factor`` (the ratio to the value of allocated targets). The first row is that
+        of allocated targets.
 
     Raises
     ------

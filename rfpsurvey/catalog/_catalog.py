@@ -16,7 +16,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
-from rfpsurvey.catalog._example_files import path_and_name
+from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
@@ -118,7 +118,7 @@ class Catalog:
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
-            raise InputError(f"epoch must be one time or shape ({n},), got {epoch.shape}")
+            raise InputError(f"epoch must be one time or have the shape ({n},), got {epoch.shape}")
         keep = np.isfinite(to_plain(coord.data.lon)) & np.isfinite(to_plain(coord.data.lat))
         n_bad = int(n - keep.sum())
         if n_bad:
@@ -289,7 +289,7 @@ class Catalog:
             If the file does not exist or cannot be read, or a column is missing.
         """
         path, name = path_and_name(path)
-        table = _io.read_table(path)
+        table = read_table(path)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
             catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)
@@ -368,9 +368,9 @@ class Catalog:
             return self
         if self.epoch is None:
             remedy = "give Catalog(..., epoch=) or an epoch column (--column epoch=J2016)"
-            raise InputError(f"the catalog has proper motions but no epoch to count them from; {remedy}")
+            raise InputError(f"the catalog has proper motions but no epoch to which the positions refer; {remedy}")
         if not time.isscalar and time.shape != (len(self),):
-            raise InputError(f"time must be one time or shape ({len(self)},), got {time.shape}")
+            raise InputError(f"time must be one time or have the shape ({len(self)},), got {time.shape}")
         years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))
         return self._take(slice(None), coord=move_coordinates(self.coord, years), epoch=time)
 

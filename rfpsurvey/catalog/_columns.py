@@ -70,13 +70,13 @@ class Finder:
     columns: dict = field(default_factory=dict)
     """Column name for each role, in place of the common names; a leading minus reverses the sign of numbers."""
     units: dict = field(default_factory=dict)
-    """Unit for each role, for columns without a unit."""
+    """Unit for each role whose column has no unit."""
     assume_units: bool = False
     """Whether columns without a unit are assumed to have the usual unit (for formats that cannot contain units)."""
     fill: dict = field(default_factory=dict)
-    """Value for each role that replaces missing values."""
+    """For each role, the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
-    """Unit for each role for which the usual unit has been assumed."""
+    """For each role whose unit has been assumed, the usual unit."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
@@ -139,7 +139,7 @@ class Finder:
         if unit is None:
             if not self.assume_units:
                 raise InputError(
-                    f"column {name!r} has no unit; say which, for example units={{{role!r}: '{UNITS[role]}'}} "
+                    f"column {name!r} has no unit; state the unit, for example units={{{role!r}: '{UNITS[role]}'}} "
                     f"or --unit {role}={str(UNITS[role]).replace(' ', '')}"
                 )
             unit = self.assumed[role] = UNITS[role]
@@ -216,7 +216,7 @@ class Finder:
         if values is not None and (lacking := np.isnan(values)).any():
             raise InputError(
                 f"column {self.name_of(role)!r} ({role}) must have a number in every row, but {rows_of(lacking)} have "
-                f"none; say which they get, for example fill={{{role!r}: 0}} or --fill {role}=0"
+                f"none; state their value, for example fill={{{role!r}: 0}} or --fill {role}=0"
             )
         return values
 
@@ -224,7 +224,7 @@ class Finder:
         """Return the column as integers or text; masked text becomes empty."""
         name = self.name_of(role)
         if self.columns.get(role, "").startswith("-"):
-            raise InputError(f"columns: a leading minus is for numbers, not for {role} ({self.columns[role]})")
+            raise InputError(f"columns: a leading minus is only for numbers, got {role} = {self.columns[role]}")
         if name is None:
             return None
         self._check_shape(role)
@@ -237,7 +237,11 @@ class Finder:
         if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
             return InputError(f"{text}; give the frame of these coordinates, as frame='galactic' or --frame galactic")
         role = what.split()[0]
-        remedy = f"; name it, as columns={{{role!r}: ...}} or --column {role}=..." if self.table.colnames else ""
+        remedy = (
+            f"; state its name, for example columns={{{role!r}: ...}} or --column {role}=..."
+            if self.table.colnames
+            else ""
+        )
         return InputError(text + remedy)
 
     def listing(self) -> str:

@@ -55,7 +55,7 @@ def extra_columns(columns: object, n: int) -> QTable | None:
 
 
 def result_name(name: str) -> str:
-    """Return the name of a column in results; names differ by more than case, as FITS requires."""
+    """Return a unique name of a column in results; as in FITS, upper and lower case are not distinguished."""
     while name.lower() in RESERVED:
         name = f"target_{name}"
     return name
@@ -82,7 +82,7 @@ def _plain(column, name):
     if kind == "U":
         return np.where(missing, "", values.astype(str))
     if missing.any() and kind == "i" and np.abs(values[~missing].astype(float)).max(initial=0) >= MOST_EXACT:
-        raise InputError(f"column {name!r} must not lack values to be kept: its integers are too large for NaN")
+        raise InputError(f"column {name!r} must not lack values to be kept: its integers have no exact float values")
     if missing.any():
         values = np.where(missing, np.nan, values.astype(float))
     elif kind == "i":

@@ -42,7 +42,7 @@ class SkyIndex:
         return np.ones(len(self), dtype=np.uint8)
 
     def near(self, center: np.ndarray, radius_rad: float, left: np.ndarray | None = None) -> np.ndarray:
-        """Return the positions of the directions inside a circle, in the order of their rows.
+        """Return the positions (in the sorted list) of the directions inside a circle, in the order of their rows.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class SkyIndex:
             size = n
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, weight: np.ndarray) -> np.ndarray:
-        """Return the sum of the weights of the directions in circles about centers, shape (m,)."""
+        """Return the sum of the weights of the directions in a circle about each center, shape (m,)."""
         out = np.empty(len(centers))
         limit = half_chord_squared(radius_rad)
         centers = np.ascontiguousarray(centers)

@@ -92,7 +92,7 @@ class PartitionedCatalog:
             raise InputError(f"{self.folder}: there is no such folder")
         if not self.parts.files:
             files = "files such as Norder=5/Dir=0/Npix=77.parquet"
-            raise InputError(f"{self.folder} is a folder without partitions, {files}")
+            raise InputError(f"{self.folder} is a folder without partitions, which are {files}")
         given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
         said = given.pop("nrows", None)
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
@@ -101,7 +101,7 @@ class PartitionedCatalog:
         self.parts.refuse_overlaps()
         self.parts.names, self.parts.rows  # noqa: B018  (raises an error if columns are missing)
         if said is not None and said != str(len(self)):
-            text = f"{self.folder}: the catalog must have {said} rows, as its properties say, but {len(self)} are there"
+            text = f"{self.folder}: the catalog must have {said} rows according to its properties, got {len(self)}"
             warn(text)
 
     @cached_property

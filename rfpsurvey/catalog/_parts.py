@@ -85,7 +85,7 @@ class Partitions:
             names = set(about.schema.names)
             if columns is not None and names != columns:
                 strange = ", ".join(sorted(names ^ columns))
-                raise InputError(f"{path}: all partitions must have the same columns, but {strange} differs")
+                raise InputError(f"{path}: all partitions must have the same columns, but some have no {strange}")
             columns = names
         return np.concatenate([[0], np.cumsum(counts)])
 
@@ -128,7 +128,7 @@ class Partitions:
         middles, radii = self.circles
         chord = np.linalg.norm(catalog.arrays.vectors - middles[k], axis=1).max(initial=0.0)
         if 2 * np.arcsin(min(chord / 2, 1.0)) > radii[k] + SLACK_RAD:
-            raise InputError(f"{path}: targets lie outside the pixel, which must be that of nested order and ICRS")
+            raise InputError(f"{path}: all targets must lie inside the HEALPix pixel (nested, ICRS), got some outside")
         if k and catalog.id.dtype.kind != self._id_kind:
             raise InputError(f"{path}: ids must be integers in all partitions, or text in all")
         return catalog

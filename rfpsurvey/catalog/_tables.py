@@ -21,8 +21,8 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
     """Return the arguments of `Catalog` for a table.
 
-    With ``assume_units``, the usual units are used for columns without a unit. Otherwise, they are used only if no
-    column of the table has a unit, and a warning is issued.
+    With ``assume_units``, the usual units are used for columns without a unit. Without this option, the usual units are
+    used only if no column of the table has a unit, and a warning is issued.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -38,7 +38,8 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or is_plain):
             warn(
-                f"no column of the table has a unit: assumed are {meta['assumed_units']}; units= or --unit state others"
+                f"no column of the table has a unit: the assumed units are {meta['assumed_units']}; to use other "
+                "units, give units= or --unit"
             )
     return {
         "coord": coord,
@@ -65,7 +66,7 @@ def _ids(find: Finder) -> np.ndarray | None:
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns in ``keep``, except columns that results always have; None if there are no such columns."""
+    """Return the columns in ``keep``, except those that results always have; None if no column is left."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -73,7 +74,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of the columns that results always contain with the same name and values."""
+    """Return the names of the columns that every result contains with the same name and the same values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -131,7 +132,7 @@ def _check_frame(frame: str) -> None:
 
 
 def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
-    """Return the column with this role in degrees; sexagesimal text without a unit is assumed to be in ``unit``."""
+    """Return the column with this role in degrees; the unit of sexagesimal text without a unit is ``unit``."""
     if not find.is_text(role):
         return find.quantity(role)
     own, texts = find.unit_of(role), find.texts(role)
@@ -140,11 +141,11 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
     angles = np.full(len(texts), np.nan)
     try:
         if own is None and any(text.replace(".", "", 1).isdecimal() for text in texts[there]):
-            raise ValueError("decimal numbers and sexagesimal text are in one column, give its unit")
+            raise ValueError("decimal numbers and sexagesimal text are in one column; give the unit of the column")
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
         text = _not_an_angle(texts[there], unit)
-        remedy = "; write a point for the decimal comma" if text.replace(",", "", 1).isdecimal() else f": {error}"
+        remedy = "; replace the decimal comma by a point" if text.replace(",", "", 1).isdecimal() else f": {error}"
         what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
         raise InputError(f"{what}, got {text!r}{remedy}") from error
     return angles * u.deg
@@ -166,7 +167,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
     if names == [None, None]:
         return {}
     if not equatorial:
-        warn(f"the proper motions {names} are not those of the frame asked for, and are not used")
+        warn(f"the proper motions {names} are not in the requested frame, and are not used")
         return {}
     if None in names:
         raise find.missing("pmra" if names[0] is None else "pmdec")
@@ -174,7 +175,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
 
 
 def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
-    """Return the epoch from a column or from the metadata of the table, or None if it has no usable epoch."""
+    """Return the epoch from a column or from the metadata of the table, or None if the table has no usable epoch."""
     name = find.name_of("epoch")
     if name is None:
         meta = {str(k).lower(): v for k, v in find.table.meta.items()}
@@ -200,7 +201,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
         worst = years[moves & ~usable]
         raise InputError(
             f"column {name!r} (epoch) must hold Julian years for targets with a proper motion, "
-            f"but {len(worst)} have none, such as {worst[0]:g}"
+            f"but {len(worst)} of these targets have none, such as {worst[0]:g}"
         )
     if not usable.any():
         return None
@@ -209,7 +210,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:
-    """Return the kinds of targets with categories such as sky_boss or standard_apogee."""
+    """Return the kind of each target, which follows from its category; for example, sky_boss is of the kind sky."""
     lower = np.char.lower(category)
     kind = np.full(len(lower), "science", dtype="U8")
     kind[np.char.startswith(lower, "standard") | np.char.startswith(lower, "std")] = "standard"

@@ -2,7 +2,7 @@
 
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_setup, make_workspace, queue_segments
-from rfpsurvey.collision._exact_arithmetic import closer_exactly, distance_exactly
+from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly, closer_exactly, distance_exactly
 from rfpsurvey.collision._find import find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._report import CollisionReport
@@ -14,6 +14,7 @@ __all__ = [
     "CollisionReport",
     "Configuration",
     "Found",
+    "arms_closer_exactly",
     "check_plane",
     "closer_exactly",
     "count_collisions",

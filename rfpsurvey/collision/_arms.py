@@ -35,7 +35,7 @@ class Arms:
     elbow: np.ndarray
     tip: np.ndarray
     segments: np.ndarray
-    """Colliding segments, rows (x0, y0, x1, y1)."""
+    """Segments of the arms that can collide, as rows (x0, y0, x1, y1)."""
     assigned: np.ndarray
     """Whether each positioner has a target."""
     parked: np.ndarray
@@ -73,7 +73,7 @@ def place_arms(
         raise InputError("give either tips, or both theta and phi")
     if tips is None:
         if handedness is not None:
-            raise InputError("handedness belongs to tips; theta and phi already determine the elbow")
+            raise InputError("handedness can be given only with tips; theta and phi already determine the elbow")
         angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
         segments = np.empty((4, n))
         arms.pose(*columns.from_joints(*angles), columns.geometry, segments)
@@ -96,7 +96,7 @@ def place_arms(
 
 
 def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
-    """Return elbows and tips (4, n) of all arms, and two flags: has a target, and does not reach the target."""
+    """Return elbows and tips (4, n) of all arms, whether each has a target, and whether the target is out of reach."""
     assigned, clipped = check_tips(columns, points, side, clip=clip)
     segments = place_tips(columns, points, side, clipped)
     arms.fill_idle(assigned, columns.idle(parked_obstacles).segments, segments)
@@ -106,7 +106,7 @@ def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
 def check_plane(focal_plane):
     """Raise an error unless the argument is a focal plane."""
     if not isinstance(focal_plane, FocalPlane):
-        hint = "; an Instrument has one, its focal_plane" if hasattr(focal_plane, "focal_plane") else ""
+        hint = "; use the attribute focal_plane of the Instrument" if hasattr(focal_plane, "focal_plane") else ""
         raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
 
 
@@ -154,7 +154,7 @@ def check_tips(columns, points, side, *, clip=False):
 
 
 def joints_free(columns, side):
-    """Return whether the joint limits allow the whole patrol areas with these elbows."""
+    """Return whether the joint limits allow all points of the patrol areas with the given elbows."""
     return all(columns.joints_free_for(s) for s in {side.min(), side.max()})
 
 
@@ -204,20 +204,37 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return the cosine and sine of each capsule's angle; idle arms are posed by the first fiber of a positioner."""
+    """Return cosine and sine of each capsule's angle; idle arms have the angle for the first fiber."""
     if columns.fibers is None:
         return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
 
 
-def nearest_distance(posed: Arms) -> np.ndarray:
-    """Return the distance (mm) from each arm to the nearest other arm: NaN if absent, infinity without another arm."""
+def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
+    """Return the distance (mm) from each arm to the nearest other arm: NaN if absent, infinity without another arm.
+
+    For arms with an outline, only the arms of neighbors that can touch an arm are considered.
+    """
     segments = np.ascontiguousarray(posed.segments.T)
+    if plane.positioner.outline is not None:
+        return _nearest_outline(plane, segments, posed.present)
     halves, out = np.empty_like(segments), np.empty(len(posed.segments))
     collisions.halve(segments, halves)
     present = np.flatnonzero(posed.present)
     order = present[np.argsort(halves[0, present], kind="stable")]
     collisions.nearest_arm(segments, halves, order, out)
+    return out
+
+
+def _nearest_outline(plane, segments, present):
+    """Return the distance (mm) from each outline to the nearest outline of a neighbor that can touch it."""
+    pairs, limits = plane.arrays.neighbors, plane.arrays.limits
+    pairs = pairs[present[pairs].all(axis=1)]
+    gaps = np.empty(len(pairs))
+    collisions.outline_gaps(segments, pairs, limits, gaps)
+    out = np.where(present, np.inf, np.nan)
+    for column in pairs.T:
+        np.minimum.at(out, column, gaps)
     return out
 
 

@@ -156,7 +156,9 @@ def count_collisions(
         score, chunks = _of_draws(focal_plane, tips, n_configurations, method, rng)
     else:
         if n_configurations is not None:
-            raise InputError("n_configurations belongs to an Allocation; the number of tips is that of their rows")
+            raise InputError(
+                "n_configurations can be given only with an Allocation; tips have one configuration in each row"
+            )
         score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, method)
     parts, times = [np.empty((0, batch.N_COUNTS), dtype=np.int64)], np.zeros(len(focal_plane), dtype=np.int64)
     for part, hits in map_in_order(executor, score, *chunks):
@@ -219,6 +221,8 @@ def _on_processor(columns, setup, points, side):
 
 
 def _device(columns, setup):
+    if columns.plane.positioner.outline is not None:
+        raise InputError("the method for arms with an outline must be 'exact', got 'cuda'")
     from rfpsurvey.collision import _gpu
 
     return _gpu.make_scorer(columns, setup)
@@ -293,7 +297,7 @@ def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
 
 
 def _turned(segments, first, used):
-    """Return idle arms whose capsules, turned by the angles of the fibers in use, are those of the first fibers."""
+    """Return idle arms whose capsules, after a rotation for the fibers in use, are those for the first fibers."""
     (c, s), (used_c, used_s) = first, used
     x, y = segments[2:] - segments[:2]
     x, y = c * x - s * y, s * x + c * y

@@ -8,13 +8,34 @@ import numpy as np
 
 from rfpsurvey._kernels.outlines import RADIUS, Outline, place_outline
 
-__all__ = ["closer_exactly", "distance_exactly", "outlines_closer_exactly"]
+__all__ = ["arms_closer_exactly", "closer_exactly", "distance_exactly", "outlines_closer_exactly"]
+
+
+def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j: int) -> bool:
+    """Return whether two arms are closer than the minimum separation, without rounding.
+
+    Parameters
+    ----------
+    columns : FocalPlaneArrays
+        The positioners.
+    segments : ndarray, shape (4, n)
+        Segments that can collide, or cores of outlines.
+    a, b : int
+        Columns of the two arms in ``segments``.
+    i, j : int
+        Rows of their positioners.
+    """
+    first, second, outline = segments[:, a].tolist(), segments[:, b].tolist(), columns.limits.outline
+    if outline.start.size == 1:
+        return closer_exactly(first, second, columns.separation)
+    return outlines_closer_exactly(outline, i, j, first, second, columns.separation)
 
 
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
     """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
 
-    All numbers are converted to a common denominator. No division follows, so that all arithmetic uses integers.
+    All numbers are converted to a common denominator. The test needs no division after this conversion, so that all
+    arithmetic uses integers.
     """
     ratios = [Fraction(v).as_integer_ratio() for v in (*first, *second, separation)]
     common = lcm(*(q for _, q in ratios))

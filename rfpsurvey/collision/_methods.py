@@ -8,7 +8,8 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions, reference
 from rfpsurvey.collision._arms import Arms
-from rfpsurvey.collision._exact_arithmetic import closer_exactly
+from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
@@ -46,6 +47,7 @@ def exact(case: Configuration) -> Found:
 
 def sampled(case: Configuration) -> Found:
     """Find pairs by the least distance between ``n_points`` points on each arm; this method misses some pairs."""
+    _require_segments(case, "sampled")
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -54,6 +56,7 @@ def sampled(case: Configuration) -> Found:
 
 def sweep(case: Configuration) -> Found:
     """Find pairs by the least distance between the areas that two arms sweep from their parked poses."""
+    _require_segments(case, "sweep")
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
     first, second = pairs.T.copy()
@@ -80,6 +83,7 @@ def scipy(case: Configuration) -> Found:
     """Find pairs by bounded least squares over the positions along both arms, with SciPy."""
     from scipy.optimize import lsq_linear
 
+    _require_segments(case, "scipy")
     first, second = near_pairs(case)
     distances = np.empty(len(first))
     for k in range(len(first)):
@@ -94,6 +98,7 @@ def cuda(case: Configuration) -> Found:
     """Find pairs by the distances of ``exact``, computed on a GPU."""
     from rfpsurvey.collision import _gpu
 
+    _require_segments(case, "cuda")
     return _settle(case, *_gpu.find_pairs(case.segments, case.plane.arrays.neighbors, case.plane.arrays.limits))
 
 
@@ -129,10 +134,16 @@ def _settle(case, first, second, squared):
     if len(edge):
         keep = np.ones(len(squared), dtype=bool)
         for k in edge:
-            ends = case.segments[:, first[k]].tolist(), case.segments[:, second[k]].tolist()
-            keep[k] = closer_exactly(*ends, limits.separation)
+            keep[k] = arms_closer_exactly(case.plane.arrays, case.segments, first[k], second[k], first[k], second[k])
         first, second, squared = first[keep], second[keep], squared[keep]
-    return Found(first, second, np.sqrt(squared), len(edge))
+    # the distances of outlines are computed with an offset; overlapping outlines have the distance 0
+    return Found(first, second, np.maximum(np.sqrt(squared) - limits.outline.offset, 0.0), len(edge))
+
+
+def _require_segments(case, method):
+    """Raise an error if the arms have outlines, which only the method ``exact`` supports."""
+    if case.plane.positioner.outline is not None:
+        raise InputError(f"the method for arms with an outline must be 'exact', got {method!r}")
 
 
 def _capsule_angles(posed):

@@ -67,7 +67,7 @@ def compare_allocators(
     Raises
     ------
     InputError
-        If `plan_tile` raises it for one of the allocators.
+        If `plan_tile` raises an InputError for one of the allocators.
 
     Examples
     --------

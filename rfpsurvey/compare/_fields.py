@@ -103,7 +103,7 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
     centers = catalog.mean_direction if center is None else center
     centers = to_center(centers) if isinstance(centers, str) else centers
     if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
-        raise refusal("center must be a SkyCoord, one or in a row", center, SkyCoord)
+        raise refusal("center must be a SkyCoord with one direction or a list of directions", center, SkyCoord)
     centers = centers.reshape(-1)
     seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
     return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]

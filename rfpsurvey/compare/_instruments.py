@@ -26,7 +26,7 @@ CONFIDENCE = 0.95
 WITHOUT_COLLISIONS = ("optimal", "repair")
 COMPARABLE = {
     "same targets per positioner": (
-        "Every instrument has its own sky, with as many targets for each positioner's share of its footprint. "
+        "Every instrument has its own sky, with the same number of targets per positioner within its footprint. "
         "Fractions of the positioners, probabilities, pairs per positioner and losses can be compared; numbers of "
         "targets and values per field or solid angle cannot."
     ),
@@ -35,14 +35,15 @@ COMPARABLE = {
         "and per solid angle can be compared; fractions of positioners depend on the number of targets per positioner."
     ),
     "same catalog": (
-        "Every instrument has a whole field of the same catalog, as far as that reaches. Fibers per field and per "
-        "solid angle can be compared; fractions of positioners depend on the number of targets per positioner."
+        "Every instrument observes a whole field of the same catalog; areas outside the catalog contain no targets. "
+        "Fibers per field and per solid angle can be compared; fractions of positioners depend on the number of "
+        "targets per positioner."
     ),
 }
 CAUTION = (
-    "Telescopes, exposure times and spectrographs are not part of the comparison. Layouts are those of the "
-    "descriptions, most of them nominal lattices; idle arms are obstacles where the arms are equal, and avoid others "
-    "elsewhere."
+    "Telescopes, exposure times and spectrographs are not part of the comparison. The layouts are those in "
+    "the descriptions of the instruments; most of these layouts are nominal lattices. Idle positioners with arms of "
+    "equal length are obstacles; idle positioners with arms of unequal length avoid all other arms."
 )
 PARTS = {
     "instruments": (
@@ -161,8 +162,8 @@ def compare_instruments(
     Notes
     -----
     The interval is a Wilson interval with the effective number of independent trials, which is estimated from the
-    scatter between positioners and the correlation of neighbors. It describes the scatter of other fields with
-    targets of the same kind.
+    scatter between positioners and the correlation of neighbors. The interval describes the scatter of other fields
+    with targets of the same kind.
 
     Examples
     --------
@@ -194,7 +195,7 @@ def compare_instruments(
     else:
         if any(value is not None for value in (n_realizations, density, targets_per_positioner)):
             what = "n_realizations, density and targets_per_positioner"
-            raise InputError(f"{what} are for synthetic skies: a catalog is planned once per center")
+            raise InputError(f"{what} must be None if a catalog is given; they describe synthetic skies")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, others, executor, progress)

@@ -1,4 +1,4 @@
-"""Scan designs around that of an instrument, and compare the instrument with the best of them."""
+"""Scan designs around the design of an instrument, and compare the instrument with the best of these designs."""
 
 from inspect import signature
 
@@ -26,7 +26,7 @@ def explore_around(
     n_designs: int | None = None,
     **others: object,
 ) -> QTable:
-    """Scan designs around that of an instrument, which is included and marked by its name.
+    """Scan designs around the design of an instrument, which the table includes and marks by its name.
 
     The design of an instrument consists of the lattice and the arms of its positioners, without edges, obstacles, joint
     limits and broken positioners. See `explore_designs`.
@@ -50,8 +50,8 @@ def explore_around(
     -------
     QTable
         Table of `explore_designs` with a further column ``instrument``, which contains the name of the instrument in
-        the row of its design and ``""`` in all others. If the scan does not include that design, it is added as the
-        last row.
+        the row of its design and ``""`` in all others. If the scan does not include the design of the instrument, this
+        design is added as the last row.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def explore_around(
     Warns
     -----
     RfpsurveyWarning
-        If the arm model of the instrument is not ``elbow_to_tip``. All designs have this arm model.
+        If the arm model of the instrument is not ``elbow_to_tip``. All designs have the arm model ``elbow_to_tip``.
 
     See Also
     --------
@@ -151,7 +151,7 @@ def design_improvements(table: QTable) -> QTable:
 
 
 def _factors(spread, n_nodes, n_designs):
-    """Return the factors for the values of an instrument: nodes of a grid, or limits."""
+    """Return the factors by which the values of an instrument are multiplied: nodes of a grid, or two limits."""
     number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
     if not (number and 0 < spread < 1):
         raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")

@@ -93,11 +93,11 @@ class Checkpoint:
         table = read_table(self._path)
         before, now = table.meta.get("request"), self.meta["request"]
         if not isinstance(before, dict) or not set(ROW.names) <= set(table.colnames):
-            raise InputError(f"{self._path} holds no scan of designs; give another path")
+            raise InputError(f"{self._path} must contain a scan of designs; give another path")
         check_request(self._path, before, now, "scan", "path")
         warn_of_software(self._path, table.meta.get("software"), self.meta["software"], "designs")
         rows = to_rows(table)
         own = np.column_stack([rows[name] for name in AXES])
         if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):
-            raise InputError(f"{self._path} is damaged: its designs are not those that were asked for")
+            raise InputError(f"{self._path} is damaged: its designs are not those of the scan")
         return rows

@@ -22,7 +22,7 @@ from rfpsurvey.errors import InputTypeError, check_keywords, short, warn
 __all__ = ["explore_designs", "scan"]
 
 CHUNK = 8
-"""Number of designs per task. Results do not depend on it."""
+"""Number of designs that a process computes per task. Results do not depend on this number."""
 
 
 @check_keywords
@@ -43,14 +43,15 @@ def explore_designs(
     resume: bool = False,
     overwrite: bool = False,
 ) -> QTable:
-    """Compute the coverage and the loss to collisions of many designs of fiber positioners.
+    """Compute the coverage of many designs of fiber positioners, and the fraction of fibers lost to collisions.
 
     A design is an infinite hexagonal lattice of equal, right-handed positioners without joint limits, whose arms
-    collide from elbow to tip. Coverage and multiplicity follow from geometry and are exact. The loss is the fraction
-    of the fibers with a target that are lost to collisions. It has one of three definitions, which must not be mixed:
+    collide from elbow to tip. Coverage and multiplicity follow from geometry and are exact. The loss is the fraction of
+    the fibers with a target that are lost to collisions. The loss has one of three definitions, and values of distinct
+    definitions cannot be compared:
 
-    * ``independent``: every positioner draws its own target, uniform over its patrol area; positioners in collision
-      are lost.
+    * ``independent``: every positioner has its own random target, uniform over its patrol area; positioners in
+      collision are lost.
     * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and every fiber
       observes one target of its queue; positioners in collision are lost.
     * ``collision_free``: the plan avoids collisions; fibers that it leaves idle, but that a plan ignoring collisions
@@ -105,14 +106,14 @@ def explore_designs(
         ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven``
         (number of searches that the time limit ended; if it is not 0, the loss is too large and depends on the speed of
         the machine); ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good
-        in both objectives and better in one). ``meta`` contains the request.
+        in both objectives and better in one). The ``meta`` of the table contains the arguments of the scan.
 
     Raises
     ------
     InputError
         If a value is not valid for any design, a name is unknown, or the file contains another scan.
     concurrent.futures.BrokenExecutor
-        If a worker process ends abruptly. The designs written so far remain in the file.
+        If a worker process ends abruptly. The designs that have been written remain in the file.
 
     Warns
     -----
@@ -206,7 +207,7 @@ def _run(task, designs, checkpoint, executor, *, progress):
 
 
 def _warn(table):
-    """Issue warnings for designs without values, and for designs with searches that the time limit ended."""
+    """Issue warnings for designs without values, and for designs whose searches the time limit ended."""
     strange = table[table["reason"] != ""]
     if len(strange):
         text = (
@@ -215,5 +216,5 @@ def _warn(table):
         warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
-        text = f"the time limit cut searches for {cut} of {len(table)} designs short: their loss is at most so large"
+        text = f"the time limit ended searches for {cut} of {len(table)} designs: their true loss can be smaller"
         warn(text)

@@ -60,14 +60,14 @@ class Lattice:
 
     @property
     def collision_type(self) -> int:
-        """Collision type. 1: no two arms can touch; 2: only those of first neighbors can; 3: further ones can too."""
+        """1: no arms can touch; 2: only arms of nearest neighbors can touch; 3: other arms can also touch."""
         return 1 if self.sight <= self.pitch else 2 if self.sight <= np.sqrt(3) * self.pitch else 3
 
     def coverage(self, n_lines: int = N_LINES) -> np.ndarray:
         """Return the fractions of the plane within reach of exactly 0, 1, 2, and at least 3 positioners.
 
-        A cell consists of twelve equal triangles. The areas in a triangle are integrated along 256 lines. The lengths
-        of the segments of a line between the edges of patrol areas are exact. Errors of the fractions are typically
+        A cell consists of twelve equal triangles. The areas in a triangle are integrated along 256 lines. On each line,
+        the lengths of the segments between the edges of patrol areas are exact. Errors of the fractions are typically
         1e-4, and at most 4e-4.
         """
         inner, outer = (r / self.pitch for r in self.radii)

@@ -20,7 +20,7 @@ from rfpsurvey.probability import (
 __all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
 
 N_POINTS = 256
-"""Number of points of a quadrature; its relative error is then about 0.002."""
+"""Number of points of a quadrature; with this number, the relative error of the loss is about 0.002."""
 SURROGATE_ERROR = 5e-4
 """Upper limit of the root-mean-square error of the surrogate; see ``tests/benchmarks/design_figures.py``."""
 SURE = 0.01
@@ -47,7 +47,7 @@ class Skies(NamedTuple):
     each: float
     """Number of targets per positioner."""
     number: int
-    """Number of realizations of the targets to average over."""
+    """Number of realizations of the targets over which losses are averaged."""
     rng: np.random.Generator
     time_limit: float
     """Time limit of a search, in seconds."""
@@ -95,7 +95,7 @@ METHODS = {
     "optimal": optimal,
     "repair": repair,
 }
-"""Methods by name: functions from a design and its targets to a loss."""
+"""Methods by name: functions that return the loss of a design with given random targets."""
 
 ESTIMANDS = {
     "surrogate": "independent",
@@ -133,11 +133,11 @@ def _compare(lattice, skies, method):
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
-    """Return the fraction of the fibers assigned in the center of a patch that are lost, over all realizations.
+    """Count the fibers assigned in the center of a patch in all realizations; return the fraction that is lost.
 
-    Positioners near the edge of a patch have fewer neighbors and are not counted. If nothing is lost, the error is that
-    of one lost fiber. With ``whole``, a fiber is either lost or not, and the error is always at least that of one lost
-    fiber.
+    Positioners near the edge of a patch have fewer neighbors and are not counted. If no fiber is lost, the error is
+    that of one lost fiber. With ``whole``, each fiber is either lost or not lost, and the error is always at least that
+    of one lost fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch

@@ -1,4 +1,4 @@
-"""The options of the loss in a scan of designs."""
+"""The options of the loss, the fraction of fibers that a design loses to collisions, in a scan of designs."""
 
 from dataclasses import dataclass, field
 from numbers import Number
@@ -71,7 +71,7 @@ class LossOptions:
 
     @property
     def question(self) -> tuple[str, str]:
-        """The estimand and the method."""
+        """The estimand of the loss, and the method that computes the loss."""
         check_choice(self.method, [*METHODS, "auto"], "method of design studies")
         if self.estimand is not None:
             check_choice(self.estimand, set(ESTIMANDS.values()), "estimand")
@@ -79,12 +79,12 @@ class LossOptions:
             return self.estimand or "independent", self.method
         own = ESTIMANDS[self.method]
         if self.estimand not in (None, own):
-            raise InputError(f"{self.method!r} finds the loss {own!r}, not {self.estimand!r}")
+            raise InputError(f"the estimand of the method {self.method!r} must be {own!r}, got {self.estimand!r}")
         return own, self.method
 
     @property
     def targets(self) -> tuple[float, bool]:
-        """Number of targets, and whether it is per mm^2 (otherwise it is per positioner)."""
+        """Number of targets, and whether this number is per mm^2 (otherwise, it is per positioner)."""
         each = self.targets_per_positioner
         if each is not None and self.target_density is not None:
             raise InputError("give targets_per_positioner or target_density, not both")
@@ -98,5 +98,5 @@ class LossOptions:
 
     @property
     def seconds(self) -> float:
-        """The time limit in seconds."""
+        """Time limit of the searches of a design, in seconds."""
         return to_scalar(self.time_limit, u.s, "time_limit", low=0)

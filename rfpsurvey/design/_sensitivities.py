@@ -20,11 +20,11 @@ def design_sensitivities(
 ) -> QTable:
     """Return the fraction of the variance of each column that each parameter of a scan explains.
 
-    The values of a column are fitted by a sum of polynomials, one for each parameter that varies, of degree four (less
-    for a parameter with fewer than five values). The share of a parameter is the variance of its polynomial divided by
-    that of the column. This is the first-order Sobol index; it is exact on a grid with at most five nodes per axis. The
-    rest of the variance is due to interactions of parameters and to noise of the values. Chance increases each share by
-    about the ratio of the number of coefficients to the number of designs.
+    The values of a column are fitted by a sum of polynomials, one for each parameter that varies. A polynomial has
+    degree four, or less if the parameter has fewer than five values. The share of a parameter is the variance of its
+    polynomial divided by the variance of the column. This is the first-order Sobol index; it is exact on a grid with at
+    most five nodes per axis. The rest of the variance is due to interactions of parameters and to noise of the values.
+    Random noise increases each share by about the number of coefficients divided by the number of designs.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def design_sensitivities(
     QTable
         Table with a row for each pair of an explained column and a parameter that varies, and a row ``rest`` for each
         explained column. Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to 1; NaN for values
-        that do not vary), and ``slope`` (change of the values in percent if the parameter grows by one percent, from a
-        fit that is linear in all parameters, at the mean of the scan).
+        that do not vary), and ``slope`` (change of the values in percent if the parameter grows by one percent). The
+        slope is computed at the mean of the scan, from a fit that is linear in all parameters.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def design_sensitivities(
     ['central_arm', 'ratio', 'pitch', 'rest']
     """
     if not isinstance(table, QTable) or not {*AXES, "loss"} <= set(table.colnames):
-        raise InputError("table must be what explore_designs returns")
+        raise InputError("table must be a table that explore_designs returned")
     figures = [figures] if isinstance(figures, str) else list(figures)
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
     for name in figures:
@@ -111,7 +111,7 @@ def _polynomials(x):
 
 
 def _shares(y, blocks):
-    """Return the fraction of the variance that each block explains, and the rest."""
+    """Return the fraction of the variance that each block of columns explains, and the unexplained fraction."""
     variance = float(y.var())
     if variance <= (1e-12 * np.abs(y).max(initial=0.0)) ** 2:
         return dict.fromkeys([*blocks, "rest"], np.nan)

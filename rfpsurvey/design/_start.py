@@ -26,7 +26,7 @@ class Start:
     """Motor step, in radians."""
 
     def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
-        """Return designs that include this one (as the last row if it is added), its row, and a record for the meta."""
+        """Return the designs, to which this design is added if it is absent, its row, and a record for the meta."""
         same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
         added = not same.any()
         record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}

@@ -48,11 +48,11 @@ class Task:
         each = self.targets * (lattice.cell if self.by_area else 1.0)
         row["targets"], row["empty"] = each, np.exp(-each * lattice.multiplicity)
         if each > MOST_TARGETS:
-            row["reason"] = f"there are more than {MOST_TARGETS:g} targets a positioner"
+            row["reason"] = f"there are more than {MOST_TARGETS:g} targets per positioner"
             return
         method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
         if method == "surrogate" and not in_box(lattice):
-            row["reason"] = "outside the box of the surrogate"
+            row["reason"] = "outside the range of the surrogate"
             return
         found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))
         row["method"], row["assigned"], row["loss"], row["loss_error"], row["n_unproven"] = method, *found

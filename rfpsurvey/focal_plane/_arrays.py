@@ -12,6 +12,7 @@ from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import joints_allow
+from rfpsurvey.focal_plane._limits import find_limits
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
@@ -19,6 +20,12 @@ __all__ = ["FocalPlaneArrays"]
 
 IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "geometry", "bounds", "angles")
 """Names of the arrays that depend on the fiber types in use."""
+MODELS = {
+    "elbow_to_tip": arms.ELBOW_TO_TIP,
+    "capsule": arms.CAPSULE,
+    "fiber_tip": arms.FIBER_TIP,
+    "outline": arms.CAPSULE,  # the core of an outline
+}
 SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of costly arrays that do not depend on the fiber types in use."""
 
@@ -85,9 +92,7 @@ class FocalPlaneArrays:
         self.plane = plane
         numbers = plane.positioner.numbers
         self.separation, self.clearance = numbers.separation, numbers.clearance
-        self.model = {"elbow_to_tip": arms.ELBOW_TO_TIP, "capsule": arms.CAPSULE, "fiber_tip": arms.FIBER_TIP}[
-            plane.positioner.arm_model
-        ]
+        self.model = MODELS[plane.positioner.arm_model]
         self.length = 0.0 if numbers.arm_length is None else numbers.arm_length
 
     @cached_property
@@ -138,7 +143,9 @@ class FocalPlaneArrays:
 
     @cached_property
     def arm_reach(self) -> np.ndarray:
-        length = self.plane.positioner.numbers.arm_length
+        outline, length = self.plane.positioner.outline, self.plane.positioner.numbers.arm_length
+        if outline is not None:
+            return locked(np.maximum(self.central_arm + outline.reach[0], outline.reach[1]))
         return locked(self.central_arm + (self.longest_arm if length is None else length))
 
     @cached_property
@@ -215,7 +222,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def grid(self) -> tuple:
-        """Square cells, with the positioners that reach into each cell."""
+        """Grid of square cells, with the positioners that reach into each cell."""
         return make_grid(self.xy, self.largest_radius)
 
     @cached_property
@@ -246,18 +253,18 @@ class FocalPlaneArrays:
         return locked(np.ascontiguousarray(np.argwhere(apart < limit + self.touch_slack)))
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
-        """Return the pairs of positioners and targets (mm) within reach."""
+        """Return the pairs of a positioner and a target that it reaches; ``points`` are the targets in mm."""
         if len(self.hidden):
             points = np.where(self.is_hidden(points)[:, None], np.nan, points)
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
     def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
-        """Return the elbow of each positioner (or of the rows ``own``) toward its point: +1 is right, -1 is left."""
+        """Return the elbow with which each positioner (of ``own``) points at its target: +1 is right, -1 is left."""
         return sides(self, points, own, fiber)
 
     @cached_property
     def geometry(self) -> arms.Geometry:
-        """Geometry of the positioners, as the kernels that compute poses expect it."""
+        """Geometry of the positioners, in the form that the kernels for poses require."""
         plane = self.plane
         cx, cy = self.xy.T.copy()
         home = plane.positioner.numbers.home[0]
@@ -265,19 +272,19 @@ class FocalPlaneArrays:
         return arms.Geometry(cx, cy, *lengths, float(np.cos(home)), float(np.sin(home)))
 
     def geometry_of(self, own: np.ndarray, fiber: np.ndarray | None = None) -> arms.Geometry:
-        """Return the same data for a list of positioners, and for the fiber types that they use (by index)."""
+        """Return the geometry of the positioners ``own``, with the fiber types that they use (by index)."""
         g = arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
         return g if fiber is None or self.fibers is None else g._replace(l2=self.fibers.length[fiber, own])
 
     @cached_property
     def bounds(self) -> arms.Bounds:
-        """Limits of the tips that each positioner can reach."""
+        """Squared limits of the distances from the center at which each positioner can place its tip."""
         return self.bounds_of(None)
 
     def bounds_of(
         self, own: np.ndarray | None, fiber: np.ndarray | None = None, side: np.ndarray | None = None
     ) -> arms.Bounds:
-        """Return the same data for positioners (by row), fiber types (by index) and elbows (1: right, -1: left)."""
+        """Return the bounds of positioners (by row) with fiber types (by index) and elbows (1: right, -1: left)."""
         inner, outer = patrol_radii(self, own, fiber, side)
         low = np.maximum(inner - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
@@ -289,16 +296,13 @@ class FocalPlaneArrays:
 
     @cached_property
     def touch_slack(self) -> float:
-        """Upper limit of the error of the gap between two arms stretched toward each other, even if almost equal."""
+        """Upper limit of the error of the gap between two stretched arms, also if arm lengths are almost equal."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
     def limits(self) -> collisions.Limits:
-        """Minimum separation and the allowance for rounding."""
-        extent = np.hypot(*self.xy.T) + self.arm_reach
-        return collisions.limits(
-            self.separation, self.longest, float(extent.max()) + self.reach_slack + arms.EQUAL_ARMS
-        )
+        """Minimum separation, and the allowance for rounding errors."""
+        return find_limits(self)
 
     @cached_property
     def longest(self) -> float:
@@ -337,50 +341,50 @@ class FocalPlaneArrays:
 
     @cached_property
     def joints(self) -> Joints | None:
-        """Zero points and limits of the joints; None if the angles of the joints are those of the kernels."""
+        """Zero points and limits of the joints; None if joint angles are equal to the angles that the kernels use."""
         plane = self.plane
         own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
         lengths = self.eccentric_arm[None] if self.fibers is None else self.fibers.length
         return None if all(values is None for values in own) else Joints(plane, self.fibers, self.central_arm, lengths)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether the joint limits allow the whole patrol areas with an elbow: +1 is right, -1 is left."""
+        """Return whether all positioners reach their whole patrol areas with an elbow: +1 is right, -1 is left."""
         numbers = self.plane.positioner.numbers
         return numbers.joints_free_for(side) if self.joints is None else bool(self.joints.free[side].all())
 
     @cached_property
     def joints_free(self) -> bool:
-        """Whether the joint limits allow the whole patrol areas with the default elbow."""
+        """Whether all positioners reach their whole patrol areas with the default elbow in spite of joint limits."""
         return self.joints_free_for(-1.0 if self.plane.positioner.handedness == "left" else 1.0)
 
     def joints_allow(
         self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
     ) -> np.ndarray:
-        """Mark positioners (by row) whose joint limits allow the pose toward a point (mm) with an elbow (+1 or -1)."""
+        """Mark positioners (by row) whose joint limits allow them to reach ``points`` (mm) with an elbow (+1 or -1)."""
         return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the angles of the joints for those of the kernels."""
+        """Convert the angles that the kernels use to joint angles."""
         if self.joints is None:
             return theta, phi
         own, fiber = self.rows_of(own, fiber)
         return self.joints.from_kernel(theta, phi, own, fiber)
 
     def from_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the angles of the kernels for those of the joints."""
+        """Convert joint angles to the angles that the kernels use."""
         if self.joints is None:
             return theta, phi
         theta_zero, phi_zero = self.joints.zeros(*self.rows_of(own, fiber))
         return theta + theta_zero, phi + phi_zero
 
     def rows_of(self, own, fiber):
-        """Return rows of positioners and indices of fiber types; None means all rows, and the fibers in use."""
+        """Return rows of positioners and indices of fiber types; None means all rows, and the fiber types in use."""
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber
 
     @cached_property
     def home(self) -> np.ndarray:
-        """Angles theta and phi of the joints of parked positioners, shape (2, n)."""
+        """Joint angles theta and phi of parked positioners, shape (2, n)."""
         numbers = self.plane.positioner.numbers
         if self.joints is None:
             return np.repeat(numbers.home[:, None], len(self.plane), axis=1)
@@ -391,5 +395,5 @@ class FocalPlaneArrays:
         return find_idle(self)
 
     def idle(self, parked_obstacles: bool) -> Idle:
-        """Return the arms without a target: those that cannot move, and idle equal arms if these are obstacles."""
+        """Return arms without a target: arms that cannot move, and idle arms of equal length if they are obstacles."""
         return self.plane.arrays._idle[bool(parked_obstacles)]

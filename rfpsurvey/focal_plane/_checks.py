@@ -37,7 +37,7 @@ def check_columns(plane) -> None:
         raise InputError(f"id must be unique, but {names[counts > 1].tolist()[0]!r} occurs more than once")
     blank = [name for name in columns["id"].tolist() if isinstance(name, str) and (not name or len(name.split()) != 1)]
     if blank:
-        raise InputError(f"id must be text without blanks, by which tables list several, got {blank[0]!r}")
+        raise InputError(f"id must be text without blanks, because tables separate ids by blanks, got {blank[0]!r}")
     names = ["+".join(part.strip() for part in row.split("+")) for row in columns["fiber_type"].tolist()]
     object.__setattr__(plane, "fiber_type", np.array(names))
     if len(plane.fiber_types) > 1 and "" in plane.fiber_types:
@@ -66,7 +66,7 @@ def check_columns(plane) -> None:
         if angles.shape != (n, 2):
             raise InputError(f"stuck must have the shape ({n}, 2), got {angles.shape}")
         if (np.isfinite(angles).sum(axis=1) == 1).any():
-            raise InputError("stuck must give both theta and phi of a unit, or neither")
+            raise InputError("stuck must contain both theta and phi of a positioner, or neither")
     for name in ("obstacles", "hidden"):
         if getattr(plane, name) is None:
             continue
@@ -86,12 +86,12 @@ def _check_fibers(plane, n):
         return
     if plane.eccentric_arm is not None:
         raise InputError(
-            "fiber_xy must be given without eccentric_arm: it has the distances from the elbows to the fibers"
+            "fiber_xy must be given without eccentric_arm, because it contains the distances from elbows to fibers"
         )
     if not isinstance(places, dict):
         if len(plane.fiber_types) > 1:
             raise InputError(
-                f"fiber_xy must be a dict of the fiber types {', '.join(plane.fiber_types)}, got one column"
+                f"fiber_xy must be a dict with the fiber types {', '.join(plane.fiber_types)}, got one column"
             )
         places = {plane.fiber_types[0]: places}
     places = dict(places)

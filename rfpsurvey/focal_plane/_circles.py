@@ -9,14 +9,14 @@ __all__ = ["Circles"]
 
 
 class Circles:
-    """Circles (x, y, radius) in mm, with the cells of a grid that they touch."""
+    """Circles in mm (columns x, y and radius), with a grid of cells for a fast search."""
 
     def __init__(self, rows: np.ndarray):
         self.x, self.y, self.radius = rows.T.copy()
         self._grid = make_grid(rows[:, :2], self.radius) if len(rows) else None
 
     def contain(self, points: np.ndarray) -> np.ndarray:
-        """Return whether each point (mm) is in one of the circles or on its edge; NaN is not."""
+        """Return whether each point (mm) is in one of the circles or on its edge; a NaN point is in no circle."""
         if self._grid is None:
             return np.zeros(len(points), dtype=bool)
         n, (x, y) = len(self.x), points.T.copy()

@@ -10,7 +10,7 @@ __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
 
 def footprint_of(plane) -> ConvexHull:
-    """Return the convex hull of the centers in mm."""
+    """Return the convex hull of the centers of the positioners in mm."""
     try:
         return ConvexHull(plane.arrays.xy)
     except (QhullError, ValueError):
@@ -28,8 +28,8 @@ def on_footprint(plane, points: np.ndarray) -> np.ndarray:
 def find_coverage(plane, n_points, rng) -> np.ndarray:
     """Return the fractions of the footprint that exactly 0, 1, 2, ... positioners reach.
 
-    One random point is drawn in each cell of a square grid. With a regular grid of points, the result would depend on
-    the alignment of the grid with the lattice of the positioners.
+    One random point is drawn in each cell of a square grid. If the points were on a regular grid, the result would
+    depend on the alignment of the grid with the lattice of the positioners.
     """
     check_whole(n_points, "n_points", 1, 2**26)
     hull = footprint_of(plane)

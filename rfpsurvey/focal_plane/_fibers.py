@@ -118,10 +118,10 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance; return the positioners (n,) for which this is possible.
+        """Replace limits of phi by limits of the fiber's distance from the center; return where this is possible, (n,).
 
         If theta is free, the limits allow a ring, because the distance of the fiber from the center depends on phi
-        alone. This requires that the allowed part of phi is one interval.
+        alone. The replacement is possible only if the allowed part of phi is one interval.
         """
         low, high, phi_low, phi_high = self.limits
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)

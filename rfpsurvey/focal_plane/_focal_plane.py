@@ -68,12 +68,12 @@ class FocalPlane:
 
     Notes
     -----
-    With ``fiber_xy``, phi is the angle of the mechanical axis, and ``arm_angle`` of the positioner is that between this
-    axis and the colliding segment. Without it, the axis points to the fiber. A target without a fiber type is observed
-    with the first fiber type of a positioner.
+    If ``fiber_xy`` is given, phi is the angle of the mechanical axis of the eccentric arm, and ``arm_angle`` of the
+    positioner is the angle between this axis and the colliding segment. Without ``fiber_xy``, the mechanical axis
+    points to the fiber. A target without a fiber type is observed with the first fiber type of a positioner.
 
-    Idle positioners are parked, and count as obstacles, if their arms have equal lengths. This includes positioners
-    whose own lengths differ by at most 5 % of their sum, if the arms of ``positioner`` have equal lengths.
+    Idle positioners are parked, and count as obstacles, if their arms have equal lengths. If the arms of ``positioner``
+    have equal lengths, a positioner is also parked if its own arm lengths differ by at most 5 % of their sum.
 
     Examples
     --------
@@ -126,7 +126,7 @@ class FocalPlane:
 
     @cached_property
     def collision_type(self) -> int:
-        """Collision type. 1: no two arms can touch; 2: only those of first neighbors can; 3: more distant arms can."""
+        """Collision type: 1 if no arms can touch, 2 if only arms of first neighbors can, 3 if more distant arms can."""
         pairs = self.neighbor_pairs()
         if len(pairs) == 0:
             return 1
@@ -147,8 +147,8 @@ class FocalPlane:
     def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
         """Return the pairs of positioners and targets within reach as a sparse matrix.
 
-        Patrol areas are closed: a target on the edge is within reach. Borderline cases are decided in exact
-        arithmetic.
+        Patrol areas are closed: a target on the edge is within reach. Exact arithmetic decides cases in which rounding
+        errors could change the result.
 
         Parameters
         ----------
@@ -236,7 +236,7 @@ class FocalPlane:
     def multiplicity(self, xy: u.Quantity) -> np.ndarray:
         """Return the number of positioners that reach each point.
 
-        Positioners that are disabled or stuck reach nothing.
+        Positioners that are disabled or stuck do not reach any point.
 
         Parameters
         ----------
@@ -306,8 +306,8 @@ class FocalPlane:
     ) -> "FocalPlane":
         """Make a focal plane of positioners on a hexagonal lattice around the origin.
 
-        Cell (q, k) has its center at pitch (q + k / 2, sqrt(3) k / 2), with x and y exchanged for
-        ``rows_along="y"``. Cells are ordered by k, then q.
+        Cell (q, k) has its center at pitch (q + k / 2, sqrt(3) k / 2), with x and y exchanged for ``rows_along="y"``.
+        The positioners are ordered by k, then by q of their cells.
 
         Parameters
         ----------
@@ -338,8 +338,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the size is not determined by either ``rings``, ``count`` or ``radius`` alone, or a value is out of
-            range.
+            If not exactly one of ``rings``, ``count`` and ``radius`` is given, or a value is out of range.
         """
         xy, _ = hexagonal_cells(
             pitch,

@@ -141,7 +141,7 @@ def find_reach(plane, points, accepts) -> Reach:
 
 
 def _merge(parts, n) -> Reach:
-    """Return the pairs of all targets from those of parts of the targets, given with the rows of the targets."""
+    """Combine the reachable pairs of several groups of targets; each group is given with the rows of its targets."""
     size = np.zeros(n, dtype=np.int64)
     for rows, pairs in parts:
         size[rows] = np.diff(pairs.indptr)
@@ -193,8 +193,7 @@ def _find_pairs(columns, points, accepts) -> Reach:
 def sides(columns, points, own=None, fiber=None) -> np.ndarray:
     """Return the elbow of each positioner (or of the rows ``own``) toward its point (mm): +1 is right, -1 is left.
 
-    If the handedness allows both, the elbow is right, unless the joint limits forbid the right one and allow the left
-    one.
+    If the handedness allows both elbows, the elbow is right, unless the joint limits allow only the left elbow.
     """
     handedness = columns.plane.positioner.handedness
     side = np.full(len(points), -1.0 if handedness == "left" else 1.0)

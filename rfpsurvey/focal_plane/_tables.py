@@ -8,7 +8,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_mm, to_plain, to_radian
 from rfpsurvey.errors import InputError, InputTypeError
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.positioner import ArmOutline, Positioner
 
 __all__ = ["read_columns", "to_table"]
 
@@ -17,9 +17,9 @@ JOINTS = {
     "theta_range": ("theta_min", "theta_max"),
     "phi_range": ("phi_min", "phi_max"),
 }
-"""Columns of the zero points and limits of joints."""
+"""Names of the columns with the zero points and the limits of joints."""
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
-"""Columns of the radii of circles, which have rows of their own."""
+"""Names of the columns with the radii of circles; each circle has its own row."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
@@ -130,6 +130,8 @@ def _positioner_to_meta(positioner) -> dict:
     def text(value):
         if isinstance(value, u.Quantity):
             return f"{float(value.value)!r} {value.unit}" if value.isscalar else [text(v) for v in value]
+        if isinstance(value, ArmOutline):
+            return value.to_dict()
         return {k: text(v) for k, v in value.items()} if isinstance(value, dict) else value
 
     values = {f.name: getattr(positioner, f.name) for f in fields(positioner)}
@@ -153,7 +155,10 @@ def _positioner_from_meta(meta) -> Positioner:
         return {k: quantity(v) for k, v in value.items()} if isinstance(value, dict) else u.Quantity(value)
 
     try:
-        return Positioner(**{n: v if n in ("handedness", "arm_model") else quantity(v) for n, v in meta.items()})
+        given = {n: v if n in ("handedness", "arm_model", "outline") else quantity(v) for n, v in meta.items()}
+        if given.get("outline") is not None:
+            given["outline"] = ArmOutline.from_dict(given["outline"])
+        return Positioner(**given)
     except InputError:
         raise
     except (TypeError, ValueError) as error:

@@ -39,8 +39,8 @@ class AsBuilt:
     ) -> "Instrument":
         """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
 
-        The files contain no optics and requirements; these, and a missing clearance, are those of the preset ``desi``.
-        The x axis is reversed, because +x is west in the files.
+        The files contain no optics and no requirements. The optics, the requirements, and the clearance if it is
+        missing, are those of the preset ``desi``. The x axis is reversed, because +x is west in the files.
 
         Parameters
         ----------

@@ -11,7 +11,7 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
 from rfpsurvey.instrument._pfs_map import cobra_ids
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap
 
 __all__ = ["PRESETS", "build", "load"]
@@ -63,11 +63,14 @@ def build(content: dict, folder: Path) -> dict:
         value = entry["value"]
         return value * u.Unit(entry["unit"]) if "unit" in entry else value
 
-    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k != "arm_angle"}
+    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k not in ("arm_angle", "outline")}
     angle = values.get("positioner.arm_angle")
     if angle is not None:
         value, unit = angle["value"], u.Unit(angle["unit"])
         options["arm_angle"] = {t: v * unit for t, v in value.items()} if isinstance(value, dict) else value * unit
+    outline = values.get("positioner.outline")
+    if outline is not None:
+        options["outline"] = ArmOutline.from_dict(outline["value"], u.Unit(outline["unit"]))
     focal_plane = _layout(Positioner(**options), get, folder)
     maps = {
         t: RadialMap(
@@ -101,7 +104,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     if get("layout.table") is not None:
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
     if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
-        raise InputError("[layout] must have a table, or a pitch with rings or count (one of them)")
+        raise InputError("[layout] must have a table, or a pitch with either rings or count")
     fiducials = get("layout.fiducial_cells", [])
     shape = {
         "pitch": get("layout.pitch"),
@@ -136,7 +139,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Return names such as R+10C1 and R0C3, from a signed row number and a column number; the leftmost column is 1."""
+    """Return names such as R+10C1 and R0C3, made of a signed row number and a column number counted from the left."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"
@@ -148,7 +151,7 @@ def _groups(xy, n_groups, shape):
     """Split positioners into contiguous groups of equal size: wedges, or blocks that result from repeated halving."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
-        raise InputError(f"spectrographs must be from 1 to the number of positioners, got {n_groups}")
+        raise InputError(f"spectrographs must be a number from 1 to the number of positioners, got {n_groups}")
     group = np.empty(len(xy), dtype=int)
     if shape == "wedges":
         order = np.lexsort((np.hypot(*xy.T), np.round(np.mod(np.arctan2(xy[:, 1], xy[:, 0]), 2 * np.pi), 9)))

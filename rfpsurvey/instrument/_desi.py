@@ -1,7 +1,8 @@
 """DESI as built: positions from the metrology of desimeter, or the focal plane of desimodel with its state.
 
-Both use the coordinate system CS5, in which +x is west and +y is north at a field rotation of 0. In the focal plane of
-this package, +x is east. The mirror image, x = -X, exchanges the handedness and the signs of the joint angles.
+The files of desimeter and desimodel use the coordinate system CS5, in which +x is west and +y is north at a field
+rotation of 0. In the focal plane of this package, +x is east. The mirror image, x = -X, exchanges the handedness and
+the signs of the joint angles.
 """
 
 import gzip
@@ -29,8 +30,8 @@ MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
     "x is the negative x of CS5, because +x is east here and west in CS5. The positioners' polygons are replaced by a "
     "segment with a clearance, which leaves out the wider elbow and the central bodies. Guide cameras, fiducials and "
-    "petal edges are no obstacles. The arms move in the plane of the centers, not in planes tangent to the focal "
-    "surface. The radial map is that of the preset."
+    "petal edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the "
+    "focal surface. The radial map is that of the preset."
 )
 
 

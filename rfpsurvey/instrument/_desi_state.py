@@ -140,7 +140,7 @@ def _half_width(polygon: object, what: str) -> float:
         reach += [abs(float(center[1])) + float(radius) for center, radius in outline["circles"]]
         width = max(reach)
     except (KeyError, IndexError, TypeError, ValueError):
-        raise InputError(f"{what} must be lists of segments (x, y) and circles, got others") from None
+        raise InputError(f"{what} must be lists of segments (x, y) and circles, got something else") from None
     if not 0 < width < MOST_WIDTH:
         raise InputError(f"{what} must have a half width above 0 and below {MOST_WIDTH} mm, got {width:g}")
     return width

@@ -70,6 +70,24 @@ def _is_map(value) -> bool:
     )
 
 
+def _is_outline(value) -> bool:
+    return (
+        isinstance(value, dict)
+        and {"eccentric"} <= set(value) <= {"eccentric", "central"}
+        and all(_is_list(parts, _is_part) for parts in value.values())
+    )
+
+
+def _is_part(value) -> bool:
+    return (
+        isinstance(value, dict)
+        and {"vertices"} <= set(value) <= {"vertices", "radius"}
+        and _is_list(value["vertices"], lambda point: _is_list(point, _is_number, 2))
+        and len(value["vertices"]) > 0
+        and _is_number(value.get("radius", 0), 0)
+    )
+
+
 TINY = 1e-300  # lower limit of positive numbers
 LENGTH = _number("a length above 0", TINY, unit=u.mm)
 CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
@@ -93,11 +111,16 @@ ENTRIES = {
     "positioner.arm_model": _choice(*ARM_MODELS),
     "positioner.arm_length": CLOSED_LENGTH,
     "positioner.arm_angle": Kind(
-        "an angle, or a table of a fiber type to an angle",
+        "an angle, or a table with an angle for each fiber type",
         lambda value: (
             _is_number(value) or (isinstance(value, dict) and len(value) > 0 and all(map(_is_number, value.values())))
         ),
         u.rad,
+    ),
+    "positioner.outline": Kind(
+        "a table of eccentric (and central) to lists of parts with vertices (and a radius of at least 0)",
+        _is_outline,
+        u.mm,
     ),
     "layout.table": TEXT,
     "layout.rings": _whole(0, 500),
@@ -116,11 +139,12 @@ ENTRIES = {
         lambda value: _is_whole(value, 1, 1_000_000) or value == "one a fiber type",
     ),
     "layout.spectrograph_shape": _choice("blocks", "wedges"),
-    "optics.plate_scale": _number("a length per angle above 0", TINY, 1e12, SCALE),
+    "optics.plate_scale": _number("a positive length per angle", TINY, 1e12, SCALE),
     "optics.max_angle": _number("an angle above 0", TINY, unit=u.rad),
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
-        "a table of a fiber type, or any, to a table of form and coefficients (and radius or unit_tangent, above 0)",
+        "a table that contains, for each fiber type or for any, a table with form and coefficients (and radius or "
+        "unit_tangent, above 0)",
         lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
     ),
     "observing.targets_per_fiber": _number("a number above 0", TINY),
@@ -133,7 +157,7 @@ SECTIONS = ("positioner", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
 TOP = {
-    "schema": Kind("1, the only one that this version reads", lambda value: _is_whole(value, 1, 1)),
+    "schema": Kind("1, the only schema that this version reads", lambda value: _is_whole(value, 1, 1)),
     "name": TEXT,
     "title": WORDS,
     "layout_is": WORDS,
@@ -142,7 +166,7 @@ TOP = {
     "status": _choice(*STATUSES),
     "source": TEXT,
     "sources": Kind(
-        "a table of texts (for a single text, write source instead of sources)",
+        "a table whose values are text (for a single text, write source instead of sources)",
         lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
     ),
     **dict.fromkeys(SECTIONS, TABLE),
@@ -191,9 +215,9 @@ def _check_entry(section: str, name: str, entry: object) -> None:
         check_choice(part, PARTS, f"part of {full}")
     for part in ("value", "status", "source"):
         if part not in entry:
-            remedy = f'; {part} = "..." at the top of the file holds for all entries without one'
+            remedy = f'; {part} = "..." at the top of the file applies to all entries without a {part}'
             remedy = remedy if part in DEFAULTS else ""
-            remedy += f"; it is one of {', '.join(STATUSES)}" if part == "status" else ""
+            remedy += f"; the status is one of {', '.join(STATUSES)}" if part == "status" else ""
             raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}")
     check_choice(entry["status"], STATUSES, f"status of {full}")
     if not _is_text(entry["source"]):

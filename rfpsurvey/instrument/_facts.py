@@ -12,7 +12,7 @@ from rfpsurvey.instrument._entries import STATUSES
 __all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
 
 N_POINTS = 2**18
-"""Number of points for coverage and multiplicity. With this number, the standard errors are below 0.001."""
+"""Number of points at which coverage and multiplicity are computed; their standard errors are then below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
 """Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""
@@ -84,7 +84,7 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the field angles (radians) of distances from the axis (mm); fiber types with the largest angle are used.
+    """Return the field angles (radians) of distances from the axis (mm), the largest if they depend on the fiber type.
 
     Outside the range of a radial map, the angle is the largest angle of the map.
     """
@@ -170,7 +170,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
-    """Return the least mean difference of radii (with the mean 1) from those of a regular shape of any orientation."""
+    """Return the mean difference of radii (whose mean is 1) from those of a regular shape in its best orientation."""
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())
     period = N_DIRECTIONS // n_corners

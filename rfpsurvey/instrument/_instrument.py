@@ -29,7 +29,8 @@ from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
-from rfpsurvey.projection import FieldProjection, RadialMap, TangentPlane, field_basis
+from rfpsurvey.instrument._projections import Projections
+from rfpsurvey.projection import RadialMap
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
 
@@ -39,7 +40,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(AsBuilt):
+class Instrument(AsBuilt, Projections):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -114,46 +115,6 @@ class Instrument(AsBuilt):
     def _repr_html_(self):
         return to_html(self, fact_texts(self.facts()))
 
-    def projection(self, center: SkyCoord, position_angle: u.Quantity = 0 * u.deg) -> TangentPlane:
-        """Return the projection of a field onto the focal plane.
-
-        Parameters
-        ----------
-        center : SkyCoord
-            Field center.
-        position_angle : Quantity, optional
-            Position angle of +y, from north toward east.
-
-        Returns
-        -------
-        TangentPlane
-            The projection.
-
-        Raises
-        ------
-        InputError
-            If the center is not one direction, or the position angle not one angle.
-        """
-        return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
-
-    def field_projection(self, ra: float, dec: float, angle: float) -> FieldProjection:
-        """Return the projection of a field on plain arrays.
-
-        Parameters
-        ----------
-        ra, dec : float
-            Field center, ICRS, in radians.
-        angle : float
-            Position angle of +y from the north of ICRS, in radians.
-
-        Returns
-        -------
-        FieldProjection
-            The projection; it equals ``projection(...).plain`` and is computed faster.
-        """
-        focal_length = self.plate_scale.to_value(u.mm / u.rad)
-        return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
-
     @property
     def field_radius(self) -> u.Quantity:
         """Field angle of the outermost point that any positioner reaches."""
@@ -169,7 +130,7 @@ class Instrument(AsBuilt):
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """Requirements on sky fibers and standards, in the form of `allocate`, such as ``sky=20/spectrograph``."""
+        """Requirements on sky fibers and standards, in the form for `allocate`, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
             match = NEED.fullmatch(name)
@@ -243,7 +204,7 @@ class Instrument(AsBuilt):
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             what = f"{type(error).__name__}: {error}"
             raise InputError(
-                f"{path}: the description must be one of an instrument, got what fails with {what}"
+                f"{path}: the file must be a valid description of an instrument, got one that causes {what}"
             ) from error
 
     def facts(self) -> dict:
@@ -349,7 +310,7 @@ def available_instruments() -> list[str]:
     Returns
     -------
     list of str
-        The names, sorted. `Instrument.preset` accepts each of them.
+        The names, sorted. `Instrument.preset` accepts each of these names.
 
     Examples
     --------
@@ -361,7 +322,7 @@ def available_instruments() -> list[str]:
 
 
 def every_instrument() -> dict[str, Instrument]:
-    """Return all presets by name; issue a warning for each invalid one of another package."""
+    """Return all presets by name; issue a warning for each invalid preset of another package."""
     found = {}
     for name in available_instruments():
         try:
@@ -376,7 +337,7 @@ def _shipped() -> dict[str, Path]:
 
 
 def _text(value) -> str:
-    """Return the full text of a value."""
+    """Return a value as text with all digits."""
     if is_dataclass(value):
         return _text({f.name: getattr(value, f.name) for f in fields(value)})
     if isinstance(value, dict):

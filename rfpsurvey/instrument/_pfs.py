@@ -145,12 +145,12 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
 
 
 def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
-    """Restrict one joint of each limited cobra so that it never interferes with its fiducial; return a note.
+    """Restrict one joint of each cobra with an interference limit so that it never interferes; return a note.
 
     A cobra interferes if its phi, counted from the folded stop, exceeds a limit while the direction of the central arm
-    or of the fiber is in a window. This is avoided by restricting phi to values below the limit, or by restricting
-    theta to values for which neither direction can be in the window. The restriction that leaves the larger patrol area
-    is used.
+    or of the fiber is in a window. Interference is avoided by restricting phi to values below the limit, or by
+    restricting theta to values for which neither direction can be in the window. The restriction that leaves the larger
+    patrol area is used.
     """
     rows = np.flatnonzero(np.isfinite(limits[:, 0]))
     begin, end, most = limits[rows].T
@@ -171,9 +171,9 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     phi[rows[~by_theta]] = np.column_stack([low, extended])[~by_theta]
     columns["theta_range"], columns["phi_range"] = theta * u.deg, phi * u.deg
     return (
-        f"{len(rows)} cobras have limits because of a fiducial. A limit concerns both joints together; it is honored "
-        f"by a range of theta for {by_theta.sum()} and by a range of phi for {(~by_theta).sum()} cobras, each of "
-        "which forbids more than the limit does."
+        f"{len(rows)} cobras have limits because of a fiducial. A limit concerns both joints together. "
+        f"Instead, the range of theta is restricted for {by_theta.sum()} cobras and the range of phi for "
+        f"{(~by_theta).sum()} cobras, which forbids more than the limits do."
     )
 
 

@@ -67,7 +67,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
 
 
 def read_interference(path: Path) -> np.ndarray:
-    """Return the limits of each cobra (deg): begin and end of the window of directions, and largest local phi."""
+    """Return the limits of each cobra (deg): begin and end of the window of directions, and ``max_phi_angle``."""
     names = ("theta_limit_1", "theta_limit_2", "max_phi_angle")
     table = _read(path, ("cobra_id", *names))
     _check_ids(path, table["cobra_id"], "cobra_id", N)
@@ -75,7 +75,7 @@ def read_interference(path: Path) -> np.ndarray:
     given = np.isfinite(limits)
     if (given.any(axis=1) != given.all(axis=1)).any():
         row = int(np.flatnonzero(given.any(axis=1) != given.all(axis=1))[0]) + 1
-        raise InputError(f"{path}: a cobra must have all three limits or none, got some for cobra {row}")
+        raise InputError(f"{path}: a cobra must have all three limits or none, got only some for cobra {row}")
     some = limits[given.all(axis=1)]
     if len(some) and (some.min() < 0 or some.max() > 360 or some[:, 2].max() < 2 * np.pi):
         raise InputError(

@@ -1,6 +1,6 @@
 """Numbers of the cobras and fibers of PFS: nominal centers, spectrographs and fibers of cobras 1 to 2394.
 
-The cobras are in three fields of 14 modules of 57 cobras.
+The cobras are in three fields; each field has 14 modules, and each module has 57 cobras.
 """
 
 import numpy as np

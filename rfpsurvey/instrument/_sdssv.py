@@ -1,9 +1,10 @@
 """SDSS-V as built: the calibration tables of the focal plane system at Apache Point or Las Campanas.
 
 Angles are those of the tables: alpha is theta, beta is phi. With a = alpha + alphaOffset, b = beta + betaOffset and the
-place (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is
-tx = alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
-coordinates, it is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are (0, -1) and (1, 0).
+place (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is tx =
+alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
+coordinates, the position of the fiber is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are
+(0, -1) and (1, 0).
 """
 
 import re
@@ -111,7 +112,7 @@ class _Rows:
         return values
 
     def keep_site(self, site: str | None) -> str:
-        """Keep the rows of a site, and return it; None stands for the only site of the table."""
+        """Keep the rows of a site, and return the site; None stands for the only site of the table."""
         found = self.text("site")
         if site is None:
             sites = np.unique(found).tolist()
@@ -129,7 +130,7 @@ class _Rows:
         self.table = self.table[mask]
 
     def order_as(self, ids: np.ndarray) -> None:
-        """Sort rows by the order of holes in the preset; others follow."""
+        """Sort rows by the order of holes in the preset; rows of other holes follow."""
         place = {name: k for k, name in enumerate(ids.tolist())}
         order = [place.get(hole, len(place)) for hole in self.text("holeID").tolist()]
         self.table = self.table[np.argsort(order, kind="stable")]
@@ -142,14 +143,14 @@ class _Rows:
             raise InputError(f"{self.path}: column {name!r} must have a value in each row, got an empty one")
 
     def rows_of(self, holes: np.ndarray) -> np.ndarray:
-        """Return the row of each hole, or -1."""
+        """Return the row of each hole; -1 if the table has no row for the hole."""
         self.check_unique("holeID")
         row = {hole: k for k, hole in enumerate(self.text("holeID").tolist())}
         return np.array([row.get(hole, -1) for hole in holes.tolist()])
 
 
 def _optional(folder: Path, file: str, site: str, names: tuple[str, ...], notes: list[str]) -> _Rows | None:
-    """Return the rows of a site of a file that may be missing."""
+    """Return the rows of a site from a file, or None if the folder does not contain the file."""
     path = folder / file
     if not path.is_file():
         notes.append(f"There is no {file}; its values are those of the preset.")
@@ -211,7 +212,7 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
 
 
 def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
-    """Return the focal plane; robots without complete values are disabled and have nominal ones."""
+    """Return the focal plane; robots whose values are incomplete are disabled and have nominal values."""
     places = {name: np.column_stack([robots.numbers(column) for column in columns]) for name, columns in FIBERS.items()}
     own = {name: robots.numbers(name) for name in ("alphaArmLen", *OFFSETS)}
     bad = (own["alphaArmLen"] <= 0) | ~np.isfinite(list(own.values())).all(axis=0)
@@ -301,7 +302,7 @@ def _check_orientation(folder, site, notes) -> None:
 
 
 def _named(disabled, ids) -> np.ndarray:
-    """Mark the robots in a list."""
+    """Return whether each robot is in the list of disabled robots."""
     names = np.atleast_1d(to_plain(disabled, "disabled")).astype(str)
     for name in names.tolist():
         check_choice(name, ids.tolist(), "robot to disable")

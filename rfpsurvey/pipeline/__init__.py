@@ -1,7 +1,7 @@
 """The pipeline of a field on arrays without units: projection, reach, allocation, arms, collisions, identifiers.
 
-`plan_tile` calls the pipeline once, and `plan_survey` and `place_tiles` call it for each tile. Collision probabilities
-use its first half.
+`plan_tile` calls the pipeline once, and `plan_survey` and `place_tiles` call it for each tile. The calculation of
+collision probabilities uses the first steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids

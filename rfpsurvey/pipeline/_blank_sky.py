@@ -30,11 +30,12 @@ class BlankIds(NamedTuple):
 
 
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
-    """Return identifiers for blank sky that differ from all identifiers of a catalog; ``parts`` contains these.
+    """Return identifiers for blank sky that differ from all identifiers of a catalog; ``parts`` contains the latter.
 
-    Integers are below -1 and below all identifiers of the catalog. If there are too few such integers, they are above
-    all identifiers of the catalog. Text begins with ``blank-sky-``; if identifiers of the catalog have this form, it is
-    preceded by more underscores than they have.
+    If the identifiers of the catalog are integers, the identifiers of blank sky are below -1 and below all of them. If
+    there are too few such integers, the identifiers of blank sky are above all identifiers of the catalog. If the
+    identifiers are text, those of blank sky begin with ``blank-sky-``; if the catalog already has identifiers of this
+    form, those of blank sky begin with more underscores than any of them.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:
@@ -49,7 +50,7 @@ def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
         if lowest - ROOM >= np.iinfo(np.int64).min:
             return BlankIds(lowest - 1, dtype)
         if highest + ROOM > np.iinfo(np.int64).max:
-            raise InputError(f"ids must leave room for those of blank sky, got ids from {lowest} to {highest}")
+            raise InputError(f"ids must leave integers for blank sky positions, got ids from {lowest} to {highest}")
         return BlankIds(highest + ROOM, dtype)
     prefix = "_" * (most + 1) + PREFIX
     return BlankIds(prefix, np.result_type(dtype, np.dtype(f"U{len(prefix) + DIGITS}")))

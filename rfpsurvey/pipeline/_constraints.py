@@ -49,8 +49,8 @@ def image_of_circle(
     """Return x, y and radius (mm) of a circle on the focal plane that contains the image of a circle on the sky.
 
     The image is not a circle if the scale varies, and it can depend on the fiber type; the returned circle contains the
-    images for all fiber types. The center on the sky may be so far from the field that it has no image, although a part
-    of the circle has an image. The result is NaN if the rim has no image.
+    images for all fiber types. The center of the circle may be so far from the field that the center has no image,
+    although a part of the circle has an image. The result is NaN if no point of the rim has an image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
@@ -74,7 +74,7 @@ def image_of_circle(
 
 
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return whether each target of a catalog is required, or None if no target is; ``parts`` contains identifiers."""
+    """Return whether each target of a catalog is required, or None if no target is; ``parts`` are all identifiers."""
     if not required:
         return None
     marked, known = [], np.zeros(len(required), dtype=bool)

@@ -47,7 +47,7 @@ class FieldPlan(NamedTuple):
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
-    """Latitudes in ICRS; the longitudes are from 0 to 2 pi."""
+    """Latitudes in ICRS, in radians; the longitudes (``lon_rad``) are from 0 to 2 pi."""
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
     carried: dict

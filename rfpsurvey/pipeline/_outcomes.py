@@ -33,7 +33,7 @@ def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) 
 
 
 def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, and the names of the classes, beginning with the most important class.
+    """Return the priority class of each target, and the names of the classes, the most important class first.
 
     Only the priorities of targets for which ``counts`` is true are considered.
     """
@@ -52,7 +52,7 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
 
 
 def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target and the class names; if there are many categories, the smallest share a class."""
+    """Return the class of each target and the names of the classes; the smallest of many categories share one class."""
     if category is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, place = np.unique(category, return_inverse=True)

@@ -53,7 +53,7 @@ ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether a file is a yanny file with the table FIBERMAP, or ends in ``.par``."""
+    """Return whether a file is a yanny file with the table FIBERMAP, or has a name that ends in ``.par``."""
     if ".par" in path.suffixes[-2:]:
         return True
     try:
@@ -230,7 +230,7 @@ def _is_nominal(plan: QTable) -> bool:
 def _struct(plan: QTable) -> dict[str, str]:
     """Return the columns of a file and their types.
 
-    They are those of the file that was read, or those of a new file.
+    The columns are those of the file that was read; for other plans, they are the columns of a new file.
     """
     if "struct" in plan.meta:
         return {name: kind for kind, name in (entry.split() for entry in plan.meta["struct"])}

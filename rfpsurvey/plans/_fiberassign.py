@@ -1,7 +1,8 @@
 """Files of fiberassign, the planner of DESI: FITS files with the extension FIBERASSIGN.
 
-The data model is https://desidatamodel.readthedocs.io, DESI_TARGET/fiberassign. FIBERASSIGN_X and FIELDROT are in the
-coordinate system CS5, in which +x is west; x and the position angle of this package have the opposite signs.
+The page DESI_TARGET/fiberassign of https://desidatamodel.readthedocs.io describes the data model. FIBERASSIGN_X and
+FIELDROT are in the coordinate system CS5, in which +x is west; x and the position angle of this package have the
+opposite signs.
 """
 
 import gzip
@@ -57,7 +58,7 @@ COMMON = {
     "pm_dec": "PMDEC",
     "priority": "PRIORITY",
 }
-"""Common columns of plans, and the columns of the file with the same content."""
+"""Columns that all plans share, and the columns of a fiberassign file with the same content."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
@@ -174,7 +175,10 @@ def _check_ids(ids, path):
 
 
 def _is_assigned(status, target) -> np.ndarray:
-    """Return whether fibers are on targets. Fibers of stuck positioners are not, although they may be on blank sky."""
+    """Return whether fibers are on targets.
+
+    Fibers of stuck positioners count as not on targets, although they may be on blank sky.
+    """
     return ((status & (UNASSIGNED | STUCK | BROKEN)) == 0) & (target >= 0)
 
 
@@ -268,7 +272,7 @@ def _columns(plan, header) -> dict:
 
 
 def _locations(plan) -> np.ndarray:
-    """Return the locations of the positioners."""
+    """Return the LOCATION in DESI of each positioner of a plan."""
     ids = np.asarray(plan["positioner"])
     wrong = np.ones(len(ids), dtype=bool)
     if ids.dtype.kind in "iu":

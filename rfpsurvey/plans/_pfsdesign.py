@@ -21,7 +21,7 @@ from rfpsurvey.plans._plan import make_plan, text_of_lost
 __all__ = ["lost", "read", "recognizes", "write"]
 
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
-"""Kinds of targets by ``targetType``; other types are no targets."""
+"""Kind of target for each ``targetType``; all other types are not targets."""
 REQUIRED = ("fiberId", "ra", "dec", "catId", "objId", "targetType", "pfiNominal")
 STRUCTURE = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|TFIELDS|T[A-Z]+\d+|EXTNAME|CHECKSUM|DATASUM|COMMENT|HISTORY|"
@@ -122,7 +122,7 @@ def lost(plan: QTable) -> list[str]:
 
 
 def _cobras(rows: np.ndarray) -> np.ndarray:
-    """Return the cobra of each fiber, or -1."""
+    """Return the cobra of each fiber; -1 for fibers without a cobra."""
     fiber, _ = pfs_fibers()
     cobra = np.full(fiber.max() + 1, -1)
     cobra[fiber] = np.arange(1, len(fiber) + 1)
@@ -172,7 +172,7 @@ def _comments(header) -> dict:
 
 
 def _forms(rows: np.ndarray) -> list[list[str]]:
-    """Return the names and FITS formats of columns; ECSV files do not preserve the order of a dict."""
+    """Return pairs of name and FITS format of columns, and no dict, since ECSV files do not preserve its order."""
     letters = {"i1": "B", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "b1": "L"}
     forms = []
     for name in rows.dtype.names:

@@ -89,7 +89,8 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
     """Return the identifier of a design: the last 63 bits of a SHA-1 of its fibers and coordinates in arcsec.
 
-    The text is the Python list of one text for each fiber, with fiberId, ra and dec rounded to arcsec in degrees.
+    The SHA-1 is computed from the text of a Python list with one text for each fiber. This text contains the fiberId,
+    and ra and dec in degrees, which are rounded to 1 arcsec.
     """
     if np.all(ra == 0) and np.all(dec == 0):
         return 0
@@ -109,7 +110,7 @@ def wrapped(angle: float) -> float:
 def _rows(plan: QTable, path: Path) -> dict:
     """Return the columns of DESIGN with their formats."""
     if plan.meta["instrument"] != "pfs":
-        raise InputError(f"{path}: a design of PFS must be a plan of pfs, got one of {plan.meta['instrument']}")
+        raise InputError(f"{path}: the instrument of a design of PFS must be pfs, got {plan.meta['instrument']}")
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
     if plan.meta["format"] != "pfsdesign":
         return _new_rows(plan, plain, path)

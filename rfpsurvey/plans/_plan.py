@@ -64,7 +64,7 @@ OMITTED = ("x", "y", "status", "elbow_x", "elbow_y", "in_collision", "colliding_
 
 @check_keywords
 def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # noqa: A002
-    """Read the plan of another program.
+    """Read a plan that another program wrote.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def native_format(path: str | os.PathLike) -> str | None:
 
 
 def plan_roles(table: Table) -> dict[str, str]:
-    """Return the names of the columns of a plan by role, as in `Catalog.from_table`; nothing for other tables."""
+    """Return the column names of a plan by role, as in `Catalog.from_table`; an empty dict for any other table."""
     if not is_plan(table):
         return {}
     names = {"id": "target_id", "pmra": "pm_ra", "pmdec": "pm_dec", "epoch": "coord_epoch"}
@@ -211,7 +211,7 @@ def is_plan(table: object) -> bool:
     Returns
     -------
     bool
-        Whether it has the columns and the ``meta`` of a plan.
+        Whether the table has the columns and the ``meta`` of a plan.
 
     Examples
     --------
@@ -241,7 +241,7 @@ def as_plan(plan: object) -> QTable:
     Raises
     ------
     InputError
-        If it is neither.
+        If ``plan`` is neither a tile nor a plan.
 
     Examples
     --------
@@ -310,7 +310,7 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
 
 def text_of_lost(names: list[str]) -> list[str]:
-    """Return a list with one text, which names columns that a format cannot represent, or an empty list."""
+    """Return a list with one text, which names the columns that a format cannot represent; empty if there are none."""
     if not names:
         return []
     return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]

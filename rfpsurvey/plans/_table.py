@@ -42,4 +42,4 @@ def recognizes(path: Path) -> bool:
 
 def lost(plan: QTable) -> list[str]:
     """Return a description of the data that this format cannot represent."""
-    return ["the other tables of its file"] if plan.meta.get("extensions") else []
+    return ["the other tables of the file from which the plan was read"] if plan.meta.get("extensions") else []

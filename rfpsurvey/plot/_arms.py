@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from rfpsurvey.plot._axes import add_circles, legend_line
 from rfpsurvey.plot._scene import Scene
@@ -17,8 +18,8 @@ MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach":
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
     """Draw the inner and outer edge of each patrol area, and yield legend entries.
 
-    With ``gray``, edges are gray and thinner; this is for plots with filled cells. With ``alike``, this style is used
-    for all positioners, whether they have a target or not; this is for plots with dots of targets.
+    With ``gray``, edges are gray and thinner; this is for plots with filled cells. With ``alike``, all positioners have
+    gray, thin edges, whether they have a target or not; this is for plots with dots of targets.
     """
     gray = gray or alike
     free = scene.with_target | (scene.status == "usable") | alike
@@ -42,7 +43,7 @@ def draw_obstacles(ax, scene: Scene) -> Iterator:
 
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
-    """Draw both arms of each positioner and the shade around the colliding segment, and yield legend entries."""
+    """Draw both arms of each positioner and the shade around the segment that can collide, and yield legend entries."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch
@@ -63,7 +64,8 @@ def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
         shade = {"facecolors": to_rgba(color, 0.2), "edgecolors": "none"}
         if color is COLLISION:
             shade |= {"edgecolors": color, "linewidths": 0.8, "hatch": HATCH}
-        ax.add_collection(PolyCollection(capsules(scene.bodies[rows], scene.half), zorder=zorder - 0.5, **shade))
+        for shapes in _shapes(scene, rows):
+            ax.add_collection(PolyCollection(shapes, zorder=zorder - 0.5, **shade))
         add_circles(ax, scene.tips[rows], 0.06 * scene.outer[rows], facecolors=color, zorder=zorder)
         if color is COLLISION:
             yield Patch(facecolor=to_rgba(color, 0.2), edgecolor=color, hatch=HATCH, label=label)
@@ -78,6 +80,34 @@ def draw_marks(ax, scene: Scene) -> Iterator:
         if len(points):
             style = {"facecolors": OUTLINE} if marker == "x" else {"facecolors": "none", "edgecolors": OUTLINE}
             yield ax.scatter(*points.T, s=16, marker=marker, linewidths=1.0, zorder=6, label=label, **style)
+
+
+def _shapes(scene: Scene, rows: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the shapes that may not touch: a capsule for each arm, or the polygons of each part of the outlines."""
+    if scene.outline is None:
+        yield capsules(scene.bodies[rows], scene.half)
+        return
+    elbows = scene.elbows[rows]
+    for arm, origins, ends in (
+        ("eccentric", elbows, scene.bodies[rows, 2:]),
+        ("central", scene.centers[rows], elbows),
+    ):
+        along = ends - origins
+        along = along / np.hypot(*along.T)[:, None]
+        for part in scene.outline.get(arm, ()):
+            x, y = rounded(np.array(part["vertices"]), part.get("radius", 0.0) + scene.half).T
+            across = np.column_stack([-along[:, 1], along[:, 0]])
+            yield origins[:, None] + along[:, None] * x[:, None] + across[:, None] * y[:, None]
+
+
+def rounded(vertices: np.ndarray, radius: float) -> np.ndarray:
+    """Return the vertices of a convex polygon enlarged by a radius, with 16 points on each full turn of its corners."""
+    if radius == 0:
+        return vertices
+    angle = np.arange(16) * np.pi / 8
+    circle = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    points = (vertices[:, None] + circle).reshape(-1, 2)
+    return points[ConvexHull(points).vertices]
 
 
 def capsules(bodies: np.ndarray, radius: float) -> np.ndarray:

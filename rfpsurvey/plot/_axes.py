@@ -73,7 +73,7 @@ def focal_plane_axes(
 ) -> "Axes":
     """Return axes that show a focal plane, or a part of it, to scale in mm.
 
-    ``beside`` is the width of a color bar in inches.
+    ``beside`` is the width in inches that is reserved for a color bar.
     """
     if orientation not in ORIENTATIONS:
         raise InputError(f"orientation must be {' or '.join(map(repr, ORIENTATIONS))}, got {orientation!r}")
@@ -117,7 +117,7 @@ def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
 
 
 def add_circles(ax: "Axes", points: np.ndarray, radius: np.ndarray | float, **style: object) -> object:
-    """Add circles in units of the data as one collection, and return it."""
+    """Add circles in units of the data as one collection, and return this collection."""
     from matplotlib.collections import EllipseCollection
 
     size = np.broadcast_to(2 * np.asarray(radius, dtype=float), len(points))
@@ -160,7 +160,7 @@ def check_columns(table: QTable, columns: set[str], maker: str | None = None) ->
         raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
     missing = ", ".join(sorted(columns - set(table.colnames)))
     if missing and maker:
-        raise InputError(f"table must come from {maker}, but it has no {missing}")
+        raise InputError(f"table must come from {maker}, got one without the column {missing}")
     if missing:
         raise InputError(f"table must have the column {missing}; it has {', '.join(table.colnames)}")
     if len(table) == 0:

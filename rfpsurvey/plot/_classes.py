@@ -124,9 +124,9 @@ def draw_layers(
 ) -> Iterator:
     """Draw a dot for each target, and yield legend entries.
 
-    Dots of targets that are not assigned are small and have the zorder ``below``; those of assigned targets are
-    larger and have the zorder ``above``. Targets lost to a collision are diamonds on top. The dots of a large catalog
-    are smaller. Dots ``on_arms`` have white edges.
+    Dots of targets that are not assigned are small and have the zorder ``below``; those of assigned targets are larger
+    and have the zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The dots of a
+    large catalog are smaller. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
     """
     from matplotlib.lines import Line2D
 

@@ -37,10 +37,10 @@ def plot_collision_map(
 ) -> "Axes":
     """Plot the collision probability of each positioner or, for one configuration, the positioners in collision.
 
-    Each positioner is a disk; the disk is not filled if the positioner is not counted. The colors of probabilities
-    extend from the smallest to the largest one. Inside a regular lattice without gaps, the expected probability is the
-    same everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of
-    positioners in collision are hatched, and lines connect those that collide with each other.
+    Each positioner is a disk; the disk is not filled if the positioner is not counted. The color scale extends from the
+    smallest to the largest probability. Inside a regular lattice without gaps, the expected probability is the same
+    everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of positioners
+    in collision are hatched, and lines connect the positioners that collide with each other.
 
     Parameters
     ----------
@@ -104,12 +104,14 @@ def _places(collisions, focal_plane):
     """Return centers and outer radii in mm."""
     if isinstance(collisions, Tile):
         if focal_plane is not None:
-            raise InputError("a Tile has its own positioners; give no focal_plane")
+            raise InputError("focal_plane must be None for a Tile, which has its own positioners")
         table = collisions.table
         centers = np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
         return centers, np.asarray(table.meta["geometry"]["outer_radius_mm"])
     if focal_plane is None:
-        raise InputError(f"focal_plane must be given: {type(collisions).__name__} does not say where positioners are")
+        raise InputError(
+            f"focal_plane must be given: {type(collisions).__name__} does not contain the positions of the positioners"
+        )
     plane = as_focal_plane(focal_plane)
     return plane.arrays.xy, plane.arrays.outer_radius
 
@@ -139,7 +141,7 @@ def _values(collisions):
         values = values if values.dtype.kind == "b" else values.astype(float)
     except (TypeError, ValueError):
         raise InputError(
-            "collisions must be an Estimate, CollisionCounts, a CollisionReport, a Tile or one number a positioner, "
+            "collisions must be an Estimate, CollisionCounts, a CollisionReport, a Tile or one number per positioner, "
             f"got {type(collisions).__name__}"
         ) from None
     return values, none, "collision probability", ""

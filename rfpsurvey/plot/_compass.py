@@ -31,7 +31,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
     """Draw arrows toward north and east in a corner of a focal plane, and write the position angle.
 
     The position angle (degrees) is the angle of +y from north toward east; the angle of +x is larger by 90 deg. Nothing
-    is drawn if the position angle is None. The compass is in the corner where it hides the fewest of the points
+    is drawn if the position angle is None. The compass is drawn in the corner where it hides the fewest of the points
     ``avoid``, shape (n, 2), in mm.
     """
     from matplotlib.patches import Circle, FancyArrowPatch
@@ -61,7 +61,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner (fractions of the axes) with the fewest points nearby; if all are equal, the upper left one."""
+    """Return the corner (fractions of the axes) with the fewest points nearby, by default the upper left corner."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]

@@ -116,7 +116,7 @@ def _colors(most):
 
 
 def _parts(plane, top):
-    """Return the fractions of the footprint within reach of 0, 1, ... ``top`` or more positioners; None if unknown."""
+    """Return the fractions of the footprint that 0, 1, 2 and so on, and at least ``top`` positioners reach."""
     try:
         parts = plane.coverage(n_points=N_POINTS)
     except InputError:

@@ -86,9 +86,9 @@ def plot_designs(
     mark = {**_instruments(table), **(mark or {})}
     for one in (table, *mark.values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
-            raise InputError("table, and each in mark, must be what explore_designs returns")
+            raise InputError("table, and each table in mark, must be a table that explore_designs returned")
         if _question(one) != _question(table):
-            raise InputError(f"mark must answer the same question as table: {_question(one)}, not {_question(table)}")
+            raise InputError(f"the losses in mark must be those of table ({_question(table)}), got {_question(one)}")
     objectives = list(table.meta["objectives"])
     x, y = (o if name is None else name for name, o in zip((x, y), objectives, strict=True))
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
@@ -158,7 +158,7 @@ def _instruments(table):
 
 
 def _question(table):
-    """Return the estimand of the losses of a table, with the number of targets."""
+    """Return the estimand of the losses in a table and, for allocated targets, the number of targets."""
     asked = table.meta["request"]
     targets = f", {asked['targets']:g} targets per {'mm^2' if asked['by_area'] else 'positioner'}"
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)

@@ -32,8 +32,8 @@ def draw_cells(ax, scene: Scene) -> None:
 def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     """Draw a dot for each positioner, colored by its state, and yield legend entries.
 
-    A dot is at the fiber or, for a positioner without a target, at the center. Positioners in collision are larger
-    diamonds on top of the others.
+    The dot of a positioner is at its fiber or, if it has no target, at its center. Positioners in collision are larger
+    diamonds, on top of all other dots.
     """
     spacing = spacing_of(scene.centers, scene.outer)
     draw_cells(ax, scene)

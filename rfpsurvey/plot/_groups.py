@@ -18,7 +18,7 @@ PALE = 0.4
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
     """Color the cell of each positioner by group; write the names of groups on the cells, or yield legend entries.
 
-    Pale fills leave the arms or dots on top of them visible.
+    The fills are pale, so that arms or dots on top of the fills remain visible.
     """
     from matplotlib.patches import Patch
 

@@ -35,8 +35,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     Returns
     -------
     matplotlib.axes.Axes
-        The axes. A bar for each instrument and allocator shows fractions of the positioners; the number to the right
-        is the fraction of targets lost to collisions.
+        The axes. A bar for each instrument and allocator shows fractions of the positioners; the number to the right is
+        the loss, the fraction of fibers lost to collisions.
 
     Raises
     ------

@@ -51,7 +51,7 @@ def plot_probability(
     Returns
     -------
     matplotlib.axes.Axes
-        The axes. Shades are intervals.
+        The axes. Shaded bands are the intervals of the estimates.
 
     Raises
     ------
@@ -116,9 +116,9 @@ def plot_residuals(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Plot the differences of two columns as a function of two others, such as arm ratio and pitch.
+    """Plot the differences of two columns as a function of two other columns, such as arm ratio and pitch.
 
-    Triangles point up if the difference is positive, and down if it is negative; disks are differences of 0.
+    Triangles point up if the difference is positive, and down if it is negative; disks show differences of 0.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The quality of a tile (targets by class, fibers by spectrograph, a column, the field) or of a survey."""
+"""Plots of the quality of a tile or of a survey, such as targets by class and fibers by spectrograph."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -56,26 +56,26 @@ def plot_quality(
         The axes of the four panels.
 
         For a tile, the first panel has one bar for each class (a row of `Tile.completeness
-        <rfpsurvey.Tile.completeness>`). It shows the fraction of the targets with each outcome, and on the right the
-        numbers of observed targets and of all targets. The second panel shows the number of fibers on sky and on
-        standard stars in each spectrograph. If the tile has requirements, the panel shows the number of fibers that
-        each requirement counts, and its minimum as a dashed line. If there are neither such fibers nor requirements,
-        the panel shows fibers on science targets. The third panel is a histogram of ``column`` for all science targets
-        and for those that are assigned; it is empty if there is no column of numbers. The fourth panel shows the
-        fractions of science targets that are in reach and that are assigned, in rings of equal area around the center
-        of the focal plane, with 68 % intervals.
+        <rfpsurvey.Tile.completeness>`). The bar shows the fraction of the targets of the class with each outcome; the
+        numbers of observed targets and of all targets are on the right. The second panel shows the number of fibers on
+        sky and on standard stars in each spectrograph. If the tile has requirements, the panel shows the number of
+        fibers that each requirement counts, and its minimum as a dashed line. If there are neither fibers on sky or
+        standard stars nor requirements, the panel shows the number of fibers on science targets. The third panel is a
+        histogram of ``column`` for all science targets and for those that are assigned; it is empty if there is no
+        column of numbers. The fourth panel shows the fractions of science targets that are in reach and that are
+        assigned, in rings of equal area around the center of the focal plane, with 68 % intervals.
 
-        For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). It shows the
-        fraction of the visits that each pass observed, and on the right the numbers of observed and requested visits.
+        For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). The bar shows the
+        fraction of the visits that each pass observed; the numbers of observed and requested visits are on the right.
         The second panel shows the number of targets with each outcome. The third panel shows the number of fibers on
-        science targets, standard stars and sky in each pass. The fourth panel shows the fraction of its fibers that
-        each tile uses, and its collision rate.
+        science targets, standard stars and sky in each pass. The fourth panel shows, for each tile, the fraction of the
+        fibers that are in use and the collision rate.
 
     Raises
     ------
     InputError
-        If a tile has no outcomes or no such column of numbers, a column is given for a survey, or there are not four
-        axes.
+        If a tile has no outcomes or no column of numbers with this name, a column is given for a survey, or the number
+        of axes is not four.
 
     See Also
     --------
@@ -120,7 +120,7 @@ def plot_quality(
 
 
 def _four_axes(given, n_rows):
-    """Return the given axes, or four axes of a new figure; raise an error unless there are four."""
+    """Return the given axes, or four axes of a new figure; raise an error if the number of given axes is not four."""
     if given is None:
         return _new_axes(n_rows)
     if len(given) != 4:
@@ -204,8 +204,8 @@ class Series(NamedTuple):
 def _series_of(tile) -> list[Series]:
     """Return the positioners that each requirement counts.
 
-    If there are no requirements, return the positioners on sky and on standard stars or, without these, the positioners
-    on science targets.
+    If there are no requirements, return the positioners on sky and on standard stars or, if there are no such
+    positioners, those on science targets.
     """
     t = tile.table
     asked = tile.provenance["parameters"].get("requirements") or []
@@ -310,7 +310,7 @@ def _patch(color, alpha, label):
 
 
 def _draw_radius(ax, table, outcome):
-    """Draw the fractions in reach and assigned in rings of equal area about the center of the focal plane."""
+    """Draw the fractions of science targets in reach and assigned, in rings of equal area about the center."""
     radius = np.hypot(table["x"].to_value(u.mm), table["y"].to_value(u.mm))
     known = np.isfinite(radius)
     radius, outcome = radius[known], outcome[known]

@@ -17,8 +17,7 @@ __all__ = ["draw_reproduction"]
 
 GROUPS = ("arms", "targets_per_positioner", "sky")
 BESIDE = 1.025
-"""Points of different groups are drawn beside each other; this is the ratio of their positions on a logarithmic
-axis."""
+"""Ratio of the positions, on a logarithmic axis, at which points of neighboring groups are drawn beside each other."""
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":

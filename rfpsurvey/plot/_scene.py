@@ -30,6 +30,8 @@ class Scene:
     bodies: np.ndarray
     """Colliding segments, rows (x0, y0, x1, y1)."""
     half: float
+    outline: dict | None
+    """Parts of the outline of the arms by arm (eccentric and central), with vertices and radius in mm."""
     status: np.ndarray
     colliding: np.ndarray
     obstacles: np.ndarray
@@ -42,7 +44,7 @@ class Scene:
 
     @property
     def points(self) -> np.ndarray:
-        """Points of centers and arms that should remain visible; points of arms in collision occur four times."""
+        """Points on centers and arms that the compass should not cover; points on colliding arms occur four times."""
         arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
         points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
         return points[np.isfinite(points).all(axis=1)]
@@ -70,6 +72,7 @@ def _of_tile(tile):
         tips,
         np.hstack([starts, ends]),
         geometry["min_separation_mm"] / 2,
+        geometry.get("outline_mm"),
         np.asarray(table["status"]),
         np.asarray(table["in_collision"]),
         np.array(geometry["obstacles_mm"]).reshape(-1, 3),
@@ -97,6 +100,7 @@ def _of_plane(thing):
         posed.tip,
         posed.segments,
         plane.positioner.numbers.separation / 2,
+        None if plane.positioner.outline is None else plane.positioner.outline.to_dict(),
         status,
         np.zeros(n, bool),
         plane.arrays.obstacles,

@@ -25,8 +25,10 @@ __all__ = ["draw_field", "draw_tiles", "plot_tiling", "radius_of"]
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
 FLAT = 0.45
-"""Opacity of tiles that all have the same color, so that their overlaps are visible. Tiles of several colors are
-opaque, so that they have the colors of the color bar on every background."""
+"""Opacity of tiles that all have the same color, so that their overlaps are visible.
+
+If tiles have several colors, the tiles are opaque, so that their colors are those of the color bar on every background.
+"""
 
 
 def plot_tiling(

@@ -52,7 +52,7 @@ class SkyMap:
 
 
 def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:
-    """Return the map that suits fields (radius in deg)."""
+    """Return a map that shows all fields with these centers; their radius is in deg."""
     center, _ = _mean_direction(centers)
     if whole:
         return SkyMap("whole", center)
@@ -66,7 +66,7 @@ def is_wide(centers: SkyCoord, radius: float) -> bool:
 
 
 def _mean_direction(centers):
-    """Return the mean direction, and whether it exists."""
+    """Return the mean direction of the centers, and whether it exists."""
     mean = centers.cartesian.mean()
     if mean.norm() < 1e-6:
         return centers[0], False

@@ -132,7 +132,7 @@ def plot_probability_accuracy(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        The axes. Bars are one standard error. Open markers are formulas, whose errors do not depend on the effort.
+        The axes. Bars show one standard error. Open markers show formulas, whose errors do not depend on the effort.
         Errors below the gray line are smaller than the error of the reference value. Methods to the lower left are
         better.
 
@@ -199,7 +199,7 @@ def _bars(values, uncertain):
 
 
 def _set_ticks(ax):
-    """Label 1, 2 and 5 of each decade if there are few decades; otherwise, label only decades."""
+    """Label the values 1, 2 and 5 of each decade if there are few decades; otherwise, label only powers of ten."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):

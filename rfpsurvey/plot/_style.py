@@ -51,7 +51,7 @@ GROUP_COLORS = (
     "#000000",
     "#C8D96F",
 )
-"""Fills of groups: the palette, then lighter or darker versions of its colors."""
+"""Fill colors of groups: the palette, then lighter or darker versions of its colors."""
 FADED, FAINT = "#A8A8A8", "#8A8A8A26"
 """Color of positioners without a target and of the background of dots: a translucent gray, faint on any page."""
 OUTLINE = "#222222"

@@ -133,12 +133,12 @@ def _catalog_of(survey, catalog) -> Catalog:
     catalog = as_catalog(catalog)
     known = survey.outcomes["target_id"]
     if len(catalog) != len(known) or not (np.asarray(catalog.id).astype(str) == np.asarray(known).astype(str)).all():
-        raise InputError(f"catalog must have the {len(known)} targets of the survey in their order, got others")
+        raise InputError(f"catalog must have the {len(known)} targets of the survey in the same order, got others")
     return catalog
 
 
 def _map_of_survey(survey, ax):
-    """Return the map of a survey and the edges of its fields; the latter are None on a map of the whole sky."""
+    """Return the map of a survey and the edges of its fields; the edges are None on a map of the whole sky."""
     centers, radius = SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey)
     whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
     sky_map = map_of(centers, radius, whole=whole)
@@ -168,7 +168,7 @@ def _new_axes(sky_map, xy, rims, rows):
 
 
 def _set_limits(ax, sky_map, xy, rims):
-    """Label the axes, and show all targets and fields, east to the left."""
+    """Label the axes, and show all targets and fields, with east to the left."""
     sky_map.label(ax)
     if sky_map.kind == "whole":
         return

@@ -32,7 +32,8 @@ class PositionerNumbers:
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
-        Length of the segment that can collide, mm; None if it is the segment from the elbow to the fiber.
+        Length of the segment that can collide, or of the core of an outline, mm; None if the segment extends from the
+        elbow to the fiber.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner.
     joints_free : bool
@@ -53,7 +54,7 @@ class PositionerNumbers:
         self.central_arm = float(to_mm(positioner.central_arm, "central_arm"))
         self.eccentric_arm = float(to_mm(positioner.eccentric_arm, "eccentric_arm"))
         self.clearance = float(to_mm(positioner.clearance, "clearance"))
-        length = positioner.arm_length
+        length = positioner.arm_length if positioner.outline is None else positioner.outline.length
         self.arm_length = None if length is None else float(to_mm(length, "arm_length"))
         if positioner.displacement is None:
             moved = (self.central_arm + self.eccentric_arm) * np.sin(2 * float(to_radian(positioner.step, "step")))

@@ -8,7 +8,7 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._kernels.outlines import Outline
+from rfpsurvey._kernels.outlines import NO_OUTLINE, Outline
 from rfpsurvey._units import locked, to_points_mm, to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 
@@ -96,6 +96,45 @@ class ArmOutline:
         """Largest x of a vertex of an eccentric part: the length of the core, a segment along the arm."""
         return max(float(vertices[:, 0].max()) for vertices, _ in self.parts[: self.n_eccentric]) * u.mm
 
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Largest distance of a point of the outline from the elbow (eccentric) and from the center (central), mm."""
+        far = [float(np.hypot(*vertices.T).max()) + radius for vertices, radius in self.parts]
+        n = self.n_eccentric
+        return max(far[:n]), max(far[n:], default=0.0)
+
+    def to_dict(self) -> dict:
+        """Return the parts as lists of numbers in mm, as descriptions of instruments contain them."""
+        parts = [{"vertices": vertices.tolist(), "radius": radius} for vertices, radius in self.parts]
+        return {"eccentric": parts[: self.n_eccentric], "central": parts[self.n_eccentric :]}
+
+    @classmethod
+    def from_dict(cls, value: dict, unit: u.UnitBase = u.mm) -> "ArmOutline":
+        """Return the outline from the lists that `to_dict` returns, in another unit if required.
+
+        Parameters
+        ----------
+        value : dict
+            ``eccentric`` and, optionally, ``central``: lists of dicts with ``vertices`` and, optionally, ``radius``.
+        unit : Unit, optional
+            Unit of all numbers.
+
+        Returns
+        -------
+        ArmOutline
+            The outline.
+
+        Raises
+        ------
+        InputError
+            If a part is not valid.
+        """
+        arms = {
+            arm: [(part["vertices"] * unit, part.get("radius", 0.0) * unit) for part in parts]
+            for arm, parts in value.items()
+        }
+        return cls(**arms)
+
 
 def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: np.ndarray) -> Outline:
     """Return the outline of positioners for the kernels.
@@ -119,8 +158,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     start = np.zeros(len(parts) + 1, dtype=np.int64)
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
-        boxes = _box(()), _box(())
-        return Outline(locked(np.empty((5, 0))), locked(start), locked(np.empty((4, 0))), 0, 0.0, 0.0, 0.0, *boxes, centers)
+        return NO_OUTLINE
     vertices = np.ascontiguousarray(np.hstack([_with_normals(vertices) for vertices, _ in parts]))
     circles = np.ascontiguousarray(np.array([_circle(vertices, radius) for vertices, radius in parts]).T)
     length, n = float(outline.length.value), outline.n_eccentric
@@ -177,9 +215,7 @@ def _to_part(part, name):
         raise InputError(f"{name} must be finite vertices with coordinates below {MOST:g} mm, got {short(part)}")
     hull = _hull(points)
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
-        raise InputError(
-            f"{name} must be a convex polygon, got {short(part)}; divide it into convex parts"
-        )
+        raise InputError(f"{name} must be a convex polygon, got {short(part)}; divide it into convex parts")
     return locked(hull), radius
 
 

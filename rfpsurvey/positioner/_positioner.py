@@ -8,13 +8,14 @@ import numpy as np
 
 from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_points_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, check_choice, check_keywords
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.positioner._numbers import PositionerNumbers
+from rfpsurvey.positioner._outline import ArmOutline
 
 __all__ = ["ARM_MODELS", "HANDEDNESS", "Positioner"]
 
 HANDEDNESS = ("right", "left", "both")
-ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip")
+ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip", "outline")
 
 
 @check_keywords
@@ -47,15 +48,18 @@ class Positioner:
     displacement : Quantity, optional
         Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If it is given, ``step``
         is ignored.
-    arm_model : {"elbow_to_tip", "capsule", "fiber_tip"}, optional
+    arm_model : {"elbow_to_tip", "capsule", "fiber_tip", "outline"}, optional
         Part of the positioner that can collide. ``elbow_to_tip``: the segment from the elbow to the fiber. ``capsule``:
         a segment that starts at the elbow, with its own length and angle. ``fiber_tip``: only the fiber, so that two
-        positioners collide only if their targets are closer than the minimum separation.
+        positioners collide only if their targets are closer than the minimum separation. ``outline``: the polygons of
+        ``outline``, which must remain at least the minimum separation apart.
     arm_length : Quantity, optional
         Length of the segment of the arm model ``capsule``, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
-        Angle of the segment of the arm model ``capsule``, counter-clockwise from the direction of the fiber. It can
-        have a different value for each fiber type.
+        Angle of the axis of the eccentric arm, counter-clockwise from the direction of the fiber, for the arm models
+        ``capsule`` and ``outline``. It can have a different value for each fiber type.
+    outline : ArmOutline, optional
+        Polygons of both arms, for the arm model ``outline``.
 
     Raises
     ------
@@ -64,8 +68,8 @@ class Positioner:
 
     References
     ----------
-    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
-    Theta-phi Positioners", Eqs. 1 and 2 (minimum separation).
+    Chen and coauthors (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different
+    Types of Theta-phi Positioners", equations 1 and 2 (minimum separation).
 
     Examples
     --------
@@ -91,6 +95,7 @@ class Positioner:
     arm_model: str = "elbow_to_tip"
     arm_length: u.Quantity | None = None
     arm_angle: u.Quantity | dict[str, u.Quantity] | None = None
+    outline: ArmOutline | None = None
 
     def __post_init__(self):
         for name in ("central_arm", "eccentric_arm"):
@@ -102,9 +107,13 @@ class Positioner:
         check_choice(self.handedness, HANDEDNESS, "handedness")
         check_choice(self.arm_model, ARM_MODELS, "arm model")
         if (self.arm_model == "capsule") != (self.arm_length is not None):
-            raise InputError("the arm model 'capsule', and no other, needs arm_length")
-        if self.arm_model != "capsule" and self.arm_angle is not None:
-            raise InputError("arm_angle belongs to the arm model 'capsule'")
+            raise InputError("arm_length must be given for the arm model 'capsule', and only for this model")
+        if (self.arm_model == "outline") != (self.outline is not None):
+            raise InputError("outline must be given for the arm model 'outline', and only for this model")
+        if self.outline is not None and not isinstance(self.outline, ArmOutline):
+            raise InputTypeError(f"outline must be an ArmOutline, got {short(self.outline)}")
+        if self.arm_model not in ("capsule", "outline") and self.arm_angle is not None:
+            raise InputError("arm_angle must be given only for the arm models 'capsule' and 'outline'")
         for name in ("theta_range", "phi_range", "home"):
             value = getattr(self, name)
             if value is not None and not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):

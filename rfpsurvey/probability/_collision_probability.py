@@ -55,7 +55,7 @@ def collision_probability(
     executor: Executor | None = None,
     progress: bool | Callable = False,
 ) -> Estimate:
-    """Estimate the probability that a positioner at its target collides with another one.
+    """Estimate the probability that a positioner at its target collides with another positioner.
 
     The probability is the expected fraction of positioners in collision, among positioners with a target and, if the
     arms are equal, parked positioners. A method estimates one of two quantities (its estimand). For the first quantity,
@@ -87,9 +87,9 @@ def collision_probability(
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. A rule without queues (``lamost``) gives one configuration for each
-        realization. Options also state whether idle positioners with equal arms are obstacles and are counted
-        (``parked_obstacles``, true by default). They must not contain requirements or a sky separation, since all
-        targets are science targets.
+        realization. Options also state whether idle positioners whose arms have equal lengths are obstacles and are
+        counted (``parked_obstacles``, true by default). They must not contain requirements or a sky separation, since
+        all targets are science targets.
     most_entries : int, optional
         Maximum number of targets of each queue that ``conditional`` uses; they are drawn again for each realization. If
         queues are long, realizations with fewer targets are faster, and reach a given precision sooner. With None, all
@@ -120,9 +120,9 @@ def collision_probability(
     -------
     Estimate
         The probability with its interval, the probability of each positioner, and the expected number of pairs. If
-        targets are given, the value applies to these targets, and the error states how much the value of another patch
-        of the same kind of sky may differ. If a focal plane has too few positioners to estimate this error, such as
-        seven, there is no interval, and ``meta["no_interval"]`` states the reason.
+        ``targets`` contains positions, the value applies to these targets, and the error states how much the value for
+        another patch of the same kind of sky may differ. If a focal plane has too few positioners for an estimate of
+        the error, such as seven, there is no interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def collision_probability(
     name = cheapest(estimand or "allocated", options.allocator) if method == "auto" else name_of(method)
     answer, asked = find_method(name if method == "auto" else method)
     if estimand not in (None, asked):
-        raise InputError(f"{name!r} estimates {asked!r} targets, not {estimand!r} ones")
+        raise InputError(f"{name!r} estimates the probability for {asked!r} targets, not for {estimand!r} targets")
     _check_options_of_method(
         name, density=density, variant=variant, interval=precision.interval, center=center, targets=targets
     )
@@ -199,7 +199,7 @@ def collision_probability(
     if wanted is not None and not found.pop("met", True):
         warn(
             f"after {found['n']} iterations{', the most allowed,' if name in MOST_ITERATIONS else ''} the standard "
-            f"error is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} asks for"
+            f"error is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} requires"
         )
     found.pop("met", None)
     meta = {
@@ -218,13 +218,15 @@ def collision_probability(
 def _check_options_of_method(name, *, density, variant, interval, center, targets):
     """Raise an error for options that belong to another method."""
     if density is not None and name != "quadrature":
-        raise InputError(f"density belongs to the method 'quadrature', of independent targets, not to {name!r}")
+        raise InputError(f"density must be given only with the method 'quadrature', got the method {name!r}")
     if variant != "corrected" and name != "closed_form":
-        raise InputError(f"variant belongs to the method 'closed_form', not to {name!r}")
+        raise InputError(f"variant must be given only with the method 'closed_form', got the method {name!r}")
     if interval != "wilson" and name not in ("monte_carlo", "conditional"):
-        raise InputError(f"interval={interval!r} belongs to iterations, which {name!r} does not make")
+        raise InputError(
+            f"interval must be given only with a method that iterates, got {interval!r} with the method {name!r}"
+        )
     if center is not None and not isinstance(targets, Catalog):
-        raise InputError("center belongs to a Catalog of targets")
+        raise InputError("center must be given only if targets is a Catalog")
 
 
 def _check_science_only(options):

@@ -12,7 +12,7 @@ RESOLUTION = 1e-6
 
 
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a positioner for each distinct environment, and the number of the environment of each positioner.
+    """Return one positioner for each distinct environment, and the index of the environment of each positioner.
 
     Two environments are the same if all neighbors and obstacles within the radius (mm) are the same. If no joint limit
     depends on the direction, environments that differ by a rotation by a multiple of 60 deg are also the same. The key

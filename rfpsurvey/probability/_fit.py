@@ -106,7 +106,7 @@ def fit_polynomial(
     Returns
     -------
     PolynomialFit
-        The polynomial, with its coefficients of determination for fitted designs and for those held back.
+        The polynomial, with its coefficients of determination for the fitted designs and for the designs held back.
 
     Raises
     ------

@@ -56,7 +56,7 @@ def quantile(confidence: float, freedom: float) -> float:
 def converged(means: list[float], tolerance: float, looks: int = 3) -> bool:
     """Return whether the running mean has changed by less than ``tolerance`` in each of the last ``looks`` checks.
 
-    This does not limit the error, and is provided for comparison.
+    This stopping rule does not limit the error, and is provided for comparison.
     """
     steps = np.abs(np.diff(means[-looks - 1 :]))
     return len(steps) == looks and bool((steps < tolerance).all())

@@ -17,7 +17,7 @@ from rfpsurvey.probability._targets import Source
 __all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Realizations per task. Results depend on it, and do not depend on the number of workers."""
+"""Number of realizations per task. Results depend on the size of tasks, but not on the number of workers."""
 QUEUEING = ("balanced",)
 """Allocators that make queues, over which `conditional` averages."""
 
@@ -148,11 +148,11 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 
 
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
-    """Return the fastest of those methods of an estimand that estimate their error.
+    """Return the fastest method for an estimand that also estimates its error.
 
-    Averaging over queues takes additional time in proportion to their length. It also reduces the variance in
-    proportion to their length, by a much larger factor. For queues of one target, neither the time nor the variance
-    changes.
+    Averaging over queues takes additional time in proportion to the length of the queues. The average also reduces the
+    variance in proportion to this length; the variance decreases by a much larger factor than the time increases. For
+    queues of one target, neither the time nor the variance changes.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

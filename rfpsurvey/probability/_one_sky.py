@@ -15,13 +15,15 @@ nearest ring."""
 NEAREST_RING = 1.5
 """Neighbors are in the nearest ring up to this many median distances to the nearest neighbor."""
 CORRELATION = 0.2
-"""Typical correlation of positioners in the nearest ring (0.13 to 0.28 for LAMOST, SDSS-V and MOONS). Only the degrees
-of freedom depend on it."""
+"""Typical correlation of positioners in the nearest ring (0.13 to 0.28 for LAMOST, SDSS-V and MOONS).
+
+Only the degrees of freedom depend on this value.
+"""
 BEYOND = -0.03
 """Typical correlation of neighbors beyond the nearest ring, which compete for targets but rarely collide.
 
-This value is assumed, since it cannot be measured on a small focal plane. For SDSS-V and MOONS it is -0.03 to -0.05
-with four targets per positioner, and 0 to -0.01 with one target.
+This value is assumed, since it cannot be measured on a small focal plane. For SDSS-V and MOONS, this correlation is
+-0.03 to -0.05 with four targets per positioner, and 0 to -0.01 with one target per positioner.
 """
 
 
@@ -106,9 +108,9 @@ def _profile(numbers: np.ndarray) -> np.ndarray:
 class _Quadratic:
     """Unbiased quadratic estimate of the variance of the mean, for equal variances and equal covariances of neighbors.
 
-    With the residuals e of the profile, the sum of squares e'e and the sum over ordered pairs of neighbors e'Ae have
-    expected values linear in variance and covariance; the solution is e'(aI + bA)e. ``known`` are correlations that
-    are taken as given.
+    Let e be the residuals of the profile and A the adjacency matrix of neighbors. The expected values of the sums e'e
+    and e'Ae are linear in the variance and the covariance. The solution of these two linear equations has the form
+    e'(aI + bA)e. ``known`` contains correlations that are assumed and not estimated.
     """
 
     def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
@@ -143,7 +145,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimate, which is at least the estimate for a covariance of 0 between neighbors."""
+        """Return the estimated variance, which is at least its estimate for a covariance of 0 between neighbors."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

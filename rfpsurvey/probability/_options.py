@@ -48,7 +48,7 @@ class RandomTargets:
 
     See Also
     --------
-    rfpsurvey.collision_probability : Takes random targets as ``targets``.
+    rfpsurvey.collision_probability : Accepts random targets as its argument ``targets``.
 
     Examples
     --------
@@ -116,7 +116,7 @@ class Precision:
 
     See Also
     --------
-    rfpsurvey.collision_probability : Takes a precision, or the standard error alone, as ``precision``.
+    rfpsurvey.collision_probability : Accepts a `Precision`, or only a standard error, as its argument ``precision``.
 
     Examples
     --------
@@ -153,7 +153,7 @@ class Precision:
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
     def for_method(self, name: str) -> "Precision":
-        """Return the same options, with the defaults of a method for those that are not given.
+        """Return the same options, with the defaults of a method in place of values that are not given.
 
         Parameters
         ----------

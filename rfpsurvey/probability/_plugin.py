@@ -61,7 +61,7 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
         probability = np.where(plane.arrays.usable, _probabilities(answer.pop("per_positioner"), len(plane)), np.nan)
     known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
-        raise InputError("the answer must have a value, or one per_positioner for a positioner that can take targets")
+        raise InputError("the answer must have value, or per_positioner for a positioner that can take targets")
     answer = {"value": known.mean() if len(known) else None, **answer}
     answer = {name: _number(name, number) for name, number in answer.items()}
     value, error, low, high, n_effective = answer["value"], answer.get("standard_error", np.nan), *[np.nan] * 3

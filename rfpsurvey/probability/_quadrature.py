@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, queues
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import locked, to_plain
 from rfpsurvey.collision import make_setup
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
@@ -27,10 +27,11 @@ SCRAMBLES = 8
 FIRST_POINTS = 128
 """Number of points in the first estimate if there is one environment.
 
-The errors of several environments average out, so that fewer points suffice.
+An environment is an arrangement of neighbors. The errors of several environments average out, so that fewer points
+suffice.
 """
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""Minimum number of points, without and with weights.
+"""Minimum numbers of points without and with weights, in this order.
 
 Weights require more points, because the bias of a weighted mean does not average out.
 """
@@ -48,7 +49,7 @@ class Quadrature:
 
     @cached_property
     def environments(self) -> tuple[np.ndarray, np.ndarray]:
-        """One positioner of each environment, and the number of the environment of each positioner."""
+        """Row of one positioner of each environment, and index of the environment of each positioner."""
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
@@ -60,7 +61,7 @@ class Quadrature:
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
         """Return the collision probability of positioner i, and its contribution to the expected number of pairs.
 
-        There are ``n_points`` points for the positioner and for each of its neighbors.
+        The integral uses ``n_points`` points for the positioner and for each of its neighbors.
         """
         plane, (starts, neighbor) = self.plane, self.plane.arrays.both_ways
         own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
@@ -90,7 +91,7 @@ class Quadrature:
         queues.expect(
             pairs,
             plane.arrays.geometry_of(own),
-            self._setup.limits,
+            _limits_of(self._setup.limits, own),
             obstacles,
             self._setup.obstacles,
             self._setup.clearance,
@@ -138,8 +139,17 @@ class Quadrature:
 
     @cached_property
     def _idle(self):
-        """Segments of positioners that cannot move; NaN for all others."""
+        """Segments of the arms of positioners that cannot move; NaN for all other positioners."""
         return make_positioners(self.plane, self._setup).idle
+
+
+def _limits_of(limits, own):
+    """Return the limits for a list of positioners, whose outlines have the same order."""
+    outline = limits.outline
+    if outline.start.size == 1:
+        return limits
+    centers = locked(np.ascontiguousarray(outline.centers[:, own]))
+    return limits._replace(outline=outline._replace(centers=centers))
 
 
 @cache
@@ -152,7 +162,7 @@ def _net(n_points: int) -> np.ndarray:
 
 
 def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarray:
-    """Return sets of Sobol points, one after the other, each with its own random digital shift."""
+    """Return several sets of Sobol points in one array; each set has its own random digital shift."""
     shifts = rng.integers(0, 2**BITS, (n_sets, 1, 2))
     return ((_net(n_points) ^ shifts).reshape(-1, 2) + rng.random(2)) / 2**BITS
 
@@ -160,7 +170,7 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return the value, its interval and error, computed with as many points as the precision requires."""
+    """Return the probability, its interval and its error, computed with as many points as the precision requires."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)

@@ -22,10 +22,10 @@ class ProbabilityQuestion:
 
     Built-in methods and those of other packages are functions of this object. A method returns an array of float, shape
     (n_positioners,), with the probability that each positioner is in collision, and NaN for positioners that are never
-    counted. It may also return a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``, ``estimand``
-    and ``seconds``. The dict must contain ``per_positioner`` or ``value``; the interval follows from
-    ``standard_error``. The attribute ``estimand`` of the method names the quantity that it estimates: "independent",
-    the default, or "allocated".
+    counted. The method may also return a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``,
+    ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or ``value``. The interval of the estimate is
+    computed from ``standard_error``. The attribute ``estimand`` of the method names the quantity that it estimates:
+    "independent", the default, or "allocated".
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class ProbabilityQuestion:
 
     @cached_property
     def simulation(self) -> Simulation | None:
-        """Simulation of allocated targets; None for independent ones."""
+        """Simulation of allocated targets; None for independent targets."""
         if self.targets is None:
             return None
         return Simulation(self.focal_plane, self.targets, self.options, self.most_entries)
@@ -93,6 +93,6 @@ class ProbabilityQuestion:
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
         """Function that draws targets with a generator and returns their allocation, with queues.
 
-        The allocation follows the options of the user. This attribute is None for independent targets.
+        The allocation follows the options of the user. The attribute is None for independent targets.
         """
         return None if self.simulation is None else self.simulation.realize

@@ -23,8 +23,8 @@ GROWTH = 8
 HITS = 25
 """Number of realizations that must have a collision if most realizations have none.
 
-With fewer of them, the scatter of the rates is not known. If all positioners collide in most realizations, this is the
-number of all other realizations.
+With fewer such realizations, the scatter of the rates is not known. If all positioners collide in most realizations,
+``HITS`` is instead the number of realizations in which at least one positioner must not collide.
 """
 FLOOR = 4.0
 """Factor of the minimum number of realizations if collisions are rare.
@@ -53,7 +53,7 @@ def run(
 ) -> tuple[Tally, dict]:
     """Simulate realizations until the precision is met; return the tally of all realizations, and its summary.
 
-    The sizes of tasks and steps depend on the results alone, so that the number of workers has no influence.
+    The sizes of tasks and steps depend on the results alone, so that the number of workers does not change the result.
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
@@ -95,8 +95,8 @@ def _fewest(tally, precision):
 
     Events are rare if fewer than half of the realizations have a collision, or if all positioners collide in more than
     half of them. The estimated error of rare events grows with their number. A stopping rule based on this error
-    therefore ends too early if there are too few events by chance. A minimum that depends only on the precision
-    prevents this.
+    therefore ends too early if there are too few events by chance. A minimum number of realizations that depends only
+    on the precision prevents such an early end.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -107,9 +107,9 @@ def _fewest(tally, precision):
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
     """Return the value, interval and error of a tally, and the half width that more iterations can reduce.
 
-    If the targets are given, or if realizations do not scatter for another reason, there is only one sky. The error
-    then states how much the value of another patch of the same kind of sky may differ. If the focal plane is too small
-    to estimate this error, there is no interval, and ``no_interval`` states the reason.
+    If the targets are given, or if realizations do not scatter for another reason, there is only one sky. In this case,
+    the error states how much the value of another patch of the same kind of sky may differ. If the focal plane is too
+    small to estimate this error, there is no interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:

@@ -20,18 +20,18 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Columns: counted positioners in collision, counted positioners, assigned ones in collision, assigned ones."""
+    """Numbers of positioners, as columns: counted in collision, counted, assigned in collision, assigned."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return the fraction of counted (``column=2``: assigned) positioners in collision, for each realization."""
+        """Return, by realization, the fraction of counted (with ``column=2``: assigned) positioners that collide."""
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
     def pair_rates(self) -> np.ndarray:
-        """Number of pairs divided by the number of counted positioners, for each realization."""
+        """Number of colliding pairs divided by the number of counted positioners, for each realization."""
         return self._ratio(self.pairs, self.colliding[:, 1])
 
     @property
@@ -50,7 +50,7 @@ class Tally:
 
 
 def merge(parts: list[Tally]) -> Tally:
-    """Return one tally of all realizations."""
+    """Return one `Tally` that contains the realizations of all ``parts``."""
     rows = (np.concatenate([getattr(p, name) for p in parts]) for name in ("colliding", "pairs"))
     return Tally(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
 
@@ -67,7 +67,7 @@ class Simulation:
 
     @property
     def compiled(self) -> bool:
-        """Whether kernels run the whole simulation."""
+        """Whether compiled kernels run the whole simulation."""
         balanced = self.options.allocator == "balanced"
         return self.source.compiled and balanced and self.plane.arrays.joints_free
 
@@ -151,7 +151,7 @@ class Simulation:
         return np.iinfo(np.int64).max if self.most_entries is None else self.most_entries
 
     def _queue_segments(self, rng, *, thin=False):
-        """Return the queues of one realization, and the colliding segment for each target of a queue."""
+        """Return the queues of one realization, and the arm segment that can collide for each target of a queue."""
         given = self.source.kind == "given"
         allocation = self._given if given else self.realize(rng)
         if thin and self.most_entries is not None:

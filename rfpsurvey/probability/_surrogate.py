@@ -27,7 +27,7 @@ AXES = {
     "eccentric over central arm": np.linspace(1.0, 3.0, 21),
     "minimum separation over pitch": np.linspace(0.02, 0.30, 9),
 }
-"""Nodes of the grid, which contains the designs of the paper."""
+"""Nodes of the grid of designs; the grid contains the designs of Chen and coauthors (2024)."""
 PITCH = 25.0
 N_POINTS = 1024
 FILE = "surrogate.npz"
@@ -61,7 +61,7 @@ def surrogate_probability(
     ------
     InputError
         If a design is outside of the limits: central arm 0.2 to 0.6 pitches, eccentric arm 1 to 3 central arms, minimum
-        separation 0.02 to 0.3 pitches. There is no extrapolation.
+        separation 0.02 to 0.3 pitches. The surrogate does not extrapolate beyond these limits.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def outside_box(name: str, value: np.ndarray) -> np.ndarray:
 def interior_probability(
     shape: tuple[float, float, float], n_points: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Return the collision probability at the center of a lattice, and its standard error; ``shape`` as in `AXES`."""
+    """Return the collision probability at the center of a lattice, and its error; ``shape`` is a point in `AXES`."""
     l1, l2, distance = shape[0] * PITCH, shape[0] * shape[1] * PITCH, shape[2] * PITCH
     unit = Positioner(l1 * u.mm, l2 * u.mm, distance / 2 * u.mm)
     rings = int((2 * (l1 + l2) + distance) / (PITCH * np.sqrt(3) / 2)) + 1

@@ -19,7 +19,7 @@ from rfpsurvey.probability._options import KINDS, RandomTargets
 __all__ = ["Source", "make_source"]
 
 PER_FIBER = 4.0
-"""Default number of targets per positioner, which is the number of LAMOST in the paper."""
+"""Default number of targets per positioner, which is the number for LAMOST in the paper."""
 FILLING = 0.5
 """Largest fraction of the area that discs may fill.
 
@@ -50,12 +50,12 @@ class Source:
 
     @property
     def compiled(self) -> bool:
-        """Whether kernels draw these targets."""
+        """Whether compiled kernels draw these targets."""
         return self.kind in KINDS
 
     @property
     def sky(self) -> simulate.Sky:
-        """The circle and the minimum separation, for the kernels."""
+        """The circle and the minimum separation of the targets, for the kernels."""
         return simulate.Sky(*self.center, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:

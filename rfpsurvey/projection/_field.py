@@ -24,7 +24,7 @@ class FieldProjection:
     Attributes
     ----------
     basis, focal_length, distortion
-        The parameters.
+        The parameters of the projection.
 
     Examples
     --------

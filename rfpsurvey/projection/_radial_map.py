@@ -89,7 +89,9 @@ class RadialMap:
                 raise refusal(f"{name} must be a number", getattr(self, name), Number, list) from None
             to_scalar(number, u.dimensionless_unscaled, name, low=0)
         if (self.form == "sine") != (self.radius is not None):
-            raise InputError(f"the form 'sine' and no other needs a radius, got {self.radius} with {self.form!r}")
+            raise InputError(
+                f"radius must be given for the form 'sine' and only for this form, got {self.radius} with {self.form!r}"
+            )
         if self.radius is not None:
             to_scalar(self.radius, u.mm, "radius", low=0)
         _, _, argument, inner, _, _ = self.arguments

@@ -101,7 +101,8 @@ class TangentPlane:
         Raises
         ------
         InputError
-            If the center is not one direction, the focal length not one positive length, or the rotation not one angle.
+            If the center is not one direction, the focal length is not one positive length, or the rotation is not one
+            angle.
         """
         return cls(center, to_mm(focal_length, "focal_length") * _SCALE, rotation)
 

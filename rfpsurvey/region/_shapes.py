@@ -64,7 +64,7 @@ def box_contains(box, vectors):
 
 
 def box_distance(box, vectors):
-    """Return distances to a box: along the meridian within its right ascensions, otherwise to the nearer side."""
+    """Return distances to a box: to its nearer parallel within its right ascensions, otherwise to its nearer side."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
     along = np.maximum(np.maximum(low - dec, dec - high), 0.0)
@@ -122,7 +122,7 @@ def _left_area(vertices):
 
 
 def polygon_area(vertices):
-    """Return the solid angle of the smaller side of a polygon."""
+    """Return the solid angle of the smaller of the two regions that a polygon bounds."""
     left = _left_area(vertices)
     return min(left, 4 * np.pi - left)
 
@@ -130,7 +130,7 @@ def polygon_area(vertices):
 def polygon_contains(vertices, vectors):
     """Return whether directions are inside a polygon.
 
-    For each direction, the edges that a path from one edge to the direction crosses are counted.
+    For each direction, the function counts the edges that a path from one edge to the direction crosses.
     """
     a, b = vertices, np.roll(vertices, -1, axis=0)
     start = int(np.argmax(angle(a, b)))
@@ -164,7 +164,7 @@ def polygon_contains(vertices, vectors):
 
 
 def polygon_distance(vertices, vectors):
-    """Return distances to the smaller side of a polygon."""
+    """Return distances to the smaller of the two regions that a polygon bounds."""
     out = np.full(len(vectors), np.pi)
     for a, b in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
         np.minimum(out, _to_arc(vectors, a, b), out=out)

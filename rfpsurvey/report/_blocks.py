@@ -31,10 +31,10 @@ class Facts:
 class Rows:
     """A table that can be sorted.
 
-    ``where`` names the file or attribute that contains all rows, if not all are shown; ``left_out`` is the number of
-    rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A ``complete`` table
-    shows all rows unless there is a limit. If it is long, it is collapsed, and its cells are rounded to keep pages
-    small.
+    ``where`` names the file or attribute that contains all rows, and is stated if some rows are not shown. ``left_out``
+    is the number of rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A
+    ``complete`` table shows all rows unless there is a limit. A long table is collapsed, and its cells are rounded to
+    keep pages small.
     """
 
     caption: str
@@ -66,7 +66,7 @@ class Section:
 class Page:
     """A page: the kind of the result, a title, a sentence, the most important values, and sections.
 
-    ``provenance`` is at the end of the page; its dicts become groups.
+    ``provenance`` is at the end of the page; each dict in it becomes a group.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""Columns of a table as text."""
+"""Conversion of the columns of a table to text."""
 
 import numpy as np
 from astropy.units import Quantity
@@ -15,8 +15,8 @@ ROUNDED = {"deg": 3, "mm": 3}  # decimals of other columns with these units
 def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
     """Return the unit of a column, whether it contains numbers, and the text and sorting key of each cell.
 
-    If the text may have fewer digits than the value, the key is the full value. It is "" for a missing value, and None
-    if the text itself is the key.
+    If the text may have fewer digits than the value, the sorting key is the full value. The key is "" for a missing
+    value, and None if the text itself is the key.
     """
     unit = str(getattr(column, "unit", None) or "")
     values = column.value if isinstance(column, Quantity) else column
@@ -50,7 +50,7 @@ def rounded_cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str 
 
 
 def _cell(text: str, key: str | None = None) -> tuple[str, str | None]:
-    """Return the text and key of a cell; a cell without text is a missing value."""
+    """Return the text and the sorting key of a cell; a cell without text is a missing value."""
     return (text, key) if text.strip() else (MISSING, "")
 
 

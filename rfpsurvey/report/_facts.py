@@ -12,7 +12,7 @@ __all__ = ["TILING", "estimate_facts", "survey_facts", "tile_facts", "tile_objec
 
 TILE = {
     "n_targets": "targets in the catalog",
-    "n_dropped": "  dropped, no finite coordinates",
+    "n_dropped": "  dropped without finite coordinates",
     "n_in_field": "  in the field",
     "n_set_aside": "  not requested (sky, standard)",
     "n_reachable": "  in reach of a positioner",
@@ -20,7 +20,7 @@ TILE = {
     "n_positioners": "positioners",
     "n_assigned": "  assigned",
     "n_out_of_reach": "  with a target out of reach",
-    "n_wrong_fiber": "  without the fiber type asked for",
+    "n_wrong_fiber": "  without the required fiber type",
     "n_unusable": "rows for disabled or stuck positioners",
     "n_parked": "  parked, as obstacles",
     "n_idle": "  idle, no obstacles",
@@ -36,8 +36,8 @@ TILING = {
     "area_deg2": "area of the region in square degrees",
     "covering_fraction": "fraction of the region that is covered",
     "fraction_beyond_declination": "  outside the limits of declination",
-    "mean_depth": "mean number of fields per position",
-    "n_samples": "positions at which the covering is measured",
+    "mean_depth": "mean number of fields that cover a position",
+    "n_samples": "positions at which the coverage is measured",
     "fibers": "fibers per tile",
     "n_targets": "targets wanted",
     "n_beyond_declination": "  outside the limits of declination",
@@ -45,13 +45,13 @@ TILING = {
     "n_wanted": "visits wanted",
     "n_observed": "  observed",
     "completeness": "completeness",
-    "completeness_means": "what the completeness means",
+    "completeness_means": "definition of the completeness",
     "fiber_use": "fraction of the fibers used",
     "n_isolated": "isolated targets",
     "completeness_isolated": "  completeness",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
-LEVELS = {"requirements": "missing of the requirements", "required targets": "required targets assigned"}
+LEVELS = {"requirements": "fibers missing for requirements", "required targets": "required targets assigned"}
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
 
 
@@ -59,7 +59,7 @@ ZERO_IS_LEFT_OUT = (
     "  collisions with obstacles",
     "  to standard stars",
     "  to sky",
-    "requirements not met, all tiles",
+    "requirements not met in all tiles together",
 )
 
 
@@ -68,7 +68,7 @@ def tile_facts(tile: Tile) -> dict:
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
     if np.isnan(tile.summary["collision_rate"]):
-        facts |= {TILE["collision_rate"]: "undefined, without arms to count"}
+        facts |= {TILE["collision_rate"]: "undefined, because no arm is counted"}
         facts.pop(TILE["collision_rate_assigned"], None)
     facts |= _required(tile.summary)
     kinds = tile.summary.get("kinds", {})
@@ -131,7 +131,7 @@ def survey_facts(survey: Survey) -> dict:
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
-        "requirements not met, all tiles": s["n_unmet"],
+        "requirements not met in all tiles together": s["n_unmet"],
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}

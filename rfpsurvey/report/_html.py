@@ -41,7 +41,7 @@ def html_of(page: Page, max_rows: int | None) -> str:
 
 @cache
 def _template() -> "Template":
-    """Return the template of all pages, which cleans all text with `text_of` and escapes it."""
+    """Return the template of all pages; it passes every text through `text_of` and escapes it."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     script = f"\n{_asset('page.js')}"
@@ -93,7 +93,7 @@ def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
 
 
 def _sorting_key(value: object) -> str:
-    """Return a number with all digits, and empty text for other values."""
+    """Return a number as text with all its digits; return empty text for any other value."""
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
     return repr(float(value)) if number else ""
 

@@ -1,4 +1,4 @@
-"""The pages of surveys and tilings."""
+"""The report pages of surveys and tilings."""
 
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_tiling
@@ -11,7 +11,7 @@ __all__ = ["page_of_survey", "page_of_tiling"]
 
 
 def page_of_survey(survey: Survey, where: str) -> Page:
-    """Return a page on a survey."""
+    """Return the report page of a survey."""
     s, provenance = survey.summary, survey.provenance
     name = provenance["instrument"]["name"]
     if not where:
@@ -25,29 +25,33 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     }
     pictures = [
         Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),
-        Picture("Completeness after each tile.", plot_completeness(survey), _about_curves(survey)),
+        Picture("The completeness of the survey after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
     model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions do not contain it
-    after = "Completeness after each pass, for each class of priority and for all targets."
+    after = "The table lists the completeness after each pass, for each priority class and for all targets."
     sections = [
         Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("On the sky", pictures[:1]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
-        Section("Tiles", [Rows("The tiles of the survey, in the order of the tiling.", survey.tiles, where)]),
+        Section(
+            "Tiles", [Rows("The table lists the tiles of the survey in the order of the tiling.", survey.tiles, where)]
+        ),
     ]
     if s.get("unmet"):
         sections.insert(1, Section("Required targets", [Text(list(s["unmet"]))]))
     visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_wanted'], 'visit')}"
-    lead = f"{visits} to {number_of(s['n_targets'], 'target')} on {number_of(s['n_tiles'], 'tile')}."
+    lead = f"{visits} of {number_of(s['n_targets'], 'target')} are observed on {number_of(s['n_tiles'], 'tile')}."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)
 
 
 def page_of_tiling(tiling: Tiling, where: str) -> Page:
-    """Return a page on a tiling."""
+    """Return the report page of a tiling."""
     summary, table = tiling.summary, tiling.table
     highlights = {"tiles": len(tiling)}
     highlights |= {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}
-    rows = Rows("The tiles, in the order in which they are to be observed.", table, where or "Tiling.table")
+    rows = Rows(
+        "The table lists the tiles in the order in which they are to be observed.", table, where or "Tiling.table"
+    )
     figure = draw_tiling(tiling)
     picture = Picture("The tiles on the sky.", figure, _about_passes(table, len(figure.axes)))
     sections = [Section("On the sky", [picture]), Section("Tiles", [rows])]
@@ -55,12 +59,12 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
         sections.insert(0, Section("Result", [Facts("", tiling_facts(tiling))]))
     title = f"Tiles for {summary['instrument']}" if "instrument" in summary else "Tiles"
     n = len(set(table["pass"].tolist()))
-    lead = f"{number_of(len(tiling), 'tile')} in {number_of(n, 'pass', 'passes')}."
+    lead = f"The tiling has {number_of(len(tiling), 'tile')} in {number_of(n, 'pass', 'passes')}."
     return Page("Tiling", title, lead, highlights, sections, dict(table.meta))
 
 
 def _about_passes(table, n_panels: int) -> str:
-    """Return what the map of a tiling shows."""
+    """Return a description of the map of a tiling."""
     n = len(set(table["pass"].tolist()))
     if n_panels != n:
         return _about_tiles(table, "pass")
@@ -69,19 +73,19 @@ def _about_passes(table, n_panels: int) -> str:
 
 
 def _about_tiles(table, color) -> str:
-    """Return a description of the map of the tiles of a survey; ``color`` is the meaning of their color."""
-    words = f"Each circle is a field. East is to the left. The color is the {color}."
+    """Return a description of a map of tiles; ``color`` is the quantity that the colors of the tiles show."""
+    words = f"Each circle is a field. East is to the left. The color of a field shows the {color}."
     if len(set(table["pass"].tolist())) > 1:
-        words += " Fields of later passes are filled up to a smaller radius, so that those below can be seen."
+        words += " Fields of later passes are drawn with a smaller radius, so that the fields below can be seen."
     return words
 
 
 def _about_curves(survey) -> str:
     """Return a description of the plot of the completeness."""
     words = (
-        "The line is the fraction of all visits that are observed, in the order in which tiles are planned. Crosses "
-        "are the fraction of targets with all of their visits, after each pass; gray lines mark the ends of passes."
+        "The line shows the fraction of all visits that are observed, in the order in which tiles are planned. Crosses "
+        "show the fraction of targets with all of their visits after each pass. Gray lines mark the ends of passes."
     )
     if len(set(survey.completeness["priority"].tolist())) > 2:  # "all" is one of the classes
-        words += " Dotted lines join the completeness of each priority after each pass."
+        words += " Dotted lines connect the completeness of each priority class after each pass."
     return words

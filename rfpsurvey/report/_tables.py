@@ -24,40 +24,41 @@ FIGURES = {
         "panels show the same values scaled to the range from 0 to 1, as in the paper.",
     ),
     "large": (
-        "The formula against the simulation.",
-        "Left: each point is a design, with two definitions of the simulated probability; on the gray line both are "
-        "equal. Right: the difference of the two, each scaled to the range from 0 to 1. Triangles point up where the "
-        "formula is larger.",
+        "Comparison of the formula with the simulation.",
+        "Left: each point is a design, with two definitions of the simulated probability; on the gray line the two are "
+        "equal. Right: the difference of formula and simulation, each scaled to the range from 0 to "
+        "1. Triangles point up where the formula is larger.",
     ),
     "poisson": (
-        "Uniform minus Poisson-distributed targets.",
+        "Collision probability with uniform targets minus that with Poisson-distributed targets.",
         "Each panel shows the difference of the collision probabilities for one reading of the paper's text. Triangles "
         "point up where uniform targets collide more often.",
     ),
     "poisson_disc": (
-        "Uniform targets against Poisson-disc targets.",
+        "Comparison of uniform targets with Poisson-disc targets.",
         "The points show by how many percent uniform targets collide more often, for each minimum separation of the "
-        "targets; bars are standard errors. The dashed line is the 2.6 % of the paper, and the gray line is 0.",
+        "targets; bars are standard errors. The dashed line is the value of the paper, 2.6 %. The gray line is 0.",
     ),
     "surrogate": (
         "The error of the surrogate.",
         "The points are designs that were not used to make the surrogate; bars are the standard errors of the "
-        "quadrature. The gray line is 0.",
+        "quadrature. The gray line marks an error of 0.",
     ),
     "intervals": (
-        "How often each interval contains the truth.",
-        "Bars are two standard errors. The gray line is the nominal 95 %, and the gray band is 93.5 to 96.5 %.",
+        "How often each interval contains the true value.",
+        "Bars extend two standard errors to each side. The gray line is the nominal fraction of 95 %, and the gray "
+        "band extends from 93.5 to 96.5 %.",
     ),
     "one_sky": (
-        "How often the interval for given targets contains the expectation.",
-        "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars are two "
-        "standard errors. The gray line is the nominal 95 %. Points of equal numbers of positioners are drawn "
-        "beside each other.",
+        "How often the interval for given targets contains the expectation over skies.",
+        "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars extend "
+        "two standard errors to each side. The gray line is the nominal fraction of 95 %. Points with the same number "
+        "of positioners are drawn beside each other.",
     ),
     "speed": (
-        "The time of each method against its errors.",
-        "Arrows point down from upper limits, where no pair is misclassified; the labels give the points per arm. "
-        "Methods to the lower left are better.",
+        "Time and errors of each method.",
+        "Arrows point down from upper limits, where no pair is misclassified; the labels state the number of sample "
+        "points per arm. Methods to the lower left are faster and more accurate.",
     ),
 }
 """Caption and description of each figure, by the name of the figure."""
@@ -68,7 +69,7 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
     facts = estimate_facts(estimate)
     kind = f"{estimate.method}, for {estimate.estimand} targets"
     likely = estimate.per_positioner[np.isfinite(estimate.per_positioner)]
-    spread = {f"{q} % of positioners at most": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)}
+    spread = {f"{q}th percentile over the positioners": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)}
     blocks = [Facts("", facts), *([Facts("Probability of single positioners", spread)] if len(likely) else [])]
     highlights = {"collision probability": facts["collision probability"]}
     highlights |= {k.strip(): v for k, v in facts.items() if k.endswith("interval")}
@@ -84,7 +85,7 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
 
 
 def page_of_table(table: Table, where: str) -> Page:
-    """Return a page on any table."""
+    """Return a page that shows all values of a table."""
     made_by = table.meta.get("made_by")
     made_by = made_by if isinstance(made_by, str) else ""
     title = str(table.meta.get("title") or made_by.replace("_", " ").capitalize() or "Untitled table")
@@ -102,14 +103,14 @@ def page_of_allocators(table: Table, where: str) -> Page:
     """Return a page on a comparison of allocators."""
     meta = table.meta
     words = (
-        f"One field of {meta['instrument']}, planned in {len(table)} ways. If arms could pass each other, "
+        f"One field of {meta['instrument']}, planned with {len(table)} allocators. If arms could pass each other, "
         f"{meta['blind_science']} science targets could be observed."
     )
     unmet = [f"{name}: {sentence}" for name, sentences in meta["unmet"].items() for sentence in sentences]
     notes = (
-        "usable: science fibers without a collision. loss: the fraction by which they are fewer than the science "
-        "targets that could be observed if arms could pass each other. gap: how far the plan may be from the best one, "
-        "where that is known. missing: fibers that are missing for requirements."
+        "usable: number of science fibers without a collision. loss: fraction by which usable is smaller than the "
+        "number of science targets that could be observed if arms could pass each other. gap: largest possible "
+        "difference from the best plan, if it is known. missing: number of fibers that are missing for requirements."
     )
     seen = (
         "Bars are fibers on science targets, usable or lost to collisions, and fibers missing for requirements. The "
@@ -127,11 +128,12 @@ def page_of_allocators(table: Table, where: str) -> Page:
 def page_of_instruments(table: Table, where: str) -> Page:
     """Return a page on a comparison of instruments."""
     meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
-    lead = f"{', '.join(names)}; fields of each: {meta['n_fields']}, {meta['way']}."
+    lead = f"{', '.join(names)}; number of fields of each instrument: {meta['n_fields']}; {meta['way']}."
     seen = (
-        "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions of "
-        "the positioners with a science target, with one but in collision, and without one; the number to the right is "
-        "the fraction of targets lost to collisions. Right: the collision probability with its 95 % interval."
+        "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions "
+        "of the positioners with a science target and no collision, with a science target but in collision, and "
+        "without a science target; the number to the right is the fraction of targets lost to collisions. Right: the "
+        "collision probability with its 95 % interval."
     )
     blocks = [
         Picture("Instruments side by side.", draw_instruments(table), seen),
@@ -151,10 +153,14 @@ def page_of_claims(table: Table, where: str) -> Page:
     for name in dict.fromkeys(np.asarray(table["experiment"]).tolist()):
         claims = table[table["experiment"] == name]
         claims = claims[[c for c in claims.colnames if c != "experiment"]]
-        blocks = [Rows("The claims of the paper, and the results here.", claims, where, marks=VERDICTS)]
+        blocks = [Rows("The claims of the paper, and the new results.", claims, where, marks=VERDICTS)]
         sections.append(Section(name.capitalize(), blocks + _experiment(name, table.meta.get("folder"))))
-    quick = " A quick run, which decides nothing." if table.meta.get("quick") else ""
-    lead = f"{len(table)} claims of the paper on collision probabilities beside the results here.{quick}"
+    quick = (
+        " These results are from a quick run, which is not accurate enough to decide any claim."
+        if table.meta.get("quick")
+        else ""
+    )
+    lead = f"This page compares {len(table)} claims of the paper on collision probabilities with new results.{quick}"
     title = "The paper's experiments, run again"
     return Page("Reproduction", title, lead, highlights, sections, _without_private(table.meta))
 

@@ -128,13 +128,13 @@ def _objectives(tile) -> list:
 
 def _completeness(tile) -> list:
     """Return a figure and a table of the numbers of assigned targets of each class."""
-    words = "Targets of the field; observed are those that are assigned, and not in collision."
+    words = "A target of the field is observed if it is assigned and its arm is not in collision."
     axes = plot_quality(tile)
     axes[0].set_title("", loc="left")
     about = (
-        "Outcomes of the targets in the field, with the number of observed targets of all to the right; fibers by what "
-        "they observe; a column of the catalog; and fractions in rings of equal area about the center of the field, "
-        "with intervals of 68\N{NO-BREAK SPACE}%."
+        "The panels show the outcomes of the targets in the field, with the numbers of observed and of all targets on "
+        "the right; the fibers by what they observe; the values of a column of the catalog; and the fractions of "
+        "science targets in rings of equal area about the center of the field, with intervals of 68\N{NO-BREAK SPACE}%."
     )
     figure = Picture("Targets that are available, in reach and assigned.", axes[0], about)
     table = [Rows("Targets of the field by class.", tile.completeness)] if len(tile.completeness) > 1 else []
@@ -148,7 +148,7 @@ def _pictures(tile) -> list:
     }
     if dots:
         words = (
-            "Blue dots are fibers on their targets, gray dots are positioners without one, and diamonds are in "
+            "Blue dots are fibers on their targets, gray dots are positioners without a target, and diamonds are in "
             "collision."
         )
     else:
@@ -161,9 +161,12 @@ def _pictures(tile) -> list:
     pictures = [Picture("The whole focal plane.", whole, words)]
     if len(tile.table) > LITTLE:
         corner = _crowded(tile)
-        words = "This part has the smallest clearance between two arms."
+        words = "This part of the focal plane has the smallest clearance between two arms."
         if tile.summary["n_colliding"]:
-            words = "This part has the most collisions. Arms whose shades overlap collide, and are hatched."
+            words = (
+                "This part of the focal plane has the most collisions. Arms whose shades overlap collide, and "
+                "are hatched."
+            )
         pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
     return pictures
 
@@ -195,7 +198,7 @@ def _crowded(tile) -> u.Quantity:
 
 
 def _collisions(tile, where) -> list:
-    """Return tables of the positioners in collision, and of those with the smallest clearances."""
+    """Return a table of the positioners in collision, and a table of the smallest clearances of the others."""
     table = tile.table[[c for c in COLUMNS if c in tile.table.colnames and not _empty(tile.table[c])]]
     colliding = np.asarray(tile.table["in_collision"])
     clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
@@ -207,7 +210,10 @@ def _collisions(tile, where) -> list:
         blocks.append(Rows("Positioners in collision.", table[colliding], where))
     rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
     left_out = len(narrow) - len(rest)
-    return [*blocks, Rows("The smallest clearances of arms that do not collide.", rest, where, left_out)]
+    return [
+        *blocks,
+        Rows("Positioners with the smallest clearances, of those that do not collide.", rest, where, left_out),
+    ]
 
 
 def _assignments(tile, where) -> list:

@@ -65,7 +65,7 @@ def write_report(
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
     The page is a single file that contains its styles, script and figures (as SVG), and loads nothing from a network.
-    The same result gives the same bytes.
+    Pages on the same result contain the same bytes.
 
     Parameters
     ----------

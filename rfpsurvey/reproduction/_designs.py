@@ -31,7 +31,7 @@ N_TARGETS = 20_000
 SMALL = {"rings": 2, "radius": 76.8 * u.mm}
 LARGE = {"rings": 12, "radius": 200 * u.mm}
 MOST_ENTRIES = 32
-"""Maximum number of targets of each queue that is used, since more but faster realizations are more efficient."""
+"""Maximum number of targets used from each queue; short queues allow more realizations in the same time."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Settings:
         return usual if self.error is None else self.error
 
     def pick(self, full: int, quick: int) -> int:
-        """Return the number for a full or a quick run."""
+        """Return the first number for a full run, and the second number for a quick run."""
         return quick if self.quick else full
 
 

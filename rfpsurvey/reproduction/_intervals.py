@@ -38,7 +38,7 @@ CONFIDENCE = 0.95
 
 
 def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the coverage of all intervals and stopping rules, and the claims."""
+    """Return the coverage of the confidence interval for each kind of interval and stopping rule, and the claims."""
     table = coverage(settings)
     claims = []
     for scene in SCENES:

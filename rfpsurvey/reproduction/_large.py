@@ -14,7 +14,7 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Relative half width of the interval below which the number of iterations is sufficient; the paper states no value."""
+"""Largest relative half width of an interval for a sufficient number of iterations; the paper states no value."""
 NORMALIZATIONS = {
     "scaled to 0 and 1": scaled,
     "divided by the largest": lambda v: v / v.max(),

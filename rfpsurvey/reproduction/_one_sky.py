@@ -28,12 +28,12 @@ CLUSTERED = {
 CLUSTERS = {"clusters of 6, 5 mm": (6.0, 5.0), "clusters of 60, 40 mm": (60.0, 40.0)}
 """Mean number of targets in a cluster, and its standard deviation in x and y (mm)."""
 MOST_LARGE = 800
-"""Number of skies for planes of 200 positioners or more; smaller planes have 2000."""
+"""Number of skies for focal planes of 200 positioners or more; for smaller focal planes, the number is 2000."""
 CONFIDENCE = 0.95
 
 
 def one_sky(settings: Settings) -> QTable:
-    """Return how often the interval of given targets contains the true value, for focal planes of 7 to 469 positioners.
+    """Return how often the interval for one set of targets contains the true value, for 7 to 469 positioners.
 
     The true value is the mean over other skies of the same kind.
     """

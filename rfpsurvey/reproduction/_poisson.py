@@ -1,4 +1,4 @@
-"""Comparison of uniform and Poisson-distributed targets, for every reading of the paper."""
+"""Comparison of uniform and Poisson-distributed targets, for every interpretation of the paper."""
 
 from itertools import pairwise
 
@@ -26,20 +26,20 @@ PAPER = 2.6
 MARGIN = 0.2
 """Smallest tolerance of a result, in percentage points; the tolerance is two standard errors if these are larger."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
-"""Minimum separations (mm) of Poisson-disc targets. Random addition of 20,000 discs within 200 mm jams at 2.09 mm."""
+"""Minimum separations (mm) of Poisson-disc targets; 20,000 random discs fit into 200 mm only up to 2.09 mm."""
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
-"""Minimum separation (mm) of each reading, by name."""
+"""Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
-"""Index of each reading in the seeds, by name."""
+"""Index of each interpretation of the paper in the random seeds, by the name of the interpretation."""
 DISC_DESIGNS = 24
 """Number of random designs that are also simulated with Poisson-disc targets."""
 DISC_ERROR = 3e-3
 """Relative standard error of a design with Poisson-disc targets, which take a long time to draw."""
 LAMOST_ERROR = 0.4
-"""Ratio of the standard error of LAMOST's design, which is also compared separately, to that of other designs."""
+"""Standard error for LAMOST's design, which is also compared separately, divided by that for other designs."""
 FEW_ERROR = 5e-3
-"""Standard error of a design with targets in reach of few positioners; the error of the mean is then 0.2 %."""
+"""Standard error of a design if few positioners reach targets; the error of the mean over designs is then 0.2 %."""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
 """Edges of ranges of the ratio of the arms."""
 
@@ -47,11 +47,12 @@ RATIOS = (1.0, 1.25, 1.5, 2.0)
 def poisson(
     settings: Settings, table: QTable | None = None, *, discs: dict[str, float] = DISCS
 ) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return estimates for every reading of Poisson-distributed targets, and the differences from uniform targets.
+    """Return estimates for every interpretation of "Poisson-distributed", and the differences from uniform targets.
 
     The table ``poisson`` has a row for each design, the last one LAMOST's; ``poisson_disc`` has a row for each minimum
-    separation, which contains several averages of the drop (the percentage by which uniform targets collide more
-    often). Without ``discs``, ``poisson_disc`` has no rows, because most of the time is spent on these targets.
+    separation, which contains several averages of the drop (the percentage by which uniform targets collide more often
+    than Poisson-disc targets). If ``discs`` is empty, ``poisson_disc`` has no rows; most of the computing time is spent
+    on Poisson-disc targets.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]
@@ -97,10 +98,10 @@ def poisson(
 
 
 def _averages(table, name):
-    """Return the rows of a table that have values for a reading, and the drop for each of these designs.
+    """Return the rows of a table that have values for an interpretation, and the drop for each of these designs.
 
-    A drop is the percentage by which uniform targets collide more often. The rows of the second result are the drops
-    and their standard errors.
+    A drop is the percentage by which uniform targets collide more often than Poisson-distributed targets. The rows of
+    the second result are the drops and their standard errors.
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
@@ -118,7 +119,7 @@ def _of_means(part, name):
 
 
 def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
-    """Return the percentage by which uniform targets collide more than those of each minimum separation.
+    """Return the percentage by which uniform targets collide more often than targets with each minimum separation.
 
     Parameters
     ----------
@@ -155,7 +156,8 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 def _of_reading(name, table):
     """Compare averages over all designs, averages over designs of small ratios, and LAMOST's design with the paper.
 
-    The paper averages over its designs. If only some of the designs agree, its text does not determine the verdict.
+    The paper averages over its designs. If only some of the designs agree with the paper, the text of the paper does
+    not determine the verdict.
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]

@@ -1,4 +1,4 @@
-"""Run the experiments of the paper, write tables and figures, and compare the results with the claims."""
+"""Run the experiments of Chen and coauthors (2024), write tables and figures, and compare results with claims."""
 
 import os
 import platform
@@ -54,7 +54,7 @@ def reproduce(
     overwrite: bool = False,
     progress: bool = False,
 ) -> QTable:
-    """Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with its claims.
+    """Repeat the experiments of Chen and coauthors (2024), arXiv:2409.07288, and compare the results with its claims.
 
     Parameters
     ----------
@@ -80,8 +80,9 @@ def reproduce(
     Returns
     -------
     QTable
-        Table with a row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or
-        cannot be decided from the text), reading. ``meta`` contains the settings, and the ``folder`` of the tables.
+        Table with a row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or cannot
+        be decided from the text), and reading (how the claim was interpreted). The ``meta`` of the table contains the
+        settings, and the ``folder`` of the tables of results.
 
     Raises
     ------
@@ -90,8 +91,8 @@ def reproduce(
 
     References
     ----------
-    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
-    Theta-phi Positioners".
+    Chen and coauthors (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different
+    Types of Theta-phi Positioners".
 
     Examples
     --------

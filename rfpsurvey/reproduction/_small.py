@@ -11,9 +11,9 @@ __all__ = ["small"]
 
 L1, PITCH = 8.25, 25.6
 RAPIDLY = 2.0
-"""Factor by which a probability must change over a scan; the paper does not state one."""
+"""A probability changes rapidly if it changes by at least this factor over a scan; the paper states no factor."""
 COMPARABLE = 0.1
-"""Largest difference of normalized curves that count as comparable; the paper does not state one."""
+"""Largest difference at which two normalized curves count as comparable; the paper states no limit."""
 
 
 def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:

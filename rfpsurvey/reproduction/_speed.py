@@ -10,7 +10,7 @@ from rfpsurvey.reproduction._designs import Settings
 __all__ = ["speed"]
 
 FAR_LESS = 1.0
-"""Percentage of the time of swept areas. If arms of segments take longer, the claim is refuted on any machine."""
+"""Percentage of the time of swept areas; if arms of 64 segments take longer than this, the claim is refuted."""
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:

@@ -33,21 +33,21 @@ class Tally:
         self.n_complete = np.zeros_like(self.n_observed)
 
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Add the visits of pass ``number`` to the targets ``slot``.
+        """Count the visits that pass ``number`` makes to the targets ``slot``.
 
-        The targets ``complete`` have all visits since pass ``last``.
+        The targets ``complete`` have received all of their visits; ``last`` is the pass of the last visit of each.
         """
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
 
 
 class Bookkeeping:
-    """Counts visits by slot; the result does not depend on the order of tiles that share no target.
+    """Counts the visits of each target; the result does not depend on the order of tiles that share no target.
 
     Parameters
     ----------
     visits, priority, kind, category : ndarray or None
-        Columns of the targets, by slot.
+        Columns of the targets; the slot of a target is its index in these columns.
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
@@ -75,7 +75,7 @@ class Bookkeeping:
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
-        """Record a tile of pass ``number``: its field, and the slots of its visits (-1 for blank sky).
+        """Record a tile of pass ``number``: its field, and the slot of the target of each visit (-1 for blank sky).
 
         Return the number of visits that count.
         """
@@ -96,7 +96,7 @@ class Bookkeeping:
         return len(slot)
 
     def done(self) -> np.ndarray:
-        """Return the number of times that each target was observed."""
+        """Return the number of visits that count, for each target."""
         done = self.wanted - self.left
         if self._spend is not None:
             done[~self._spend] = 0
@@ -112,7 +112,7 @@ class Bookkeeping:
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the given targets without a visit that counts, and their outcomes, which state the reasons."""
+        """Return those of the given targets that have no visit that counts, and the outcome of each of them."""
         slot = slot[(self.flags[slot] & DONE) == 0]
         code = _outcomes_by_flags(self.flags[slot])
         code[self.left[slot] == 0] = Outcome.NOT_REQUESTED

@@ -1,7 +1,8 @@
 """A survey on disk: a part for each tile, an index of checksums, and the request.
 
-A part gets its final name when it is complete, and its line of the index is written afterward. Parts without a line are
-therefore not used, and incomplete lines are ignored.
+The part of a tile is a file with the result of the tile. A part receives its final name when it is complete, and the
+line of the index for this part is written afterward. Parts without a line in the index are therefore not used, and
+incomplete lines of the index are ignored.
 """
 
 import hashlib
@@ -60,7 +61,7 @@ class Folder:
             try:
                 self._lock.acquire(timeout=0)
             except Timeout:
-                text = f"{self.path}: another run is at work in this folder; wait for it, or take another"
+                text = f"{self.path}: another run uses this folder; wait until it ends, or give another folder"
                 raise InputError(text) from None
         try:
             self._open()
@@ -80,7 +81,7 @@ class Folder:
         others = [entry.name for entry in self.path.iterdir() if entry.name != LOCK]
         others = [name for name in others if not name.startswith(TEMPORARY_PREFIX)]
         if others:
-            raise InputError(f"{self.path} holds something else ({others[0]}); give a new or empty folder")
+            raise InputError(f"{self.path} must be a new or empty folder, got one that contains {others[0]}")
 
     def _open(self):
         if self._begun and not self._resume:
@@ -90,7 +91,7 @@ class Folder:
             known, n_strange = _read_index(self.path)
             self._known = {name: entry for name, entry in known.items() if _belongs(name, self._n)}
             if n_strange or len(self._known) < len(known):
-                text = f"{self.path / INDEX} is damaged: tiles without a line are planned again"
+                text = f"{self.path / INDEX} is damaged: tiles without a line in this file are planned again"
                 warn(text)
         for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # left by a process that was killed
             if left_over.is_dir():
@@ -113,7 +114,7 @@ class Folder:
         check_request(self.path, before, now, "survey", "folder")
 
     def part(self, tile: int) -> bytes | None:
-        """Return the part of a tile (by row), or None if there is no valid part."""
+        """Return the part (stored result) of the tile in a row of the tiling, or None if there is no valid part."""
         name = part_name(tile)
         if name not in self._known:
             return None
@@ -124,19 +125,19 @@ class Folder:
             return None
 
     def distrust(self, tile: int, reason: str) -> None:
-        """Issue a warning that a part cannot be used."""
+        """Issue a warning that the part of a tile cannot be used."""
         text = f"tile {tile} (by row) is planned again: {reason}"
         warn(text)
 
     def put_part(self, tile: int, content: bytes) -> None:
-        """Write the part of a tile."""
+        """Write the part (the stored result) of a tile."""
         name = part_name(tile)
         with self._told():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
 
     def put(self, name: str, content: bytes) -> None:
-        """Write a file, and then its line of the index."""
+        """Write a file, and then the line of the index for this file."""
         write_bytes(self.path / name, content)
         self._known[name] = len(content), hashlib.sha256(content).hexdigest()
         with self._told(), (self.path / INDEX).open("a") as file:
@@ -151,12 +152,12 @@ class Folder:
             raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
 
     def finish(self) -> None:
-        """Sort the index, so that it does not depend on the order in which tiles were planned."""
+        """Sort the lines of the index, so that they do not depend on the order in which tiles were planned."""
         self._write_index(sorted(self._known.items()))
 
 
 def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> bytes:
-    """Return the content of a file of a survey; raise an error if its checksum differs."""
+    """Return the content of a file of a survey; raise an error if its checksum differs from that in the index."""
     try:
         content = (path / name).read_bytes()
     except FileNotFoundError:
@@ -164,12 +165,12 @@ def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> b
     except OSError as error:
         raise InputError(f"{path / name} is damaged ({error.strerror or error})") from None
     if (len(content), hashlib.sha256(content).hexdigest()) != known.get(name):
-        raise InputError(f"{path / name} is damaged (it is not what was written)")
+        raise InputError(f"{path / name} is damaged (its checksum is not that of the written file)")
     return content
 
 
 def read_index(path: Path) -> dict[str, tuple[int, str]]:
-    """Return size and checksum of each file; incomplete lines are omitted."""
+    """Return the size and the checksum of each file in the index; incomplete lines are omitted."""
     return _read_index(path)[0]
 
 
@@ -197,7 +198,7 @@ def _belongs(name: str, n_tiles: int) -> bool:
 
 
 def part_name(tile: int) -> str:
-    """Return the name of the file of a tile (by row)."""
+    """Return the name of the file for the tile in a row of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
 
 

@@ -9,7 +9,7 @@ __all__ = ["ORDERS", "make_rounds"]
 
 
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
-    """Return a number for each tile such that tiles of a group that are close to each other have different numbers."""
+    """Return a number for each tile; tiles of a group that are close to each other receive distinct numbers."""
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
         index.vectors,
@@ -28,7 +28,8 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
 def _by_color(index, reach_rad, passes):
     """Return the round of each tile.
 
-    There is a round for each color of each pass; tiles of the same color do not overlap.
+    The tiles of each pass are numbered such that tiles with the same number, called their color, do not overlap. Each
+    color of each pass is a round.
     """
     color = _number(index, reach_rad, passes, smallest=True)
     return np.unique(np.column_stack([passes, color]), axis=0, return_inverse=True)[1].reshape(-1)
@@ -42,12 +43,13 @@ def _as_given(index, reach_rad, passes):
 ORDERS = {"color": _by_color, "given": _as_given}
 """Functions that return the round of each tile.
 
-Their arguments are the index of tiles, the largest distance of overlapping tiles, and the pass of each tile.
+The arguments of these functions are the spatial index of the tiles, the largest distance of overlapping tiles, and the
+pass of each tile.
 """
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:
-    """Return the tiles (rows) of each round; tiles of a round are farther apart than ``reach_rad``."""
+    """Return the rows of the tiles of each round; the tiles of a round are farther apart than ``reach_rad``."""
     if len(vectors) == 0:
         return []
     index = SkyIndex(vectors)

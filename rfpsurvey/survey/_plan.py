@@ -57,7 +57,7 @@ def plan_survey(
 
     Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other;
     an executor plans all other tiles at the same time. The plan does not depend on the executor. Required targets
-    (`AllocationOptions`) take precedence in every tile as long as visits of them remain. Required targets that are
+    (`AllocationOptions`) take precedence in every tile as long as they have remaining visits. Required targets that are
     standards or sky positions can be used any number of times, even without requirements. Circles that no arm may cover
     are obstacles for the tiles whose arms can touch them.
 
@@ -105,15 +105,15 @@ def plan_survey(
     Returns
     -------
     Survey
-        The survey. It depends neither on the number of workers nor on interruptions.
+        The survey. The plan does not depend on the number of workers or on interruptions.
 
     Raises
     ------
     InputError
         If the catalog or the tiling is empty, a name or a required identifier is unknown, a number is out of range,
-        or the folder is in use, contains another survey, or is not writable. Tiles that have been written remain.
+        or the folder is in use, contains another survey, or is not writable. The files of finished tiles remain.
     concurrent.futures.BrokenExecutor
-        If a worker process ends abruptly and the executor does not replace it. Tiles that have been written remain.
+        If a worker process ends abruptly and the executor does not replace it. The files of finished tiles remain.
 
     Warns
     -----
@@ -146,7 +146,7 @@ def plan_survey(
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(
-            f"allocator must be a name where processes do the work, such as that of an entry point, got "
+            f"allocator must be a name, such as that of an entry point, if other processes plan tiles, got "
             f"{asked.allocator!r}"
         )
     if check_switch(resume, "resume") and folder is None:
@@ -159,7 +159,7 @@ def plan_survey(
     else:
         catalog = as_catalog(catalog)
         if epoch is not None and not catalog.has_proper_motion:
-            warn("without proper motions the epoch changes nothing")
+            warn("the epoch has no effect, because the targets have no proper motions")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
     tiles = as_tiling(tiling)
     if is_table(tiling):
@@ -179,7 +179,7 @@ def plan_survey(
     _warn_of_lacks(request)
     survey = run(request, folder, executor, progress, resume=resume)
     if request.visits.any() and not survey.summary["n_visits_observed"]:
-        warn("no target was observed: are the tiles where the targets are?")
+        warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:
         warn(text)
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
@@ -187,9 +187,9 @@ def plan_survey(
 
 
 def _warn_of_lacks(request) -> None:
-    """Issue warnings for problems that would occur in every tile."""
+    """Issue warnings for problems of the request that would occur in every tile."""
     if request.source.has_twins:
-        warn("some targets share their id with another")
+        warn("some targets have the same id as another target")
     asked = {one.what: one for one in request.options.requirements if one.minimum}
     if request.options.sky_separation is not None:
         asked.pop("sky", None)

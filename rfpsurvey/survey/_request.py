@@ -71,7 +71,7 @@ class Request:
         return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
-        """Return the work on a tile (by row), with the remaining visits of the targets."""
+        """Return the job that plans a tile (by row); ``left`` is the number of remaining visits of each target."""
         # blank sky must be away from all targets, including targets without remaining visits
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
@@ -156,7 +156,7 @@ def make_request(
     passes = asked.tolist() if strange else asked.astype(int).tolist()
     if strange or len(set(passes)) < len(passes):
         listed = ", ".join(str(p) for p in known[:12])
-        raise InputError(f"passes must be different passes of the tiling ({listed}), got {passes}")
+        raise InputError(f"passes must be distinct passes of the tiling ({listed}), got {passes}")
     rows = np.flatnonzero(np.isin(number, passes))
     if len(rows) == 0:
         raise InputError("the tiling must have at least one tile, got none")

@@ -14,29 +14,29 @@ TILES = {
     "tile": "identifier of the tile",
     "ra": "right ascension of the field center (ICRS)",
     "dec": "declination of the field center (ICRS)",
-    "position_angle": "of +y, from north toward east",
-    "round": "tiles of a round do not share targets",
-    "n_in_field": "targets in the field that were still wanted",
-    "n_reachable": "of these, in reach of a positioner",
-    "n_assigned": "positioners with a target",
-    "n_science": "of these, with a science target",
-    "n_standard": "of these, with a standard star",
-    "n_sky": "of these, on sky",
-    "n_colliding": "positioners in collision",
-    "n_counted": "positioners with a target or parked",
-    "n_colliding_pairs": "pairs of arms in collision",
-    "n_obstacle_collisions": "collisions with obstacles",
-    "n_unmet": "requirements that are not met",
-    "n_observed": "visits that count",
-    "collision_rate": "n_colliding over n_counted",
-    "fiber_use": "n_assigned over usable positioners",
-    "completeness": "visits observed over visits wanted here",
+    "position_angle": "position angle of +y, from north toward east",
+    "round": "round in which the tile is planned; tiles of one round do not share targets",
+    "n_in_field": "number of targets in the field that still require a visit",
+    "n_reachable": "number of targets that still require a visit and are in reach of a positioner",
+    "n_assigned": "number of positioners with a target",
+    "n_science": "number of positioners with a science target",
+    "n_standard": "number of positioners with a standard star",
+    "n_sky": "number of positioners on sky",
+    "n_colliding": "number of positioners in collision",
+    "n_counted": "number of positioners that have a target or are parked",
+    "n_colliding_pairs": "number of pairs of arms in collision",
+    "n_obstacle_collisions": "number of collisions with obstacles",
+    "n_unmet": "number of requirements that are not met",
+    "n_observed": "number of successful visits",
+    "collision_rate": "n_colliding divided by n_counted",
+    "fiber_use": "n_assigned divided by the number of usable positioners",
+    "completeness": "observed visits divided by requested visits, for the targets in the field",
 }
 OUTCOME = {
     "target_id": "identifier of the target",
-    "wanted": "visits wanted",
-    "observed": "visits that count",
-    "outcome": "code, see the cards OUTCOME0 and following",
+    "wanted": "number of requested visits",
+    "observed": "number of successful visits",
+    "outcome": "code of the outcome; the header cards OUTCOME0, OUTCOME1, ... state the outcome of each code",
 }
 
 
@@ -94,7 +94,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
 
 
 def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
-    """Return a sentence for each outcome of required targets (by slot) that were never observed."""
+    """Return a sentence for each outcome of the required targets that were never observed."""
     if len(missed) == 0:
         return []
     code = np.full(len(source), len(OUTCOMES), dtype=np.uint8)

@@ -62,7 +62,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
 
 
 def _plan_round(request, tiles, state, folder, executor) -> Iterator:
-    """Yield tile, field, result, and whether the result is new, in the order of ``tiles``."""
+    """Yield, for each tile of ``tiles`` in order, the tile, its field, its result, and whether the result is new."""
     waiting = deque()
     try:
         for tile in tiles.tolist():
@@ -106,7 +106,7 @@ def _told(job):
     try:
         yield
     except BrokenExecutor as error:
-        text = "a worker died; tiles that were written stay: continue the survey with resume=True (--resume)"
+        text = "a worker died; tiles that were written are kept: continue the survey with resume=True (--resume)"
         raise BrokenExecutor(text) from error
     except Exception as error:
         error.add_note(f"while tile {job.tile} was planned")
@@ -123,7 +123,7 @@ def _read(folder, tile, job) -> Done | None:
         lacking = [name for name in ("target_row", "observed") if name not in visits.dtype.names]
         lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
         if lacking:
-            raise InputError(f"it lacks {', '.join(lacking)}")
+            raise InputError(f"its file lacks {', '.join(lacking)}")
     except InputError as error:  # the checksum is correct, because the index was also changed
         folder.distrust(tile, str(error))
         return None
@@ -131,7 +131,7 @@ def _read(folder, tile, job) -> Done | None:
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
-        folder.distrust(tile, "it was planned when other targets were left")
+        folder.distrust(tile, "the tile was planned when other targets still required a visit")
         return None
     counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)

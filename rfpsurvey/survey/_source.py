@@ -69,7 +69,7 @@ class InMemory:
         return None if column is None else self.to_slots(column)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Return values by row in the order of slots."""
+        """Convert an array with a value for each row to the order of slots."""
         return values[self._index.order]
 
     @property
@@ -95,7 +95,7 @@ class InMemory:
         return self._catalog.id[row]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return values by slot in the order of rows."""
+        """Convert an array with a value for each slot to the order of rows."""
         out = np.empty_like(values)
         out[self._index.order] = values
         return out
@@ -183,7 +183,7 @@ class Partitioned:
         return self._parts.column(name)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Return values by row, which is also the order of slots."""
+        """Return the values unchanged, because the order of rows is also the order of slots."""
         return values
 
     by_row = to_slots

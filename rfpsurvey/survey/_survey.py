@@ -97,8 +97,8 @@ class Survey:
         Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``, ``ra``,
         ``dec``, ``in_collision``, ``observed`` (whether the visit counts), ``fiber_type`` if there are several,
         ``kind`` if the catalog has kinds or blank sky was searched for, and ``priority``, ``category`` and the further
-        columns (``extra``) of the catalog, if it has them. In these columns, the values of blank sky are NaN, empty
-        text, False or -1.
+        columns (``extra``) of the catalog, if it has them. In the columns from the catalog, the values for blank sky
+        are NaN, empty text, False or -1.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -118,11 +118,11 @@ class Survey:
         Raises
         ------
         InputError
-            If there is no such tile, or its part is missing or damaged.
+            If the survey has no such tile, or the file with its visits is missing or damaged.
         """
         rows = np.flatnonzero(np.asarray(self.tiles["tile"]).astype(str) == str(tile))
         if len(rows) == 0:
-            raise InputError(f"the survey has no tile {tile}; its tiles are such as {self.tiles['tile'][0]}")
+            raise InputError(f"the survey has no tile {tile}; its tiles have names such as {self.tiles['tile'][0]}")
         return self._visits(int(rows[0]))
 
     def __iter__(self) -> Iterator[QTable]:

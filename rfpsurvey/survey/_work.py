@@ -18,14 +18,14 @@ __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
 # Header cards of a part: names of the counts, and comments.
 N_FIELD = "NFIELD"
 COUNTS = {
-    N_FIELD: ("n_in_field", "targets in the field, still wanted"),
-    "NREACH": ("n_reachable", "of these, in reach of a positioner"),
+    N_FIELD: ("n_in_field", "targets in the field with remaining visits"),
+    "NREACH": ("n_reachable", "targets of NFIELD in reach of a positioner"),
     "NASSIGN": ("n_assigned", "positioners with a target"),
-    "NSCIENCE": ("n_science", "of these, with a science target"),
-    "NSTANDAR": ("n_standard", "of these, with a standard star"),
-    "NSKY": ("n_sky", "of these, on sky"),
+    "NSCIENCE": ("n_science", "positioners with a science target"),
+    "NSTANDAR": ("n_standard", "positioners with a standard star"),
+    "NSKY": ("n_sky", "positioners with a sky position"),
     "NCOLLIDE": ("n_colliding", "positioners in collision"),
-    "NCOUNTED": ("n_counted", "positioners with a target, or parked obstacles"),
+    "NCOUNTED": ("n_counted", "positioners in the collision rate"),
     "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
     "NUNMET": ("n_unmet", "requirements not met"),
@@ -83,7 +83,7 @@ class Model:
         return _unpack, (self._packed,)
 
     def cards(self, columns: tuple[str, ...]) -> tuple:
-        """Return the cards that all parts share."""
+        """Return the FITS header cards that the parts of all tiles share."""
         units = {"ra": "deg", "dec": "deg", **self.units}
         cards = table_cards("VISITS", columns, {k: VISITS.get(k, KEPT_COLUMN) for k in columns}, units)
         cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
@@ -114,9 +114,9 @@ class Done(NamedTuple):
     """The result of the work on a tile."""
 
     part: bytes | None
-    """The visits as a FITS file, if a file is requested."""
+    """The visits of the tile as the content of a FITS file; None if no file is requested."""
     visits: np.ndarray | None
-    """The visits as an array, if no file is requested."""
+    """The visits of the tile as an array; None if a file is requested."""
     target: np.ndarray
     """For each visit, the index of its target among those of the field; -1 for blank sky."""
     observed: np.ndarray

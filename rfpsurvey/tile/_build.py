@@ -42,7 +42,8 @@ def build_tile(
 
     ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
     target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner;
-    ``targets`` are all targets of the field. ``software`` lists packages in use in addition to the usual ones.
+    ``targets`` are all targets of the field. ``software`` lists the packages whose versions the tile records in
+    addition to those of the usual packages.
     """
     plane = instrument.focal_plane
     n = len(plane)
@@ -73,7 +74,7 @@ def build_tile(
     table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
     table["in_collision"] = report.in_collision
     table["colliding_with"] = _partners(plane, report)
-    table["clearance"] = (nearest_distance(posed) - plane.positioner.numbers.separation) * u.mm
+    table["clearance"] = (nearest_distance(plane, posed) - plane.positioner.numbers.separation) * u.mm
     table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
     if kind is not None:
         table["kind"] = np.append(kind, "")[target_of]
@@ -109,6 +110,7 @@ def build_tile(
             "min_separation_mm": float(plane.positioner.numbers.separation),
             "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane.arrays.obstacles.tolist(),
+            **({} if plane.positioner.outline is None else {"outline_mm": plane.positioner.outline.to_dict()}),
         },
     }
     table.meta = json.loads(json.dumps(meta, default=str))  # converts to types that all file formats support
@@ -130,7 +132,7 @@ def _partners(plane, report):
 
 
 def _one_or_all(values):
-    """Return one number if all are equal, otherwise a list."""
+    """Return one number if all numbers are equal, otherwise the list of the numbers."""
     return float(values[0]) if (values == values[0]).all() else values.tolist()
 
 

@@ -20,7 +20,7 @@ TARGET_COLUMNS = {
     "dec": "declination (ICRS)",
     "kind": "science, standard or sky",
     "category": "category in the catalog",
-    "priority": "priority in the catalog, larger is more important",
+    "priority": "priority in the catalog; a larger value is more important",
 }
 TILE_COLUMNS = {
     "id": "identifier of the positioner",
@@ -33,13 +33,13 @@ TILE_COLUMNS = {
     "fiber_type": "type of the fiber that is used",
     "theta": "angle of the central arm",
     "phi": "angle of the eccentric arm",
-    "elbow_x": "elbow of the arm in the focal plane",
-    "elbow_y": "elbow of the arm in the focal plane",
-    "tip_x": "fiber in the focal plane",
-    "tip_y": "fiber in the focal plane",
+    "elbow_x": "position of the elbow in the focal plane",
+    "elbow_y": "position of the elbow in the focal plane",
+    "tip_x": "position of the fiber in the focal plane",
+    "tip_y": "position of the fiber in the focal plane",
     "in_collision": "whether the arm collides",
-    "colliding_with": "positioners and obstacles it collides with",
-    "clearance": "distance to the nearest arm minus the minimum",
+    "colliding_with": "positioners and obstacles with which the arm collides",
+    "clearance": "distance to the nearest arm minus the minimum separation",
     "arm_x": "end of the arm segment that can collide",
     "arm_y": "end of the arm segment that can collide",
 }
@@ -50,22 +50,22 @@ OUTCOMES_COLUMNS = {
     "x": "target in the focal plane",
     "y": "target in the focal plane",
     "outcome": "outcome of the target",
-    "positioner": "identifier of its positioner",
+    "positioner": "identifier of the positioner of the target",
 }
 COMPLETENESS = {
-    "kind": "kind of these targets, or all",
-    "category": "category of these targets, or all",
-    "priority": "priority of these targets, or all",
-    "n_in_field": "targets in the field",
-    "n_reachable": "of these, in reach of a positioner",
-    "n_assigned": "of these, with a positioner",
-    "n_observed": "of these, without a collision",
-    "completeness": "n_observed over n_in_field",
+    "kind": "kind of the counted targets; all stands for every kind",
+    "category": "category of the counted targets; all stands for every category",
+    "priority": "priority of the counted targets; all stands for every priority",
+    "n_in_field": "number of targets in the field",
+    "n_reachable": "number of targets in reach of a positioner",
+    "n_assigned": "number of targets with a positioner",
+    "n_observed": "number of targets with a positioner whose arm does not collide",
+    "completeness": "n_observed divided by n_in_field",
 }
 
 
 def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
-    """Set the descriptions of columns (``others`` for those not in ``about``), and return the table."""
+    """Set the descriptions of columns from ``about`` (``others`` for all other columns), and return the table."""
     for name in table.colnames:
         if name in about or others:
             table[name].info.description = about.get(name, others)

@@ -22,15 +22,15 @@ OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
 def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
-    """Return a field center in the frame of the equinox, which defines north.
+    """Return a field center in the frame of an equinox; the north of this frame defines position angles.
 
-    Without an equinox, return it unchanged.
+    If ``equinox`` is None, the center is returned unchanged.
     """
     return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox")))
 
 
 def field_center(table) -> SkyCoord:
-    """Return the field center from columns or the meta."""
+    """Return the field center that the columns or the meta of a table contain."""
     return SkyCoord(field_value(table, "ra") * u.deg, field_value(table, "dec") * u.deg)
 
 
@@ -46,7 +46,7 @@ def _degrees(value, name: str) -> np.ndarray:
 
 
 def field_value(table, what: str) -> float:
-    """Return the value of a field from a column or the meta."""
+    """Return a value that describes the field, such as a position angle, from a column or the meta of a table."""
     lower = {c.lower(): c for c in table.colnames}
     meta = {str(k).lower(): v for k, v in table.meta.items()}
     for name in FIELD[what]:

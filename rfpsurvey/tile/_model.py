@@ -15,6 +15,7 @@ ARMS = {
     "elbow_to_tip": "segments from elbow to fiber",
     "capsule": "segments of a given length from the elbow (capsules)",
     "fiber_tip": "points at the fiber",
+    "outline": "outlines of polygons",
 }
 
 

@@ -128,7 +128,7 @@ def plan_tile(
     if epoch is not None:
         to_time(epoch, "epoch")
         if not catalog.has_proper_motion:
-            warn("without proper motions the epoch changes nothing")
+            warn("the epoch has no effect, because the targets have no proper motions")
         near = catalog.arrays.rows_near(center, radius, epoch)
         catalog = catalog[near].at_epoch(epoch)
         is_required = None if is_required is None else is_required[near]
@@ -146,11 +146,13 @@ def plan_tile(
         given = rows[wanted if is_required is None else wanted | is_required[rows]]
     if len(given) == 0:
         raise InputError(
-            f"none of the {len(rows)} targets in the field is science; requirements such as 'sky=20' assign others"
+            f"none of the {len(rows)} targets in the field is a science target; "
+            "requirements such as 'sky=20' assign other targets"
         )
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
-        text = f"the field has {number_of(n_twice, 'target')} with the id of another; each row is planned by itself"
+        text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
+        text += "; each row is planned as a separate target"
         warn(text)
     columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
@@ -253,7 +255,7 @@ def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
         return ""
     n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
     remedy = "give their unit (units={'ra': 'hourangle'}, --unit ra=hourangle)"
-    return f"; {n} would lie there if right ascensions are in hours: {remedy}" if n else ""
+    return f"; {n} would be in the field if right ascensions are in hours: {remedy}" if n else ""
 
 
 def _known(value):

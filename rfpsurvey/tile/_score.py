@@ -72,7 +72,7 @@ def score_tile(
         Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
         columns of a DataFrame are in mm and deg unless ``units`` specifies others.
     parked_obstacles : bool, optional
-        Whether idle positioners with equal arms are obstacles.
+        Whether idle positioners whose arms have equal lengths are obstacles.
 
     Returns
     -------
@@ -104,8 +104,8 @@ def score_tile(
         units = {**{role: str(unit) for role, unit in UNITS.items()}, **(units or {})}
     if center is not None and equinox is not None:
         raise InputError(
-            "equinox must be left out where center is given, whose frame has the north: give center.transform_to(FK5("
-            f'equinox="{equinox}"))'
+            "equinox must be left out if center is given, because the frame of center defines north: give "
+            f'center.transform_to(FK5(equinox="{equinox}"))'
         )
     roles, columns = plan_roles(table), columns or {}
     columns = {**roles, **columns} if isinstance(columns, dict) else columns
@@ -149,7 +149,10 @@ def score_tile(
         given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
         unused = [name for name, value in given.items() if value is not None]
         if unused:
-            warn(f"{', '.join(unused)} not used: the table has positions on the focal plane (else positions='sky')")
+            warn(
+                f"not used, because the table has positions on the focal plane: {', '.join(unused)}; to use positions "
+                "on the sky, give positions='sky'"
+            )
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
@@ -192,7 +195,7 @@ def _positioners(find: Finder, instrument: Instrument):
         raise find.missing("positioner")
     values = to_plain(find.table[name])
     if values.ndim != 1:
-        raise InputError(f"column {name!r} must have one value a row, got the shape {values.shape}")
+        raise InputError(f"column {name!r} must have one value per row, got the shape {values.shape}")
     if values.dtype.kind == "f":  # integers in a column with missing values
         values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
     names = np.char.strip(values.astype(str))
@@ -236,7 +239,7 @@ def _assigned(table) -> np.ndarray:
 
 
 def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
-    """Return the identifiers of the targets; the column of the positioners is not used for them."""
+    """Return the identifiers of the targets; the column with the identifiers of positioners is ignored."""
     names = [c for c in find.table.colnames if c != positioner_column]
     ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
     return np.arange(len(find.table)) if ids is None else ids

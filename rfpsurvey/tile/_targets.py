@@ -82,7 +82,7 @@ def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
 
 
 def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
-    """Return the columns of targets with a value for each positioner; ``row_of`` are rows of the plan, or -1."""
+    """Return the columns of the catalog by positioner; ``row_of`` is the row of each positioner in the plan, or -1."""
     if len(plan.target) == 0:
         return {}
     given = (row_of >= 0) & (plan.target >= 0)[row_of]

@@ -148,8 +148,8 @@ class Tile:
 
         Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all values of a column), ``n_in_field``,
         ``n_reachable`` (0 for targets that are not requested), ``n_assigned``, ``n_observed`` (assigned, and not in
-        collision) and ``completeness``, which is ``n_observed`` divided by ``n_in_field``. It is None without
-        `outcomes`.
+        collision) and ``completeness``, which is ``n_observed`` divided by ``n_in_field``. The table is None if there
+        are no `outcomes`.
         """
         return None if self.outcomes is None else completeness_table(self.outcomes)
 
@@ -196,8 +196,8 @@ class Tile:
         """Write the tile as FITS or ECSV; if writing fails, no incomplete file remains.
 
         The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
-        if there are any. An ECSV file contains only ``table``, and a tile that is read from it has neither outcomes
-        nor completeness. To keep these, write FITS, or write ``tile.outcomes`` to a separate file.
+        if there are any. An ECSV file contains only ``table``, and a tile that is read from it has neither outcomes nor
+        completeness. To keep the outcomes, write FITS, or write ``tile.outcomes`` to a separate file.
 
         Parameters
         ----------

@@ -125,12 +125,12 @@ class Declinations:
         )
 
     def distance(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the distances (radians) of directions from the limits; 0 inside."""
+        """Return the distances (radians) of directions from the limits; 0 for directions inside the limits."""
         lat = to_lonlat(vectors)[1]
         return np.maximum(np.maximum(self.low - lat, lat - self.high), 0.0)
 
     def move_inside(self, vectors: np.ndarray) -> np.ndarray:
-        """Return directions, shape (..., 3), with those outside moved along their meridians onto the limits."""
+        """Return directions, shape (..., 3), where those outside the limits are moved along meridians onto them."""
         if self.anywhere:
             return vectors
         lon, lat = to_lonlat(vectors)
@@ -144,7 +144,7 @@ class Declinations:
     def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:
         """Return the directions that are inside the limits or less than a radius outside.
 
-        Directions outside are moved onto the limits.
+        Directions outside the limits are moved onto the limits.
         """
         return vectors if self.anywhere else self.move_inside(vectors[self.distance(vectors) < radius])
 

@@ -141,7 +141,7 @@ def _needed(index, centers, radius, margin):
 
 
 def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Move centers to the nearest allowed ones, and add allowed centers as long as they cover further points."""
+    """Move centers to the nearest allowed centers, and add allowed centers as long as these cover further points."""
     from scipy.spatial import cKDTree
 
     chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)

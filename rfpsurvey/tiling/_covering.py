@@ -48,7 +48,7 @@ def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -
 
 
 def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
-    """Return the radius of the widest circle that touches the given circle and contains no vector."""
+    """Return the radius of the widest circle that touches the given circle and contains none of the vectors."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(vectors)
@@ -81,8 +81,8 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
     """
     if reach > np.pi / 2 * (1 + 1e-9):
         raise InputError(
-            f"the hexagonal lattice covers at most a hemisphere, the field reaches {np.rad2deg(reach):.1f} deg from "
-            "its center; use method='spiral'"
+            f"the hexagonal lattice covers at most a hemisphere, but the field reaches {np.rad2deg(reach):.1f} deg "
+            "from its center; use method='spiral'"
         )
     check_number(reach, radius)
 
@@ -165,6 +165,6 @@ def check_number(reach: float, radius: float) -> None:
     expected = 4 * np.pi * np.sin(min(reach + radius, np.pi) / 2) ** 2 / (HEXAGON * radius**2)
     if expected > MOST:
         raise InputError(
-            f"radius must be larger: about {expected:.3g} tiles of {np.rad2deg(radius):.3g} deg would cover the field, "
-            f"and {MOST} are the most"
+            f"radius must be larger: about {expected:.3g} tiles with the radius {np.rad2deg(radius):.3g} deg would "
+            f"cover the field, but at most {MOST} tiles are allowed"
         )

@@ -21,10 +21,11 @@ _TURN = np.array([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi 
 
 
 def max_density(problem: TilingProblem) -> TilingState:
-    """Place each tile at the center with the largest number of requested visits.
+    """Place each tile at the center with the largest number of requested visits of the highest priority that is left.
 
-    The candidates are a HEALPix grid finer than a tenth of the radius; their sums are updated around each new tile.
-    The best candidate is then shifted as long as its sum increases.
+    If several centers have the same number, the one with the most visits of other priorities is used. The candidate
+    centers form a HEALPix grid finer than a tenth of the radius. For each candidate, the sum of the requested visits in
+    its field is updated after each new tile. The best candidate is then shifted as long as its sum increases.
     """
     state = TilingState(problem)
     places = _grid(problem) if problem.allowed is None else problem.allowed
@@ -67,7 +68,7 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
 
 
 def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
-    """Place tiles until no more are needed or no target can be served."""
+    """Place tiles until no more tiles are needed or no further target can be observed."""
     lists = candidates if isinstance(candidates, tuple) else (candidates,)
     while not state.done:
         center = seek()
@@ -90,27 +91,30 @@ class _Candidates:
     def __init__(self, state: TilingState, vectors: np.ndarray, reach: float):
         self.state, self.reach = state, reach
         self.index = SkyIndex(vectors)
+        self.leading = state.leading()
         self.sum = state.problem.index.sum_near(self.index.vectors, reach, state.weight)
 
     def best(self) -> np.ndarray | None:
         """Return the candidate with the largest sum; None if all sums are 0."""
         most = self.sum.max(initial=0.0)
-        if most <= 0.5:
+        if most <= 0.5 * self.state.unit:
             return None
         # of equal candidates, the one with the first row, independent of the order on the sky
-        top = np.flatnonzero(self.sum >= most - 1e-9)
+        top = np.flatnonzero(self.sum >= most - min(1e-9, 1e-2 * self.state.unit))
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
         """Return the best candidate within half a radius of a direction or, if there is none, of all candidates."""
         near = self.index.near(center, 0.5 * self.state.problem.radius)
-        if len(near) == 0 or self.sum[near].max() <= 0.5:
+        if len(near) == 0 or self.sum[near].max() <= 0.5 * self.state.unit:
             return self.best()
         return self.index.vectors[near[np.argmax(self.sum[near])]]
 
     def update(self, center: np.ndarray, changed: float) -> None:
         """Update the sums after targets within ``changed`` of a center were observed."""
-        near = self.index.near(center, min(changed + self.reach, np.pi))
+        near, leading = self.index.near(center, min(changed + self.reach, np.pi)), self.state.leading()
+        if leading != self.leading:  # the weights of all targets have changed
+            near, self.leading = np.arange(len(self.sum)), leading
         weight = self.state.weight
         self.sum[near] = self.state.problem.index.sum_near(self.index.vectors[near], self.reach, weight)
 
@@ -146,7 +150,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Shift a center by decreasing steps as long as the sum inside the tile increases."""
+    """Shift a center by decreasing steps as long as the number of requested visits inside the tile increases."""
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:

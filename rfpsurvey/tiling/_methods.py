@@ -1,4 +1,4 @@
-"""The table of methods of placing tiles."""
+"""The table of the methods that place tiles."""
 
 from functools import partial
 

@@ -1,7 +1,8 @@
 """Place tiles by network flow (Blanton et al. 2003, AJ 125, 2276, Section 4).
 
-Targets in small cells are assigned to tiles by a flow of least cost. For a cell outside a tile, the cost increases
-with its distance from the edge. Each tile then moves to the center that minimizes the cost of its cells.
+Targets are combined into small cells, and a minimum-cost flow assigns the cells to tiles. For a cell outside a tile,
+the cost increases with the distance of the cell from the edge of the tile. Each tile then moves to the center that
+minimizes the cost of the cells assigned to it.
 """
 
 import numpy as np

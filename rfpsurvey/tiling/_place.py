@@ -34,6 +34,8 @@ from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
 __all__ = ["place_tiles"]
 
+MOST_LEVELS = 100
+"""Largest number of classes of priorities for which tiles are placed one class after the other."""
 log = logging.getLogger("rfpsurvey")
 
 
@@ -75,8 +77,9 @@ def place_tiles(
         ``spiral``: a Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: each tile in turn is
         placed where the number of requested visits is largest. ``density_gradient``: each tile in turn climbs the
         smoothed density of targets, starting at the densest target. ``mean_shift``: each tile in turn moves
-        repeatedly to the mean of its targets. ``sdss``: a number of tiles are placed by network flow; by default it
-        is the number of a hexagonal lattice. ``given``: the tiles in ``centers``, in their order.
+        repeatedly to the mean of its targets. These three methods place tiles for the targets of the highest priority
+        first. ``sdss``: a number of tiles are placed by network flow; by default it is the number of a hexagonal
+        lattice. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
         Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left. With
         ``completeness`` or ``n_tiles``, passes are added until this goal is reached, and tiles that serve no target are
@@ -112,10 +115,11 @@ def place_tiles(
     Returns
     -------
     Tiling
-        The tiles. For targets, they are in the order in which they were placed, with the columns ``n_targets`` (number
-        of targets in the field that still require a visit), ``n_new`` (number of targets served) and ``completeness``
-        (after the tile). A survey with the same allocator reaches this completeness if it plans the tiles in this order
-        (``order="given"``), and nearly the same completeness in another order.
+        The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
+        columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
+        that the tile observes) and ``completeness`` (after the tile). A survey with the same allocator reaches the
+        completeness of the last tile if it plans the tiles in this order (``order="given"``), and nearly the same
+        completeness in another order.
 
     Raises
     ------
@@ -223,6 +227,7 @@ def place_tiles(
             limits=where.limits,
             n_beyond=n_beyond,
             tiles=where.tiling,
+            level=_levels(catalog.priority, wanted, index.order),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
         state = METHODS[method](problem)
@@ -245,7 +250,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
         raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
     for name, value in given.items():
         if value is not None:
-            raise InputError(f"{name} is about targets, and a region has none")
+            raise InputError(f"{name} applies only to targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
         table, vectors = where.tiling.table, where.tiling.vectors
@@ -258,7 +263,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
     if quality.get("fraction_beyond_declination") == 1:
         raise InputError(f"at least a part of the region must be within reach{where.limits.words}, got none")
     if quality["covering_fraction"] < 1:
-        words = f"the centers that may be cover {quality['covering_fraction']:.4f} of the region"
+        words = f"the allowed centers cover {quality['covering_fraction']:.4f} of the region"
         if quality.get("fraction_beyond_declination"):
             words += f"; {quality['fraction_beyond_declination']:.4f} of it is out of reach{where.limits.words}"
         warn(words)
@@ -312,8 +317,20 @@ def _wanted(catalog, visits, exclude):
     return wanted
 
 
+def _levels(priority, wanted, order):
+    """Return the class of the priority of each target by position, 0 for the highest; None for a single class.
+
+    If there are more than `MOST_LEVELS` priorities, neighboring ones share a class.
+    """
+    if priority is None or len(values := np.unique(priority[wanted > 0])) < 2:
+        return None
+    rank = np.clip(np.searchsorted(values, priority), 0, len(values) - 1)
+    number = min(len(values), MOST_LEVELS)
+    return (number - 1 - rank * number // len(values))[order]
+
+
 def _account(state: TilingState, neighbors, n_away: int) -> dict:
-    """Return the summary of a tiling; ``n_away`` targets are beyond the limits of declination."""
+    """Return the summary of a tiling; ``n_away`` targets cannot be reached within the declination limits."""
     problem = state.problem
     wanted, made = problem.wanted, problem.wanted - state.left
     n = len(state.rows)

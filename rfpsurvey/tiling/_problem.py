@@ -14,32 +14,34 @@ __all__ = ["TilingProblem", "TilingState"]
 
 @dataclass(frozen=True)
 class TilingProblem:
-    """The problem of placing tiles, in radians; arrays of targets are sorted by position in the index."""
+    """The problem of placing tiles; angles are in radians, and targets have the order of the spatial index."""
 
     radius: float
     index: SkyIndex
     wanted: np.ndarray
-    """Requested visits of each target."""
+    """Number of requested visits of each target."""
     fibers: int
     serve: Callable
-    """Function serve(center, positions, state) that returns the positions that a tile serves."""
+    """Function serve(center, positions, state) that returns the positions of the targets that a tile observes."""
     allowed: np.ndarray | None = None
-    """The only centers that are allowed."""
+    """The allowed centers of tiles; None if all centers are allowed."""
     passes: int = 1
     n_tiles: int | None = None
     completeness: float | None = None
     limits: Declinations = field(default_factory=Declinations)
-    """Declinations of the centers."""
+    """Limits of the declinations of the centers of tiles."""
     n_beyond: int = 0
     """Number of visits that no tile within the limits can make; ``wanted`` does not include them."""
     tiles: Tiling | None = None
-    """The list of centers with their passes."""
+    """List of the centers of tiles and their passes, for the method that evaluates an existing tiling."""
+    level: np.ndarray | None = None
+    """Class of the priority of each target, 0 for the highest; None if all targets have the same priority."""
     tell: Callable | None = None
     """Function that is called after each tile with the number of tiles and the completeness."""
 
     @property
     def open_ended(self) -> bool:
-        """Whether tiles are added until nothing is left."""
+        """Whether tiles are added until no visits remain."""
         return self.n_tiles is None and self.completeness is None
 
     def circle(self) -> tuple[np.ndarray, float]:
@@ -59,13 +61,13 @@ class TilingState:
 
     problem: TilingProblem
     left: np.ndarray = field(init=False)
-    """Remaining visits of each target."""
+    """Number of remaining visits of each target."""
     hopeless: np.ndarray = field(init=False)
-    """Targets for which no more tiles are placed, because a tile on them served no target."""
+    """Targets for which no more tiles are placed, because a tile placed on them observed no target."""
     chances: np.ndarray | None = None
-    """Number of later tiles that cover each target, if known."""
+    """Number of later tiles that cover each target; None if it is unknown."""
     rows: list = field(default_factory=list)
-    """For each tile: center, pass, unserved targets in the field, targets served, completeness after it."""
+    """Center and pass of each tile, unobserved targets in its field, targets it observes, completeness after it."""
 
     def __post_init__(self):
         self.left = self.problem.wanted.astype(np.float64)
@@ -76,23 +78,41 @@ class TilingState:
 
     @property
     def weight(self) -> np.ndarray:
-        """Number of visits per target for which tiles are placed."""
-        return np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
+        """Number of remaining visits of each target for which more tiles are placed, weighted by its priority.
+
+        Each visit of the highest remaining priority has the weight 1, and all other visits together less than 1.
+        """
+        weight = np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
+        if self.problem.level is None:
+            return weight
+        return np.where(self.problem.level == self.leading(weight), weight, weight * self.unit)
+
+    def leading(self, weight: np.ndarray | None = None) -> int:
+        """Return the class of the highest priority among the targets for which tiles are placed."""
+        if self.problem.level is None:
+            return 0
+        weight = self.left * ~self.hopeless if weight is None else weight
+        return int(self.problem.level[weight > 0].min(initial=self.problem.level.max()))
+
+    @property
+    def unit(self) -> float:
+        """Weight of a visit of a priority that is not the leading one."""
+        return 1.0 if self.problem.level is None else 1.0 / (1.0 + self._n_wanted)
 
     @property
     def completeness(self) -> float:
-        """Fraction of the requested visits that have been made."""
+        """Fraction of the requested visits that the tiles placed so far make."""
         return 1.0 - (self._n_left + self.problem.n_beyond) / self._n_wanted
 
     @property
     def done(self) -> bool:
-        """Whether no more tiles are needed or allowed."""
+        """Whether the goal is reached, no visits remain, or the number of tiles is reached."""
         problem = self.problem
         enough = problem.completeness is not None and self.completeness >= problem.completeness - 1e-12
         return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)
 
     def observe(self, center: np.ndarray, number: int | None = None, *, every: bool = False) -> np.ndarray:
-        """Place a tile and return the positions that it serves; a tile without targets is placed only with ``every``.
+        """Place a tile and return the positions of its targets; without targets, place it only if ``every`` is true.
 
         By default, the number of the pass is 1 plus the number of tiles with the same center.
         """
@@ -112,7 +132,7 @@ class TilingState:
         return served
 
     def give_up(self, center: np.ndarray) -> np.ndarray:
-        """Place no more tiles for the targets around a center that served no target; return their positions."""
+        """Stop placing tiles for the targets around a center where a tile observed no target; return these targets."""
         problem = self.problem
         near = problem.index.near(center, problem.radius, self.weight)
         if len(near) == 0:

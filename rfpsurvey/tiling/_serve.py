@@ -59,15 +59,16 @@ class Fibers:
 
     @property
     def ideal(self) -> bool:
-        """Whether a number or a separation is given; the fibers then reach any target of the field."""
+        """Whether fibers are ideal: they reach any target of the field if a number or a separation is given."""
         return self.number is not None or self.min_separation is not None
 
 
 class FreeFibers:
     """Ideal fibers that reach any target of the field, with a minimum separation of their targets.
 
-    Targets are served in the order of priority, then of the number of later tiles that cover them (fewest first),
-    then of the number of other targets too close to them (fewest first), then in the order of the catalog.
+    Targets receive fibers in the order of priority. Targets of equal priority are sorted by the number of later tiles
+    that cover them (fewest first), then by the number of other targets that are too close to them (fewest first), and
+    then by their order in the catalog.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class FreeFibers:
         self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
-        """Return the positions of the served targets, out of ``near``, the targets that still require a visit."""
+        """Return the positions of the observed targets in the index, out of ``near``, which still require a visit."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
@@ -111,7 +112,7 @@ class FreeFibers:
         return near[np.sort(order[: self.fibers])]
 
     def _degrees(self, near, state):
-        """Return the number of targets of the field that are still to be observed and too close to each target."""
+        """Return, for each target, the number of targets that still require a visit and are too close to it."""
         indptr, other = self.neighbors
         degree = indptr[near + 1] - indptr[near]
         some = np.flatnonzero(degree)
@@ -164,7 +165,7 @@ class FocalPlaneFibers:
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
-        """Return the positions of the served targets, out of ``near``, the targets that still require a visit."""
+        """Return the positions of the observed targets in the index, out of ``near``, which still require a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
         plane = self.instrument.field_projection(
@@ -202,7 +203,7 @@ class FocalPlaneFibers:
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the other directions closer than an angle to each direction, as (indptr, indices)."""
+    """Return, for each direction, the other directions that are closer than an angle, as (indptr, indices)."""
     from scipy.spatial import cKDTree
 
     chord = 2 * np.sin(min(separation_rad, np.pi) / 2)

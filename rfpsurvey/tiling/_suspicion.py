@@ -19,9 +19,9 @@ MANY = 1000
 def warn_of_targets(table, n_targets: int) -> None:
     """Warn if a table of tiles seems to be a table of targets; ``n_targets`` is the number of targets of the survey.
 
-    There is no warning if the table has a column that occurs only in lists of tiles. Otherwise there is a warning if it
-    has a column of targets, such as a magnitude, or if it has more than ``MANY`` rows and more rows than the survey has
-    targets.
+    There is no warning if the table has a column that occurs only in lists of tiles. Otherwise there is a warning if
+    the table has a column that is typical of targets, such as a magnitude, or if it has more than ``MANY`` rows and
+    more rows than the survey has targets.
     """
     names = [name.lower() for name in table.colnames]
     if any(map(OF_TILES.fullmatch, names)):

@@ -269,7 +269,7 @@ def to_ra_dec(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def place_of(ra, dec) -> np.ndarray:
-    """Return integers, shape (n, 2), which are equal for centers (degrees) that are equal to 1e-8 deg."""
+    """Return two integers for each center (degrees); centers that agree to 1e-8 deg have the same integers."""
     return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
         np.int64
     )
@@ -305,7 +305,7 @@ def _integers(column, tile):
 
 
 def _refuse_twins(tile, angles, number, table):
-    """Raise an error if two tiles of a pass (and of a program, if there are some) are equal to 1e-8 deg."""
+    """Raise an error if two tiles of a pass (and of a program, if tiles have programs) agree to 1e-8 deg."""
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
     columns = [angles["ra"], angles["dec"], angles["position_angle"]]

@@ -1,4 +1,4 @@
-"""Observe a list of tiles, either the tile with the most remaining targets first, or in the order of the list."""
+"""Observe the tiles of a list, either those with the most remaining targets first, or in the order of the list."""
 
 import heapq
 
@@ -12,9 +12,9 @@ __all__ = ["visit_all", "visit_given"]
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
     """Observe the tiles of one pass until no more are needed; return the number of tiles placed.
 
-    Tiles that serve no target are omitted; with ``every``, only tiles without any requested visit are omitted. The
-    number of remaining targets of a tile can only decrease. The tile with the largest known number is therefore the
-    next one if its number does not change when it is computed again.
+    Tiles that observe no target are omitted; if ``every`` is true, only tiles without any requested visit are omitted.
+    The number of remaining targets of a tile can only decrease. The numbers are therefore computed again only for the
+    tile with the largest known number: if its number does not change, this tile is the next one.
     """
     index, radius = state.problem.index, state.problem.radius
     state.chances = np.zeros(len(index))
@@ -40,7 +40,7 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
 
 
 def visit_given(problem: TilingProblem) -> TilingState:
-    """Observe the tiles of the list in their order, all of them or until the goal is reached."""
+    """Observe the tiles of the list in the order of the list, either all tiles or until the goal is reached."""
     state = TilingState(problem)
     for center, number in zip(problem.tiles.vectors, problem.tiles.table["pass"].tolist(), strict=True):
         if state.done and not problem.open_ended:

@@ -76,7 +76,7 @@ def test_the_plan_to_begin_with(small, hers, rng):
     for start in ("lamost", "nearest", rs.allocate(plane, xy, allocator="optimal")):
         usual = start if isinstance(start, rs.Allocation) else rs.allocate(plane, xy, allocator=start)
         same(rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start=start)), usual)
-    with pytest.raises(rs.InputError, match="there is no plan to begin with"):
+    with pytest.raises(rs.InputError, match="the option start must be given for an allocator"):
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="begin"))
     with pytest.raises(rs.InputError, match="unknown allocator to start with 'repair'"):
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="repair"))

@@ -53,11 +53,11 @@ def test_one_requirement_or_any_list_of_them_will_do(wishes):
         ({"kind": ["science"] * 5}, r"kind must have one value per target, shape \(6,\), got \(5,\)"),
         ({"kind": ["science"] * 5 + ["star"]}, "unknown kind of target 'star'; choose one of: science, sky, standard"),
         ({"category": ["a"]}, r"category must have one value per target, shape \(6,\), got \(1,\)"),
-        ({"required": [True] * 6}, r"required must be rows of targets, whole numbers, got bool of the shape \(6,\)"),
-        ({"required": [1.0]}, r"required must be rows of targets, whole numbers, got float64 of the shape \(1,\)"),
-        ({"required": [[1]]}, r"required must be rows of targets, whole numbers, got int64 of the shape \(1, 1\)"),
-        ({"required": [-1, 2]}, "required must be rows of targets, 0 to 5, got -1 to 2"),
-        ({"required": 6}, "required must be rows of targets, 0 to 5, got 6 to 6"),
+        ({"required": [True] * 6}, r"required must be row numbers of targets \(whole numbers\), got bool"),
+        ({"required": [1.0]}, r"required must be row numbers of targets \(whole numbers\), got float64"),
+        ({"required": [[1]]}, r"required must be row numbers of targets \(whole numbers\), got int64 of the shape"),
+        ({"required": [-1, 2]}, "required must be row numbers of targets, 0 to 5, got -1 to 2"),
+        ({"required": 6}, "required must be row numbers of targets, 0 to 5, got 6 to 6"),
         ({"forbidden": [0, 1]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[3, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
@@ -117,7 +117,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
         kind=["sky"] * 12,
     )
     assert found.n_assigned == 3
-    why = "all requirements ask for 11 fibers, and there are 3"
+    why = "all requirements need 11 fibers, but there are 3"
     assert sentences(found.unmet) == [
         f"sky targets: 3 of 5, 2 missing; {why}",
         f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",
@@ -143,12 +143,12 @@ def test_of_two_requirements_that_contradict_each_other_the_maximum_holds(method
 def test_rules_without_requirements_only_report(method):
     assert said(method, ["sky=2", "science=-2"]) == [
         "sky targets: 0 of 2, 2 missing",
-        "science targets: 3, 1 more than the 2 allowed",
+        "science targets: 3, 1 more than the maximum of 2",
     ]
     assert allocate(method, ["sky=2", "science=-2"]).target_of_positioner.tolist() == [0, 1, 2]
 
 
-@pytest.mark.filterwarnings("ignore:sky_separation changes nothing")
+@pytest.mark.filterwarnings("ignore:sky_separation has no effect")
 @pytest.mark.parametrize("method", ALLOCATORS)
 @pytest.mark.parametrize(
     "options",

@@ -124,7 +124,7 @@ def short(what="sky", place=None, wanted=5, found=2, possible=9, **options):
         (short(possible=4), "sky targets: 2 of 5, 3 missing; only 4 are in reach"),
         (short(possible=1, found=1), "sky targets: 1 of 5, 4 missing; only 1 is in reach"),
         (short(possible=0, found=0), "sky targets: 0 of 5, 5 missing; none is in reach"),
-        (short(found=7, place=3), "sky targets in spectrograph 3: 7, 2 more than the 5 allowed"),
+        (short(found=7, place=3), "sky targets in spectrograph 3: 7, 2 more than the maximum of 5"),
         (short(fiber_type="BOSS", place=0), "sky targets for BOSS in spectrograph 0: 2 of 5, 3 missing"),
         (short(None, wanted=3), "required targets: 2 of 3, 1 missing"),
     ],

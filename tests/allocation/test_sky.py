@@ -132,7 +132,7 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
     assert 37 >= len(sees) >= (part > 0.06).sum() > 0 or separation > 10
 
 
-@pytest.mark.filterwarnings("ignore:sky_separation changes nothing")
+@pytest.mark.filterwarnings("ignore:sky_separation has no effect")
 @pytest.mark.parametrize("method", FILLING)
 @pytest.mark.parametrize("wishes", [None, "standard=3", "sky=0", "sky=-5", "sky_boss=3", "science=3"])
 def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
@@ -311,5 +311,5 @@ def test_found_sky_does_not_hide_sky_of_the_catalog():
 
 def test_a_separation_that_nobody_needs_is_said():
     plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
-    with pytest.warns(rs.RfpsurveyWarning, match="sky_separation changes nothing: no requirement asks for sky"):
+    with pytest.warns(rs.RfpsurveyWarning, match="sky_separation has no effect: no requirement asks for sky positions"):
         rs.allocate(plane, [[3, 3]] * MM, allocator=rs.AllocationOptions("balanced", sky_separation=1 * MM))

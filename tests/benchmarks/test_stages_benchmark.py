@@ -43,7 +43,7 @@ def test_6_collisions(benchmark, lamost, xy):
 
 def test_7_clearances(benchmark, lamost, xy):
     arms = rs.allocate(lamost.focal_plane, xy, allocator="balanced").place_arms(lamost.focal_plane)
-    benchmark(lambda: nearest_distance(arms))
+    benchmark(lambda: nearest_distance(lamost.focal_plane, arms))
 
 
 def test_8_whole_tile(benchmark, lamost, stars):

@@ -263,11 +263,11 @@ def test_within_agrees_with_astropy(center, rng):
     [
         ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
         ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
-        ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; say which, for example"),
+        ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; state the unit, for example"),
         ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
         ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
         ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
-        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; write a point for the decimal comma"),
+        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma by a point"),
         ({"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]}, "decimal numbers and sexagesimal text are in one column"),
         ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
         (
@@ -278,12 +278,12 @@ def test_within_agrees_with_astropy(center, rng):
         (
             {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
             r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
-            r"none; say which they get, for example fill=.'priority': 0. or --fill priority=0",
+            r"none; state their value, for example fill=.'priority': 0. or --fill priority=0",
         ),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; say which"),
+        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
         (
             {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
-            "must hold Julian years for targets with a proper motion, but 1 have none, such as 12",
+            "must hold Julian years for targets with a proper motion, but 1 of these targets have none, such as 12",
         ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),
@@ -303,7 +303,7 @@ def test_bad_overrides_are_named():
         rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1])
     with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
         rs.Catalog([1, 2])
-    with pytest.raises(rs.InputError, match="'altaz' cannot be brought to ICRS"):
+    with pytest.raises(rs.InputError, match="'altaz' cannot be converted to ICRS"):
         rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz())).arrays.vectors  # noqa: B018
 
 
@@ -358,7 +358,7 @@ def test_small_print_of_columns():
     assert catalog.kind.tolist() == ["sky"]
     flipped = rs.Catalog.from_table(t, columns={"pmra": "-pmra"})
     assert flipped.coord.pm_ra_cosdec[0] == -5 * PM
-    with pytest.raises(rs.InputError, match="a leading minus is for numbers, not for id"):
+    with pytest.raises(rs.InputError, match="a leading minus is only for numbers, got id"):
         rs.Catalog.from_table(t, columns={"id": "-kind"})
     dated = SkyCoord([1] * DEG, [2] * DEG, obstime=Time("J2010.5"))
     assert rs.Catalog(dated).epoch.jyear == pytest.approx(2010.5)

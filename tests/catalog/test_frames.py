@@ -179,7 +179,9 @@ def test_sexagesimal_text_may_have_a_unit(tmp_path):
 
 
 def test_a_missing_column_has_a_remedy():
-    with pytest.raises(rs.InputError, match=r"are: x; name it, as columns=.'ra': .... or --column ra=..."):
+    with pytest.raises(
+        rs.InputError, match=r"are: x; state its name, for example columns=.'ra': .... or --column ra=..."
+    ):
         rs.Catalog.from_table(Table({"x": [1.0]}))
     with pytest.raises(rs.InputError, match="give the frame of these coordinates, as frame='galactic'"):
         rs.Catalog.from_table(Table({"l": [1.0], "b": [1.0]}))
@@ -187,7 +189,9 @@ def test_a_missing_column_has_a_remedy():
 
 def test_a_table_without_any_unit_is_read_with_a_warning():
     table = Table({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "pmra": [1, 2], "pmdec": [3, 4]})
-    with pytest.warns(rs.RfpsurveyWarning, match="assumed are ra in deg, dec in deg, pmra in mas / yr, pmdec in mas"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="assumed units are ra in deg, dec in deg, pmra in mas / yr, pmdec in mas"
+    ):
         catalog = rs.Catalog.from_table(table)
     assert catalog.coord.pm_dec[1].to_value(u.mas / u.yr) == pytest.approx(4)
     units = {"ra": "deg", "dec": "deg", "pmra": "mas/yr", "pmdec": "mas/yr"}
@@ -217,7 +221,9 @@ def test_right_ascensions_in_hours_by_the_unit_of_the_column():
 
 def test_hours_are_suspected_only_where_they_explain_an_empty_field(frame):
     hours = frame.assign(RA=frame["RA"] / 15)
-    with pytest.raises(rs.InputError, match="; 300 would lie there if right ascensions are in hours: give their unit"):
+    with pytest.raises(
+        rs.InputError, match="; 300 would be in the field if right ascensions are in hours: give their unit"
+    ):
         rs.plan_tile(hours, "sdss_apo", "95 23")
     with pytest.raises(rs.InputError, match="deg away$"):
         rs.plan_tile(hours, "sdss_apo", "50 23")

@@ -127,7 +127,7 @@ def test_score(run, tmp_path):
     x, y = rs.Instrument.preset("lamost").focal_plane.xy[:3].T
     path = tmp_path / "plan.ecsv"
     QTable({"positioner": [0, 1, 2], "field": [1, 1, 2], "x": x + 5 * u.mm, "y": y}).write(path)
-    assert "--instrument must say what the assignment was made for" in sentence(*run("score", path)[::2])
+    assert "--instrument must name the instrument of the assignment" in sentence(*run("score", path)[::2])
     code, out, _ = run(
         "score", path, "--instrument", "lamost", "--select", "field=1", "--output", tmp_path / "out.ecsv"
     )
@@ -139,7 +139,7 @@ def test_score(run, tmp_path):
     assert code == 0
     assert out.startswith("lamost")
     assert "the tile was made for lamost" in sentence(*run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2])
-    assert "leaves no row" in sentence(*run("score", path, "--select", "field=3")[::2])
+    assert "selects no row" in sentence(*run("score", path, "--select", "field=3")[::2])
     assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
     assert "must have the form COLUMN=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
 
@@ -148,7 +148,7 @@ def test_score(run, tmp_path):
     ("arguments", "message"),
     [
         (["probability", "--precision", 2], "--precision must be a number above 0"),
-        (["survey", "--instrument", "moons", "--pass", 7], "--pass must be different passes of the tiling (1, 2)"),
+        (["survey", "--instrument", "moons", "--pass", 7], "--pass must be distinct passes of the tiling (1, 2)"),
         (["compare", "moons", "--targets=-1"], "--targets must be a positive number, got -1"),
         (["compare", "moons", "--density", "nan"], "--density must be one finite value above 0"),
         (["compare", "moons", "--realizations", 0], "--realizations must be a whole number of at least 1"),
@@ -169,7 +169,7 @@ def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
     keep = ["--keep-out", "95,23,3", "--allocator", "repair"]
     code, out, _ = run("plan", "--instrument", "sdss_apo", "--center", "95 23", *keep)
     assert code == 0
-    assert "undefined, without arms to count" in out
+    assert "undefined, because no arm is counted" in out
     assert "nan" not in out.lower().split()
     with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
         rs.score_tile(QTable.read(tmp_path / "one.ecsv"), "sdss_apo")
@@ -186,7 +186,7 @@ def test_columns_units_and_toml(run, tmp_path):
     names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
     code, out, err = run(*arguments, *names)
     assert code == 0
-    assert "no column of the table has a unit: assumed are a in deg, b in deg; units= or --unit state others" in err
+    assert "the assumed units are a in deg, b in deg; to use other units, give units= or --unit" in err
     code, out, err = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
     assert code == 0
     assert "unit" not in err
@@ -198,7 +198,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
     t.write(tmp_path / "t.ecsv")
     code, out, err = run("plan", tmp_path / "t.ecsv", "--center", "10.0 20.0")
     assert code == 0
-    assert "dropped, no finite coordinates           1\n" in out
+    assert "dropped without finite coordinates         1\n" in out
     assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were dropped\n"
 
 
@@ -332,7 +332,7 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     code, _, err = run("probability", "lamost", "--targets", "clustered")
     assert "unknown kind of targets 'clustered'" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
-    assert "--n-targets belongs to random targets, got a catalog" in sentence(code, err)
+    assert "--n-targets must be used with random targets, got a catalog" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--method", "guess")
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 
@@ -426,10 +426,10 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
         write(["β Ori", "b", "c"], ["x", "y", "z"])
         code, _, err = run(*plan, *fits, "--overwrite")
         assert code == 2
-        assert "FITS files hold printable ASCII text only, but 1 target ids are other, such as 'β Ori'" in err
+        assert "can contain only printable ASCII text, but 1 target ids contain others, such as 'β Ori'" in err
         assert "write .ecsv instead" in err
         write(["a", "b", "c"], ["x", "ä", "z"])
         code, _, err = run(*plan, "--keep", "note", *fits, "--overwrite")
         assert code == 2
-        assert "1 values of 'note' are other, such as 'ä'" in err
+        assert "1 values of 'note' contain others, such as 'ä'" in err
     assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0

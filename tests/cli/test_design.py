@@ -79,8 +79,8 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     [
         (["--central-arm", "long"], "--central-arm must be a number, or several as 7,8,9 or LOW:HIGH:NODES"),
         (["--pitch", "22:30:3:4"], "--pitch must be a number, or several"),
-        (["--pitch", "22:30"], "--pitch 22:30: a grid needs at least two nodes, as 22:30:5"),
-        (["--pitch", "22:30:5", "--n-designs", 9], "with --n-designs give limits only, as 22:30"),
+        (["--pitch", "22:30"], "--pitch 22:30: a grid needs at least two nodes, such as 22:30:5"),
+        (["--pitch", "22:30:5", "--n-designs", 9], "with --n-designs, give only limits, such as 22:30"),
         (["--ratio", "-1"], "ratio must be finite and above 0, got -1"),
         (["--objective", "loss"], "--objective must have the form COLUMN=DIRECTION"),
         (["--method", "guess"], "unknown method of design studies 'guess'"),
@@ -192,11 +192,11 @@ def test_what_cannot_be_drawn_is_refused(table):
         **{**GRID, "estimand": "allocated", "n_skies": 2, "central_arm": 8 * MM, "pitch": 25 * MM}
     )
     for call, words in (
-        (lambda: rs.plot.plot_designs("table"), "must be what explore_designs returns"),
+        (lambda: rs.plot.plot_designs("table"), "must be a table that explore_designs returned"),
         (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
         (
             lambda: rs.plot.plot_designs(table, mark={"other": other}),
-            "must answer the same question as table: allocated, 4 targets per positioner, not indep",
+            "must be those of table .independent., got allocated, 4 targets per positioner",
         ),
     ):
         with pytest.raises(rs.InputError, match=words):

@@ -195,7 +195,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     [
         (["--allocator", "best"], "unknown allocator 'best'"),
         (["--order", "random"], "unknown order 'random'"),
-        (["--pass", "7"], "--pass must be different passes of the tiling (0, 1)"),
+        (["--pass", "7"], "--pass must be distinct passes of the tiling (0, 1)"),
         (["--resume"], "resume needs the folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),
         (["--plot", "plan.txt"], "must end in"),
@@ -227,7 +227,10 @@ def test_bad_tiles(call, files, tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [((), "without --folder nothing stays"), (("--folder", "plan"), "what was written stays: continue with --resume")],
+    [
+        ((), "without --folder, nothing is kept"),
+        (("--folder", "plan"), "finished tiles are kept: continue with --resume"),
+    ],
 )
 def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch, words, sentence):
     def interrupted(*_, **__):

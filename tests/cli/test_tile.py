@@ -38,7 +38,7 @@ def test_a_catalog(tile, tycho, tmp_path):
     assert tiling.table["completeness"][-1] >= 0.5
     assert tiling.table["n_new"].max() == 1000
     assert values_of(out)["completeness"].startswith("0.5")
-    assert values_of(out)["what the completeness means"].startswith("an upper limit")
+    assert values_of(out)["definition of the completeness"].startswith("an upper limit")
     code, _, err = tile(tycho, *options)
     assert code == 2
     assert "exists" in err
@@ -53,7 +53,7 @@ def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_
     options = ["--instrument", "sdss_apo", "--allocator", "repair"]
     near = ["--region", "cap 95 23 2", "--require", "sky=20", "--sky-separation", 10]
     out = tile(tycho, *options, *near, "--passes", 2, "--output", path)[1]
-    assert values_of(out)["what the completeness means"].startswith("the allocator repair plans each tile")
+    assert values_of(out)["definition of the completeness"].startswith("the allocator repair plans each tile")
     region, stars = rs.Region.parse("cap 95 23 2"), rs.Catalog.read(tycho)
     inside = tmp_path / "inside.fits"
     stars[region.contains(stars.coord)].write(inside)
@@ -101,7 +101,7 @@ def test_the_embedded_default(tile):
         (["--declination", "60", "-10"], "declination must be a lower and an upper limit"),
         (["--radius", "0"], "radius must be one finite value above 0"),
         (["--radius", "1", "--require", "sky=5"], "--fibers and --radius need an --allocator"),
-        (["--region", "cap 1 2 3", "--allocator", "lamost"], "allocator is about targets"),
+        (["--region", "cap 1 2 3", "--allocator", "lamost"], "allocator applies only to targets"),
         (["--allocator", "magic"], "unknown allocator 'magic'"),
         (["--region", "sky"], "use method='spiral'"),
         (["--method", "best"], "unknown method to place tiles 'best'"),

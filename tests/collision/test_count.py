@@ -143,7 +143,10 @@ def test_nothing_to_count():
         ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
         ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
         ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach, the first that of positioner"),
-        ({"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3}, "n_configurations belongs to an Allocation"),
+        (
+            {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
+            "n_configurations can be given only with an Allocation",
+        ),
         ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
         ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
     ],

@@ -210,7 +210,7 @@ def test_the_capsule_is_turned_from_the_fiber():
 def test_nearest_distance_is_that_of_brute_force(rng):
     for plane, part in ((lamost_like(), 1.0), (sdss_like(), 0.7), (sdss_like(), 0.05)):
         arms = place_arms(plane, random_tips(plane, rng, part))
-        got = nearest_distance(arms)
+        got = nearest_distance(plane, arms)
         there = np.flatnonzero(arms.present)
         assert np.isnan(got[~arms.present]).all()
         for i in there:

@@ -1,14 +1,16 @@
 """Gaps of outlines, compared with shapely and with rational numbers."""
 
 from fractions import Fraction
+from itertools import pairwise
 
 import astropy.units as u
 import numpy as np
 import pytest
+from outline_pairs import PLACES, SHAPES, closer, count, decide, exact_points, gaps, make_pairs, place_all, sizes
 
 import rfpsurvey as rs
-from outline_pairs import PLACES, SHAPES, closer, count, decide, exact_points, gaps, make_pairs, place_all, sizes
 from rfpsurvey._kernels import outlines
+from rfpsurvey._kernels.collisions import segments_squared
 from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
 from rfpsurvey.positioner import make_outline
 
@@ -93,7 +95,7 @@ def test_both_orders_give_the_same_verdict():
 
 
 def test_the_error_is_within_the_bound_and_the_bound_is_not_idle():
-    """The largest error of a positive gap is at most the bound, and at least a hundredth of one percent of it."""
+    """The largest error of a positive gap is at most the bound, and at least 0.01% of it."""
     worst = 0.0
     for seed in range(6):
         pairs = make_pairs(np.random.default_rng([8, seed]), "convex", "far_away", 60)
@@ -104,10 +106,7 @@ def test_the_error_is_within_the_bound_and_the_bound_is_not_idle():
                 continue
             bound = outlines.OUTLINE_ERROR * (size[k] + outline.offset)
             n = outline.n_eccentric
-            parts = [
-                [exact_points(placed[2 * k + side], *span) for span in zip(spans[:-1], spans[1:], strict=True)]
-                for side in (0, 1)
-            ]
+            parts = [[exact_points(placed[2 * k + side], *span) for span in pairwise(spans)] for side in (0, 1)]
 
             def within(limit, parts=parts, n=n):
                 tests = ((p, q) for p in range(len(parts[0])) for q in range(len(parts[0])) if p < n or q < n)
@@ -128,8 +127,6 @@ def test_no_outline_has_no_parts():
 
 def test_the_offset_is_the_difference_of_the_broad_phase():
     """Cores are never farther apart than the smallest gap plus the offset."""
-    from rfpsurvey._kernels.collisions import segments_squared
-
     for shape in SHAPES:
         pairs = make_pairs(np.random.default_rng(6), shape, "anywhere", 300)
         gap = gaps(pairs)

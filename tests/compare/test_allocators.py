@@ -110,10 +110,10 @@ def test_circles_that_no_arm_covers_have_radii_of_their_own(crowded):
         (
             SkyCoord([150], [2], unit="deg"),
             TypeError,
-            "keep_out must be circles made by Region.cap, one or a list, got SkyCoord",
+            "keep_out must be one or more circles made by Region.cap, got SkyCoord",
         ),
-        (["star"], TypeError, "keep_out must be circles made by Region.cap, one or a list, got str in the list"),
-        (rs.Region.parse("box 1 2 3 4"), ValueError, "one or a list, got <Region box of "),
+        (["star"], TypeError, "keep_out must be one or more circles made by Region.cap, got str in the list"),
+        (rs.Region.parse("box 1 2 3 4"), ValueError, "made by Region.cap, got <Region box of "),
     ],
 )
 def test_what_no_arm_covers_is_a_list_of_circles(keep_out, kind, message):
@@ -191,7 +191,7 @@ def test_fields_without_science_and_misspelled_names(crowded):
     table = rs.compare_allocators(sky, "moons", CENTER, options=rs.AllocationOptions(requirements="sky=20"))
     assert table["sky"].tolist() == [0, 0, 20, table["sky"][3], table["sky"][4], table["sky"][5]]
     with pytest.raises(
-        rs.InputError, match="none of the 1[12].. targets in the field is science; requirements such as"
+        rs.InputError, match="none of the 1[12].. targets in the field is a science target; requirements such as"
     ):
         rs.plan_tile(sky, "moons", CENTER)
     options = rs.AllocationOptions("optimal", requirements=["sky_fiant=20"])

@@ -215,7 +215,7 @@ def test_bad_tables_are_named(table, message):
         ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
         ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
         ({"id": [1]}, "id must have one value per positioner"),
-        ({"id": ["a b", "c"]}, "id must be text without blanks, by which tables list several, got 'a b'"),
+        ({"id": ["a b", "c"]}, "id must be text without blanks, because tables separate ids by blanks, got 'a b'"),
         ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
         ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
         ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),

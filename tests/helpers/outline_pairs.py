@@ -59,7 +59,10 @@ def decide(pairs):
     """Return 1 (colliding), 0 or -1 (borderline) for each pair, by the kernel and its error bound."""
     size = sizes(pairs, place_all(pairs.outline, pairs.cores))
     error = 1.2 * outlines.OUTLINE_ERROR * (size + pairs.outline.offset)
-    total, limit = gaps_plus_offset(pairs.outline, pairs.separation, pairs.cores), pairs.separation + pairs.outline.offset
+    total, limit = (
+        gaps_plus_offset(pairs.outline, pairs.separation, pairs.cores),
+        pairs.separation + pairs.outline.offset,
+    )
     return np.where(np.abs(total - limit) <= error, -1, total < limit)
 
 
@@ -112,7 +115,9 @@ def count(pairs):
 
 
 def exact_points(placed, first, last):
-    return [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed[:, first:last].T.tolist()]
+    return [
+        (Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed[:, first:last].T.tolist()
+    ]
 
 
 def closer(first, second, limit):
@@ -210,7 +215,10 @@ def arm(rng):
     """Return parts in the shape of DESI's arms."""
     eccentric = [[3.967, 0], [3.918, 1.014], [3.269, 1.583], [-1.172, 1.037], [-1.172, -1.037], [3.269, -1.583]]
     central = [[0.814, -3.236], [2.083, -2.707], [-1.902, -0.935], [-2.007, -2.665], [-1.139, -3.137]]
-    return [([*eccentric, [3.918, -1.014]], 0.0)], [(central, 0.0), ([[2.083, -2.707], [4.194, -2.761], [4.893, -1.168]], 0.0)]
+    return [([*eccentric, [3.918, -1.014]], 0.0)], [
+        (central, 0.0),
+        ([[2.083, -2.707], [4.194, -2.761], [4.893, -1.168]], 0.0),
+    ]
 
 
 SHAPES = {f.__name__: f for f in (arm, convex, rounded, boxes, slivers, lines)}
@@ -230,7 +238,9 @@ def make_pairs(rng, shape, place, n):
     else:
         angles = rng.uniform(0, 2 * np.pi, (2, 2 * n))
         close = rng.random((2, n)) < 0.2  # pairs of parallel arms
-        angles[:, 1::2] = np.where(close, angles[:, ::2] + rng.choice([0.0, np.pi, 1e-15, 1e-9], (2, n)), angles[:, 1::2])
+        angles[:, 1::2] = np.where(
+            close, angles[:, ::2] + rng.choice([0.0, np.pi, 1e-15, 1e-9], (2, n)), angles[:, 1::2]
+        )
         directions = np.stack([np.cos(angles), np.sin(angles)], axis=2)
         centers = rng.uniform(-6, 6, (2 * n, 2))
         centers[1::2] = np.where(rng.random((n, 1)) < 0.05, centers[::2], centers[1::2])

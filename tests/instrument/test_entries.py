@@ -80,10 +80,18 @@ def test_the_base_is_good(tmp_path):
         ("positioner.home", figure("[1.0]", "deg"), "positioner.home must be two angles, got [1.0] deg"),
         ("positioner.home", figure("3", "deg"), "positioner.home must be two angles, got 3 deg"),
         ("positioner.handedness", figure("[]"), "positioner.handedness must be one of right, left, both, got []"),
-        ("positioner.arm_angle", figure("{ A = true }", "deg"), "an angle, or a table of a fiber type to an angle"),
+        (
+            "positioner.arm_angle",
+            figure("{ A = true }", "deg"),
+            "an angle, or a table with an angle for each fiber",
+        ),
         ("positioner.central_arm", figure('"3"', "mm"), "positioner.central_arm must be a length above 0, got '3' mm"),
         ("positioner.clearance", figure(-1, "mm"), "positioner.clearance must be a length of at least 0, got -1 mm"),
-        ("optics.radial_map", figure("3"), "optics.radial_map must be a table of a fiber type, or any, to a table"),
+        (
+            "optics.radial_map",
+            figure("3"),
+            "radial_map must be a table that contains, for each fiber type or for any, a",
+        ),
         ("optics.radial_map", figure("{ any = { form = 1, coefficients = [1] } }"), "radial_map must be a table"),
         ("optics.radial_map", figure('{ any = { form = "theta", coefficients = 1 } }'), "optics.radial_map must be"),
         ("optics.factor", figure(0), "optics.factor must be a number above 0, got 0"),
@@ -97,9 +105,13 @@ def test_the_base_is_good(tmp_path):
         (".sourse", '"s"', "Did you mean 'source'?"),
         (".status", '"rumored"', "status must be one of published, derived, assumed, got 'rumored'"),
         ("observing.skies", figure("2"), "unknown entry of [observing] 'skies'"),
-        (".schema", "true", "schema must be 1, the only one that this version reads, got True"),
+        (".schema", "true", "schema must be 1, the only schema that this version reads, got True"),
         ("optics.radial_map", figure('{ any = { form = "theta", coefs = [1] } }'), "optics.radial_map must be"),
-        ("layout.spectrographs", figure("20"), "spectrographs must be from 1 to the number of positioners, got 20"),
+        (
+            "layout.spectrographs",
+            figure("20"),
+            "spectrographs must be a number from 1 to the number of positioners, got 20",
+        ),
         (
             "layout.rings",
             '{ value = 2, status = "assumed", source = 3 }',
@@ -112,7 +124,7 @@ def test_the_base_is_good(tmp_path):
         (
             ".sources",
             "3",
-            "sources must be a table of texts (for a single text, write source instead of sources), got 3",
+            "sources must be a table whose values are text (for a single text, write source instead of sources), got 3",
         ),
     ],
 )
@@ -184,7 +196,7 @@ def test_one_source_and_one_status_hold_for_all_values_without_their_own(tmp_pat
 def test_without_a_source_the_message_says_that_one_at_the_top_is_enough(tmp_path):
     message = refused(tmp_path, SHORT.replace('source = "report"\n', ""))
     assert message.startswith("positioner.central_arm must have a source, got only ")
-    assert message.endswith('; source = "..." at the top of the file holds for all entries without one')
+    assert message.endswith('; source = "..." at the top of the file applies to all entries without a source')
 
 
 def test_the_source_of_a_file_does_not_hold_for_a_file_that_inherits_from_it(tmp_path):

@@ -235,7 +235,7 @@ def test_a_design_of_another_instrument_or_with_text_identifiers_is_refused(pres
     lamost = presets["lamost"]
     x, y = lamost.focal_plane.xy[:2].T
     tile = rs.score_tile(_table([0, 1], x, y), lamost)
-    with pytest.raises(InputError, match="must be a plan of pfs, got one of lamost"):
+    with pytest.raises(InputError, match="must be pfs, got lamost"):
         rs.plans.write_plan(tile, tmp_path / "d.fits", format="pfsdesign")
     pfs = presets["pfs"]
     x, y = pfs.focal_plane.xy[:2].T

@@ -63,7 +63,10 @@ def test_groups_have_lines_of_their_own():
             lambda: rs.plot.plot_residuals(SCAN[2:], "value", "formula", x="pitch"),
             "must have a row in which both are known",
         ),
-        (lambda: rs.plot.plot_allocators(SCAN), "table must come from compare_allocators, but it has no allocator"),
+        (
+            lambda: rs.plot.plot_allocators(SCAN),
+            "table must come from compare_allocators, got one without the column allocator",
+        ),
     ],
 )
 def test_other_tables_are_refused(call, message):

@@ -113,9 +113,9 @@ def test_safe_distance():
         ({"theta_range": [3, 1] * u.deg}, "theta_range must be .low, high."),
         ({"home": 5 * u.deg}, "home must be two finite angles"),
         ({"home": [0, 180] * u.deg, "phi_range": [0, 90] * u.deg}, "home must lie within the joint limits"),
-        ({"arm_model": "capsule"}, "needs arm_length"),
-        ({"arm_length": 5 * MM}, "needs arm_length"),
-        ({"arm_angle": 5 * u.deg}, "arm_angle belongs to the arm model"),
+        ({"arm_model": "capsule"}, "arm_length must be given for the arm model 'capsule'"),
+        ({"arm_length": 5 * MM}, "arm_length must be given for the arm model 'capsule'"),
+        ({"arm_angle": 5 * u.deg}, "arm_angle must be given only for the arm model"),
     ],
 )
 def test_bad_input_is_named(arguments, message):

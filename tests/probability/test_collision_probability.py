@@ -351,8 +351,14 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
     [
         ({"method": "magic"}, "unknown method of collision probability 'magic'; choose one of: auto, close_pair"),
         ({"estimand": "both"}, "unknown estimand 'both'"),
-        ({"method": "quadrature", "estimand": "allocated"}, "'quadrature' estimates 'independent' targets, not"),
-        ({"method": "conditional", "estimand": "independent"}, "'conditional' estimates 'allocated' targets, not"),
+        (
+            {"method": "quadrature", "estimand": "allocated"},
+            "'quadrature' estimates the probability for 'independent' targets, not",
+        ),
+        (
+            {"method": "conditional", "estimand": "independent"},
+            "'conditional' estimates the probability for 'allocated' targets, not",
+        ),
         ({"method": "auto", "estimand": "both"}, "unknown estimand"),
         ({"allocator": "greedy"}, "unknown allocator 'greedy'"),
         ({"interval": "normal"}, "unknown interval 'normal'"),
@@ -360,9 +366,9 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         ({"method": "closed_form", "variant": "ours"}, "unknown variant of the closed form 'ours'"),
         (
             {"density": "shared"},
-            "density belongs to the method 'quadrature', of independent targets, not to 'conditional'",
+            "density must be given only with the method 'quadrature', got the method 'conditional'",
         ),
-        ({"method": "monte_carlo", "density": "uniform"}, "density belongs to .* not to 'monte_carlo'"),
+        ({"method": "monte_carlo", "density": "uniform"}, "density must be given only .* got the method 'monte_carlo'"),
         ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations by 'balanced'"),

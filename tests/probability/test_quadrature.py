@@ -262,7 +262,7 @@ def test_points_come_in_powers_of_two_and_no_more_than_allowed():
     assert loose.n < tight.n
     for got, precision in ((loose, 1e-3), (tight, 5e-5)):
         assert (got.high - got.low) / 2 <= 1.96 * precision
-    with pytest.warns(rs.RfpsurveyWarning, match="the interval is wider than the precision 1e-06 asks for"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the interval is wider than the precision 1e-06 requires"):
         flat.collision_probability(plane, method="quadrature", precision=1e-6, max_iterations=256)
 
 

@@ -172,7 +172,7 @@ def test_bad_input_is_named(arguments, message):
         ({"coefficients": 5}, "coefficients must be a sequence of numbers"),
         ({"coefficients": []}, "at least one"),
         ({"form": "cubic"}, "unknown form of radial map 'cubic'; choose one of: sine, tan_theta, theta"),
-        ({"form": "sine"}, "the form 'sine' and no other needs a radius"),
+        ({"form": "sine"}, "radius must be given for the form 'sine' and only for this form"),
         ({"form": "sine", "radius": -9 * u.m}, "radius must be one finite value above 0 mm"),
         ({"form": "sine", "radius": 1 * u.m, "coefficients": [-100]}, "must rise from the center"),
     ],

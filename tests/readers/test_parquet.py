@@ -133,7 +133,7 @@ def test_properties_of_partitions(tmp_path):
     with pytest.raises(rs.InputError, match="hats.properties must be text in UTF-8, got the byte 0xfc"):
         rs.PartitionedCatalog(folder)
     (folder / "hats.properties").write_text("hats_nrows=7\n")
-    with pytest.warns(rs.RfpsurveyWarning, match="must have 7 rows, as its properties say, but 6 are there"):
+    with pytest.warns(rs.RfpsurveyWarning, match="must have 7 rows according to its properties, got 6"):
         assert len(rs.PartitionedCatalog(folder)) == N
 
 

@@ -70,9 +70,9 @@ def test_a_stream_with_columns_of_variable_length_must_end_after_a_row(tmp_path,
     for end in (*range(1, first, 7), first - 1, first + 1, len(content) - 3, len(content) - 1):
         n = int(end > first)
         text = refusal(write(tmp_path / "a.vot", content[:end], kind))
-        assert text == f": STREAM must hold whole rows, got a rest after {n} rows"
+        assert text == f": STREAM must hold whole rows, got a part of a row after {n} rows"
     many = struct.pack(">ddI", 1, 2, 2**32 - 1) + content  # a number of elements beyond the stream
-    assert "a rest after 0 rows" in refusal(write(tmp_path / "a.vot", before + many, kind))
+    assert "a part of a row after 0 rows" in refusal(write(tmp_path / "a.vot", before + many, kind))
 
 
 def test_text_of_any_length_that_astropy_writes_is_read(tmp_path):

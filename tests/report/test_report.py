@@ -184,7 +184,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     # the provenance contains all digits
     assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
     # the smallest clearances without a collision, compared with a direct calculation
-    heads, rows = page.table("The smallest clearances")
+    heads, rows = page.table("Positioners with the smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
     (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]
@@ -240,12 +240,12 @@ def test_a_table_is_not_called_table_thrice(tmp_path):
 
 def test_a_survey_has_its_own_numbers(survey, plain_page):
     page = Reader(plain_page("survey"))
-    heads, rows = page.table("The tiles of the survey")
+    heads, rows = page.table("The table lists the tiles of the survey")
     assert len(rows) == len(survey)
     for name in ("n_observed", "collision_rate", "completeness"):
         values = [full(row[heads.index(name.replace("_", " "))]) for row in rows]
         np.testing.assert_array_equal(values, survey.tiles[name])
-    heads, rows = page.table("Completeness after each pass")
+    heads, rows = page.table("The table lists the completeness after each pass")
     np.testing.assert_array_equal(
         [full(row[heads.index("n observed")]) for row in rows], survey.completeness["n_observed"]
     )
@@ -293,8 +293,8 @@ def test_the_first_sentence_of_a_caption_is_in_bold(tmp_path):
 
 def test_the_map_of_a_survey_is_explained(survey, plain_page):
     text = plain_page("survey")
-    assert "The color is the completeness of the field." in text
-    assert ("filled up to a smaller radius" in text) == (len(set(survey.tiles["pass"])) > 1)
+    assert "The color of a field shows the completeness of the field." in text
+    assert ("drawn with a smaller radius" in text) == (len(set(survey.tiles["pass"])) > 1)
 
 
 def test_no_row_is_left_out_in_silence(tmp_path):

@@ -69,7 +69,7 @@ def test_the_page_of_a_survey_has_unobserved_required_targets_and_priorities(sma
         survey = rs.plan_survey(far, small, SkyCoord([CENTER]), allocator=rs.AllocationOptions(required=[0, 1]))
     found = text_of(page(survey, tmp_path))
     assert survey.summary["unmet"][0] in found
-    assert "Dotted lines join the completeness of each priority" in found
+    assert "Dotted lines connect the completeness of each priority" in found
     one = rs.plan_survey(catalog.coord, small, SkyCoord([CENTER]))
     (tmp_path / "one").mkdir()
     assert "Dotted lines" not in text_of(page(one, tmp_path / "one"))

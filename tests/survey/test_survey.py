@@ -228,10 +228,10 @@ def test_each_tile_draws_by_itself(sky, small):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"passes": [1, 1]}, "must be different passes"),
-        ({"passes": [1.5]}, "must be different passes"),
-        ({"passes": "all"}, "must be different passes"),
-        ({"passes": [np.nan]}, "must be different passes"),
+        ({"passes": [1, 1]}, "must be distinct passes"),
+        ({"passes": [1.5]}, "must be distinct passes"),
+        ({"passes": "all"}, "must be distinct passes"),
+        ({"passes": [np.nan]}, "must be distinct passes"),
         ({"rng": -1}, "rng must be a seed of at least 0"),
         ({"visits": 256}, "whole numbers from 0 to 255"),
         ({"visits": [1, 2]}, "must be one number or have the shape"),
@@ -263,10 +263,10 @@ def test_what_is_told_is_told_once(sky, small):
     away = SkyCoord([CENTER.directional_offset_by(0 * u.deg, 30 * u.deg)])
     for arguments, options, sentence in (
         ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement asks"),
-        ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch changes nothing"),
+        ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch has no effect"),
         ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
-        ((twins, grid(1.2)), {}, "share their id"),
+        ((twins, grid(1.2)), {}, "have the same id"),
         ((sky, away), {}, "no target was observed"),
         ((sky, wide), {}, "placed for fields of 1 deg, those of small have 0.4"),
     ):

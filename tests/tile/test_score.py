@@ -132,7 +132,7 @@ def test_assigned_rows_without_coordinates_are_refused(presets):
         ({"positioner": [1, 1], "x": [0, 0] * MM, "y": [0, 0] * MM}, "positioner 1 is assigned more than once"),
         ({"positioner": [-1], "x": [0] * MM, "y": [0] * MM}, "must assign at least one positioner"),
         ({"positioner": [0], "x": [np.nan] * MM, "y": [0] * MM}, "1 assigned rows have no position"),
-        ({"positioner": [[0, 1]], "x": [0] * MM, "y": [0] * MM}, r"column 'positioner' must have one value a row"),
+        ({"positioner": [[0, 1]], "x": [0] * MM, "y": [0] * MM}, r"column 'positioner' must have one value per row"),
         ({"positioner": [0], "ra": [95] * u.deg, "dec": [23] * u.deg}, "the ra of the field must be given .--center.,"),
     ],
 )

@@ -247,7 +247,7 @@ def test_bad_input_is_named(small, sky, presets, tmp_path):
     with pytest.raises(rs.InputError, match="there is no such file"):
         rs.Tile.read(tmp_path / "nothing.fits")
     unicode_ids = rs.plan_tile(rs.Catalog(sky.coord, id=[f"★{k}" for k in range(len(sky))]), small, CENTER)
-    with pytest.raises(rs.InputError, match="FITS holds ASCII text only"):
+    with pytest.raises(rs.InputError, match="FITS files can contain only ASCII text"):
         unicode_ids.write(tmp_path / "star.fits")
     unicode_ids.write(tmp_path / "star.ecsv")
     assert rs.Tile.read(tmp_path / "star.ecsv") == unicode_ids

@@ -260,7 +260,7 @@ def test_centers_restrict_coverings():
     tiling = rs.place_tiles(region, radius=2.5 * DEG, centers=stars)
     assert angles(tiling.vectors, stars.cartesian.xyz.value.T).max() < 1e-9
     assert tiling.summary["covering_fraction"] == 1
-    with pytest.warns(rs.RfpsurveyWarning, match="the centers that may be cover 0.[0-9]+ of the region"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the allowed centers cover 0.[0-9]+ of the region"):
         poor = rs.place_tiles(region, radius=2.5 * DEG, centers=stars[:2])
     points = cap_points((95, 23), np.deg2rad(5))
     share = np.mean(angles(points, poor.vectors) <= np.deg2rad(2.5))
@@ -272,9 +272,9 @@ def test_centers_restrict_coverings():
     [
         ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, given, hex"),
         ({"method": "sdss"}, "the method 'sdss' needs targets, got a Region; hexagonal and spiral cover regions"),
-        ({"completeness": 0.9}, "completeness is about targets"),
-        ({"n_tiles": 5}, "n_tiles is about targets"),
-        ({"fibers": 5}, "fibers is about targets"),
+        ({"completeness": 0.9}, "completeness applies only to targets"),
+        ({"n_tiles": 5}, "n_tiles applies only to targets"),
+        ({"fibers": 5}, "fibers applies only to targets"),
         (
             {"centers": Centers(declination=(50, 60) * DEG)},
             "a part of the region must be within reach of centers from 50",
@@ -295,5 +295,5 @@ def test_bad_requests_for_a_region_are_named(options, message):
 
 
 def test_the_hexagonal_lattice_does_not_go_around():
-    with pytest.raises(rs.InputError, match="at most a hemisphere, the field reaches 180.0 deg .* use method='spiral'"):
+    with pytest.raises(rs.InputError, match="hemisphere, but the field reaches 180.0 deg .* use method='spiral'"):
         rs.place_tiles(rs.Region.whole_sky(), radius=2 * DEG)

@@ -2,8 +2,8 @@
 DESI's footprint
 ================
 
-This script plans DESI's real list of tiles with synthetic targets that require one to four visits. It writes its
-results after each tile, and can be resumed::
+This script plans DESI's real list of tiles with synthetic targets that require one to four visits. The script writes
+its results after each tile, and can be resumed::
 
     python docs/examples/scripts/desi_footprint.py desi_tiles_main.ecsv.gz [n_targets] [folder]
 

@@ -11,16 +11,16 @@ import matplotlib.pyplot as plt
 
 import rfpsurvey as rs
 
-# These stars come with the package. To read your own catalog, write rs.Catalog.read("stars.fits").
+# The package includes this catalog. To read your own catalog, write rs.Catalog.read("stars.fits").
 stars = rs.example_catalog("anticenter").within("95 23", 6 * u.deg)
 
-# Tiles are added until 80 % of the stars are observed. The allocator is that of the survey below, since a different
+# Tiles are added until 80 % of the stars are observed. The allocator is the same as for the survey below; another
 # allocator would observe other stars of a tile.
 tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.8, allocator="repair")
 print(tiles)
 
 # Proper motions move the stars to their positions at the epoch of the observation. The allocator "repair" starts from
-# the plan of LAMOST's rule and removes its collisions. Stars without a fiber remain for the next tile.
+# the plan of LAMOST's rule and removes its collisions. Later tiles can observe the remaining stars.
 survey = rs.plan_survey(stars, "lamost", tiles, allocator="repair", epoch=2026.5)
 print(survey)
 for outcome, number in survey.summary["outcomes"].items():

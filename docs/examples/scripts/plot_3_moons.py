@@ -2,7 +2,8 @@
 MOONS: overlapping patrol areas
 ===============================
 
-The arms of MOONS reach the centers of neighboring positioners. This helps in crowded fields, but makes arms collide.
+The arms of MOONS reach the centers of neighboring positioners. These overlaps are useful in
+crowded fields, but arms can collide.
 """
 
 import astropy.units as u
@@ -12,7 +13,7 @@ import numpy as np
 import rfpsurvey as rs
 
 moons = rs.Instrument.preset("moons")
-# The galaxies form clusters of 10 on average within some 0.01 deg. There are far more galaxies than fibers.
+# The galaxies form clusters of 10 on average with a radius of about 0.01 deg. There are far more galaxies than fibers.
 center = "150.1 +2.2"
 galaxies = rs.synthetic_catalog(
     "clustered", center, 0.6 * u.deg, density=12_000 / u.deg**2, cluster_size=10, cluster_scale=0.01 * u.deg, rng=1
@@ -24,8 +25,8 @@ xy = moons.projection(center).to_focal_plane(galaxies.within(center, moons.field
 reaching = np.bincount(np.diff(moons.focal_plane.arrays.reach(xy).indptr))
 print("galaxies that 0, 1, 2, ... positioners reach:", *reaching)
 
-# The rule of LAMOST assigns the nearest galaxies and ignores collisions. "optimal" uses this choice, and proves that no
-# other plan of the tile without collisions observes more galaxies.
+# The rule of LAMOST assigns the nearest galaxies and ignores collisions. The allocator "optimal"
+# chooses positioners that do not collide, and proves that no plan of a tile without collisions observes more galaxies.
 tiles = rs.place_tiles(rs.Region.cap(center, 0.5 * u.deg), moons, passes=2)
 surveys = {name: rs.plan_survey(galaxies, moons, tiles, allocator=name) for name in ("lamost", "optimal")}
 for name, survey in surveys.items():

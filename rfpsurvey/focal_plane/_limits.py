@@ -1,0 +1,23 @@
+"""The minimum separation of arms, and the allowance for rounding, in the form of the collision kernels."""
+
+import numpy as np
+
+from rfpsurvey._kernels import arms, collisions
+from rfpsurvey._kernels.outlines import OUTLINE_ERROR
+from rfpsurvey.positioner import make_outline
+
+__all__ = ["find_limits"]
+
+
+def find_limits(columns) -> collisions.Limits:
+    """Return the limits of the collision kernels for the arrays of a focal plane."""
+    extent = np.hypot(*columns.xy.T) + columns.arm_reach
+    size = float(extent.max()) + columns.reach_slack + arms.EQUAL_ARMS
+    shape = columns.plane.positioner.outline
+    if shape is None:
+        return collisions.limits(columns.separation, columns.longest, size)
+    outline = make_outline(shape, columns.xy, columns.central_arm)
+    # no two points of a pair at the minimum separation are farther from each other than this
+    largest = 4 * float(columns.arm_reach.max()) + columns.separation
+    error = 1.2 * OUTLINE_ERROR * (largest + outline.offset)
+    return collisions.limits(columns.separation + outline.offset, columns.longest, size, outline, error)

@@ -1,0 +1,76 @@
+"""Methods of `Instrument` that return the projection of a field."""
+
+import astropy.units as u
+from astropy.coordinates import SkyCoord
+
+from rfpsurvey.observing import ObservedField, ObservedPlane, ObservingConditions
+from rfpsurvey.projection import FieldProjection, TangentPlane, field_basis
+
+__all__ = ["Projections"]
+
+
+class Projections:
+    """Methods that `Instrument` inherits, which return projections between sky and focal plane."""
+
+    def projection(
+        self,
+        center: SkyCoord,
+        position_angle: u.Quantity = 0 * u.deg,
+        conditions: ObservingConditions | None = None,
+    ) -> TangentPlane:
+        """Return the projection of a field onto the focal plane.
+
+        Parameters
+        ----------
+        center : SkyCoord
+            Field center.
+        position_angle : Quantity, optional
+            Position angle of +y, from north toward east.
+        conditions : ObservingConditions, optional
+            Conditions for refraction and dispersion. None: these are neglected.
+
+        Returns
+        -------
+        TangentPlane
+            The projection; with conditions, an `~rfpsurvey.observing.ObservedPlane`.
+
+        Raises
+        ------
+        InputError
+            If the center is not one direction, the position angle is not one angle, or the field is not above the
+            horizon.
+        """
+        if conditions is None:
+            return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
+        radius = self.field_radius
+        return ObservedPlane(center, self.plate_scale, position_angle, self.distortion, conditions, radius)
+
+    def field_projection(
+        self, ra: float, dec: float, angle: float, conditions: ObservingConditions | None = None
+    ) -> FieldProjection | ObservedField:
+        """Return the projection of a field on plain arrays.
+
+        Parameters
+        ----------
+        ra, dec : float
+            Field center, ICRS, in radians.
+        angle : float
+            Position angle of +y from the north of ICRS, in radians.
+        conditions : ObservingConditions, optional
+            Conditions for refraction and dispersion. None: these are neglected.
+
+        Returns
+        -------
+        FieldProjection or ObservedField
+            The projection; it equals ``projection(...).plain`` and is computed faster.
+
+        Raises
+        ------
+        InputError
+            If the field is not above the horizon.
+        """
+        focal_length = self.plate_scale.to_value(u.mm / u.rad)
+        basis = field_basis(ra, dec, angle)
+        if conditions is None:
+            return FieldProjection(basis, focal_length, self.distortion)
+        return ObservedField(basis, focal_length, self.distortion, conditions, self.field_radius.to_value(u.rad))

@@ -1,0 +1,106 @@
+"""Directions of stars as an observer sees them, computed with ERFA on arrays without units."""
+
+from functools import cache
+
+import astropy.units as u
+import erfa
+import numpy as np
+from astropy.time import Time
+from astropy.utils import iers
+
+from rfpsurvey._units import to_lonlat
+from rfpsurvey.errors import InputError
+from rfpsurvey.observing._conditions import ObservingConditions
+
+__all__ = ["Instant", "instants_of"]
+
+# Angle by which the Earth rotates in a second of time (UT1), radians.
+RATE = 1.00273781191135448 * 2 * np.pi / 86400
+# Points and weights of Gauss-Legendre quadrature over an exposure, which is from -1 to 1.
+NODES, WEIGHTS = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)
+
+
+class Instant:
+    """The sky at one instant: conversion of ICRS directions to observed directions.
+
+    Parameters
+    ----------
+    conditions : ObservingConditions
+        The conditions.
+    ra_rad : float
+        Right ascension of the field center, for conditions with an hour angle.
+    seconds : float
+        Time since the midpoint of the exposure.
+    """
+
+    def __init__(self, conditions: ObservingConditions, ra_rad: float, seconds: float):
+        self.weather = (
+            conditions.pressure.to_value(u.hPa),
+            conditions.temperature.to_value(u.deg_C),
+            conditions.humidity,
+        )
+        site = conditions.site.to_geodetic()
+        self.place = site.lon.to_value(u.rad), site.lat.to_value(u.rad), site.height.to_value(u.m)
+        self.apparent = conditions.time is None
+        if self.apparent:
+            theta = ra_rad + conditions.hour_angle.to_value(u.rad) + RATE * seconds
+            self.astrom = erfa.apio(0.0, theta - self.place[0], *self.place, 0.0, 0.0, 0.0, 0.0)
+            self.astrom["diurab"] = 0.0
+        else:
+            _check_covered(conditions.time)
+            utc = conditions.time.utc + seconds * u.s
+            difference, x, y = _earth_rotation(utc)
+            self.astrom, _ = erfa.apco13(utc.jd1, utc.jd2, difference, *self.place, x, y, 0.0, 0.0, 0.0, 0.5)
+
+    def observe(self, vectors: np.ndarray, wavelength_um: float) -> np.ndarray:
+        """Return observed directions, shape (n, 3), in the frame east, north, zenith; NaN below the horizon."""
+        lon, lat = to_lonlat(vectors)
+        if not self.apparent:
+            lon, lat = erfa.atciqz(lon, lat, self.astrom)
+        astrom = self.astrom.copy()
+        astrom["refa"], astrom["refb"] = erfa.refco(*self.weather, wavelength_um)
+        azimuth, zenith, *_ = erfa.atioq(lon, lat, astrom)
+        zenith = np.where(zenith < np.pi / 2, zenith, np.nan)
+        sine = np.sin(zenith)
+        return np.column_stack([sine * np.sin(azimuth), sine * np.cos(azimuth), np.cos(zenith)])
+
+    def altitude(self, vector: np.ndarray) -> float:
+        """Return the altitude (rad) of one ICRS unit vector without refraction."""
+        lon, lat = to_lonlat(vector)
+        if not self.apparent:
+            lon, lat = erfa.atciqz(lon, lat, self.astrom)
+        astrom = self.astrom.copy()
+        astrom["refa"] = astrom["refb"] = 0.0
+        return np.pi / 2 - float(erfa.atioq(lon, lat, astrom)[1])
+
+
+def instants_of(conditions: ObservingConditions, ra_rad: float) -> list[tuple[float, Instant]]:
+    """Return the weights and instants whose weighted mean represents the exposure."""
+    half = conditions.exposure_time.to_value(u.s) / 2
+    if half == 0:
+        return [(1.0, Instant(conditions, ra_rad, 0.0))]
+    return [(w, Instant(conditions, ra_rad, half * node)) for node, w in zip(NODES, WEIGHTS, strict=True)]
+
+
+@cache
+def _tables():
+    """Return the tables of the Earth's rotation that are installed with astropy."""
+    return iers.IERS_A.read(iers.IERS_A_FILE)
+
+
+def _earth_rotation(utc: Time) -> tuple[float, float, float]:
+    """Return UT1 - UTC (s) and the position of the pole (rad); nothing is downloaded."""
+    table = _tables()
+    x, y = table.pm_xy(utc)
+    return table.ut1_utc(utc).to_value(u.s), x.to_value(u.rad), y.to_value(u.rad)
+
+
+def _check_covered(time: Time) -> None:
+    """Raise an error unless the installed tables cover a time and half a day around it."""
+    days = _tables()["MJD"].value
+    if not days[0] + 1 <= time.mjd <= days[-1] - 1:
+        first, last = (Time(day, format="mjd").isot[:10] for day in (days[0] + 1, days[-1] - 1))
+        raise InputError(
+            f"time must be from {first} to {last}, which the installed tables of the Earth's rotation cover, got "
+            f"{time}; give hour_angle, or install a newer version of astropy-iers-data"
+        )

@@ -1,0 +1,179 @@
+"""The conditions of an observation: place, time, weather and wavelengths."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import EarthLocation
+from astropy.time import Time
+
+from rfpsurvey._units import to_scalar
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
+from rfpsurvey.observing._sites import as_site
+
+__all__ = ["ObservingConditions"]
+
+LONGEST_DAYS = 0.5
+
+
+@check_keywords
+@dataclass(frozen=True, eq=False)
+class ObservingConditions:
+    """Place, time, weather and wavelengths of an observation, from which refraction is computed.
+
+    Parameters
+    ----------
+    site : EarthLocation or str
+        Location of the telescope, or one of ``apache point``, ``kitt peak``, ``las campanas``, ``mauna kea``,
+        ``paranal`` and ``xinglong``.
+    time : Time, optional
+        Midpoint of the exposure. With a time, the projection includes precession, nutation, aberration, and the
+        deflection of light by the Sun. No file is downloaded: the time must be covered by the tables of the Earth's
+        rotation that are installed with astropy.
+    hour_angle : Quantity, optional
+        Hour angle of the field center at the midpoint of the exposure, positive west of the meridian, as an angle or as
+        hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
+        count as apparent places.
+    wavelength : Quantity or dict of str to Quantity, optional
+        Wavelength in vacuum at which the fibers are placed, or one for each fiber type.
+    guide_wavelength : Quantity, optional
+        Wavelength at which the telescope follows the field. By default, that of the fibers; with a dict, of its first
+        fiber type.
+    pressure : Quantity, optional
+        Pressure at the site; 0 means no refraction. By default, that of the standard atmosphere at its height.
+    temperature : Quantity, optional
+        Temperature at the site.
+    humidity : float, optional
+        Relative humidity, from 0 to 1.
+    exposure_time : Quantity, optional
+        Duration of the exposure. Fibers are placed at the mean positions of their targets during the exposure.
+
+    Raises
+    ------
+    InputError
+        If the site is unknown, not exactly one of time and hour angle is given, a value has a wrong unit or is not
+        possible, or the tables of the Earth's rotation do not cover the time.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> conditions = rs.ObservingConditions("xinglong", hour_angle=30 * u.deg, wavelength=0.55 * u.um)
+    >>> conditions.pressure.round()
+    <Quantity 904. hPa>
+    >>> lamost = rs.Instrument.preset("lamost")
+    >>> plane = lamost.projection(SkyCoord("6h20m +23d"), conditions=conditions)
+    >>> plane.altitude.round(2)
+    <Latitude 59.36 deg>
+    """
+
+    site: EarthLocation | str
+    time: Time | None = None
+    hour_angle: u.Quantity | None = None
+    wavelength: u.Quantity | dict[str, u.Quantity] = 0.54 * u.um
+    guide_wavelength: u.Quantity | None = None
+    pressure: u.Quantity | None = None
+    temperature: u.Quantity = 10 * u.deg_C
+    humidity: float = 0.2
+    exposure_time: u.Quantity = 0 * u.s
+
+    def __post_init__(self):
+        name = self.site if isinstance(self.site, str) else ""
+        object.__setattr__(self, "site", as_site(self.site))
+        object.__setattr__(self, "_name", name)
+        if (self.time is None) == (self.hour_angle is None):
+            both = "none of them" if self.time is None else "both"
+            raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
+        if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar):
+            raise InputTypeError(f"time must be one Time, got {short(self.time)}")
+        if self.hour_angle is not None:
+            angle = _hour_angle(self.hour_angle)
+            to_scalar(angle, u.deg, "hour_angle", low=-360, high=360)
+            object.__setattr__(self, "hour_angle", angle)
+        waves = self.wavelength
+        if isinstance(waves, dict):
+            if not waves or not all(isinstance(name, str) for name in waves):
+                raise InputError(f"wavelength must have one value, or one for each fiber type, got {short(waves)}")
+            for name, wave in waves.items():
+                _check_wavelength(wave, f"wavelength of {name}")
+        else:
+            _check_wavelength(waves, "wavelength")
+        if self.guide_wavelength is None:
+            object.__setattr__(
+                self, "guide_wavelength", next(iter(waves.values())) if isinstance(waves, dict) else waves
+            )
+        _check_wavelength(self.guide_wavelength, "guide_wavelength")
+        if self.pressure is None:
+            height = np.clip(self.site.height.to_value(u.m), -500, 9000)
+            object.__setattr__(self, "pressure", 1013.25 * (1 - 2.25577e-5 * height) ** 5.25588 * u.hPa)
+        to_scalar(self.pressure, u.hPa, "pressure", low=0, high=1200, closed=True)
+        try:
+            celsius = self.temperature.to(u.deg_C, u.temperature())
+        except (AttributeError, u.UnitConversionError):
+            raise InputTypeError(f"temperature must be a temperature, got {short(self.temperature)}") from None
+        to_scalar(celsius, u.deg_C, "temperature", low=-150, high=200)
+        object.__setattr__(self, "temperature", celsius)
+        try:
+            humidity = u.Quantity(self.humidity)
+        except TypeError:
+            raise InputTypeError(f"humidity must be a number from 0 to 1, got {short(self.humidity)}") from None
+        to_scalar(humidity, u.dimensionless_unscaled, "humidity", low=0, high=1 + 1e-12, closed=True)
+        object.__setattr__(self, "humidity", float(humidity))
+        to_scalar(self.exposure_time, u.day, "exposure_time", low=0, high=LONGEST_DAYS, closed=True)
+
+    @property
+    def at_guide_wavelength(self) -> "ObservingConditions":
+        """The conditions with the guide wavelength for all fibers, so that there is no dispersion."""
+        return replace(self, site=self._name or self.site, wavelength=self.guide_wavelength)
+
+    @property
+    def without_exposure(self) -> "ObservingConditions":
+        """The conditions at the midpoint of the exposure."""
+        return replace(self, site=self._name or self.site, exposure_time=0 * u.s)
+
+    @cached_property
+    def wavelengths_um(self) -> dict[str, float] | float:
+        """Wavelength of the fibers in micrometers, or one for each fiber type."""
+        if isinstance(self.wavelength, dict):
+            return {name: float(wave.to_value(u.um)) for name, wave in self.wavelength.items()}
+        return float(self.wavelength.to_value(u.um))
+
+    @property
+    def record(self) -> dict:
+        """The values as plain numbers and text, for the records of results."""
+        numbers = {
+            "longitude_deg": self.site.lon.to_value(u.deg),
+            "latitude_deg": self.site.lat.to_value(u.deg),
+            "height_m": self.site.height.to_value(u.m),
+            "guide_wavelength_um": self.guide_wavelength.to_value(u.um),
+            "pressure_hpa": self.pressure.to_value(u.hPa),
+            "temperature_c": self.temperature.to_value(u.deg_C),
+            "humidity": self.humidity,
+            "exposure_time_s": self.exposure_time.to_value(u.s),
+        }
+        if self.time is None:
+            numbers["hour_angle_deg"] = self.hour_angle.to_value(u.deg)
+        when = {} if self.time is None else {"time": self.time.utc.isot}
+        return {
+            **{name: round(float(value), 9) for name, value in numbers.items()},
+            **when,
+            "wavelength_um": self.wavelengths_um,
+        }
+
+    def __repr__(self):
+        when = f"hour angle {self.hour_angle.to(u.hourangle):.4g}" if self.time is None else self.time.utc.iso
+        site = self._name or f"{self.site.lon.deg:.3f}, {self.site.lat.deg:.3f} deg"
+        return f"<ObservingConditions at {site}, {when}, {self.pressure.to(u.hPa):.4g}>"
+
+
+def _hour_angle(value):
+    """Convert hours of time to an hour angle; return other values unchanged."""
+    if isinstance(value, u.Quantity) and value.unit.is_equivalent(u.hour):
+        return value.to_value(u.hour) * u.hourangle
+    return value
+
+
+def _check_wavelength(value, name: str) -> None:
+    to_scalar(value, u.um, name, low=0.1, high=100)

@@ -1,0 +1,30 @@
+"""Geodetic coordinates of a few sites, which need no network."""
+
+import astropy.units as u
+from astropy.coordinates import EarthLocation
+
+from rfpsurvey.errors import InputTypeError, check_choice, short
+
+__all__ = ["SITES", "as_site"]
+
+# Longitude (deg, east), latitude (deg), height (m). The values are those of astropy's table of sites, which names as
+# their sources the observatory database of IRAF (Apache Point, Kitt Peak, Las Campanas, Xinglong), the raw data of the
+# VLTI (Paranal), and the website of the Subaru telescope (Mauna Kea).
+SITES = {
+    "apache point": (-105.82, 32.78, 2798.0),
+    "kitt peak": (-111.6, 31.963333, 2120.0),
+    "las campanas": (-70.701667, -29.003333, 2282.0),
+    "mauna kea": (-155.476111, 19.825556, 4139.0),
+    "paranal": (-70.404987, -24.627439, 2669.0),
+    "xinglong": (117.575, 40.393333, 950.0),
+}
+
+
+def as_site(site: object) -> EarthLocation:
+    """Return the location of a site from a location or a name of SITES, in which upper and lower case are equal."""
+    if isinstance(site, str):
+        lon, lat, height = SITES[check_choice(site.strip().lower(), SITES, "site")]
+        return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
+    if not isinstance(site, EarthLocation) or not site.isscalar:
+        raise InputTypeError(f"site must be one EarthLocation or the name of a site, got {short(site)}")
+    return site

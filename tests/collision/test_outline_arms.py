@@ -1,0 +1,185 @@
+"""Arms with outlines in the whole package: a capsule written as an outline gives the results of the capsule."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+import shapely
+from matplotlib.figure import Figure
+
+import rfpsurvey as rs
+from rfpsurvey.collision import nearest_distance, place_arms
+
+CAPSULE = rs.Positioner(
+    7.4 * u.mm, 15 * u.mm, 2 * u.mm, arm_model="capsule", arm_length=14.7 * u.mm, arm_angle=-1.4 * u.deg
+)
+WEDGE = [[0, -0.9], [3.2, -0.8], [3.4, 0.0], [3.2, 0.8], [0, 0.9]] * u.mm
+HEEL = ([[0.1, -1.0], [0.1, -2.0], [1.0, -1.7]] * u.mm, 0.05 * u.mm)
+BODY = [[5.0, -0.5], [4.4, -2.5], [1.8, -2.8], [0.9, -0.4]] * u.mm
+DISC = ([[3.0, 0.0]] * u.mm, 2.1 * u.mm)
+DESI_LIKE = rs.Positioner(
+    3 * u.mm,
+    3 * u.mm,
+    0.1 * u.mm,
+    arm_model="outline",
+    outline=rs.ArmOutline(eccentric=(WEDGE, HEEL), central=(BODY, DISC)),
+)
+
+
+def as_outline(unit: rs.Positioner, radius: float = 0.0) -> rs.Positioner:
+    """Return the same capsule as an outline, of which a part of the clearance may be the radius."""
+    vertices = [[0, 0], [unit.arm_length.to_value(u.mm), 0]] * u.mm
+    outline = rs.ArmOutline(eccentric=((vertices, radius * u.mm),))
+    clearance = unit.clearance - radius * u.mm
+    return replace(unit, arm_model="outline", arm_length=None, outline=outline, clearance=clearance)
+
+
+def planes(rings: int = 6, radius: float = 0.0) -> tuple[rs.FocalPlane, rs.FocalPlane]:
+    return tuple(
+        rs.FocalPlane.hexagonal(unit, rings=rings, pitch=22.4 * u.mm) for unit in (CAPSULE, as_outline(CAPSULE, radius))
+    )
+
+
+def random_targets(plane: rs.FocalPlane, number: int, seed: int) -> u.Quantity:
+    size = float(np.abs(plane.xy.value).max()) + 20
+    return np.random.default_rng(seed).uniform(-size, size, (number, 2)) * u.mm
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.5, 2.0])
+def test_capsule_as_outline_gives_the_same_collisions(radius):
+    capsule, outline = planes(radius=radius)
+    for seed in range(5):
+        plan = rs.allocate(capsule, random_targets(capsule, 600, seed), allocator="balanced")
+        expected, found = (rs.find_collisions(plane, plan) for plane in (capsule, outline))
+        np.testing.assert_array_equal(found.pairs, expected.pairs)
+        assert len(expected.pairs) > 0
+        np.testing.assert_allclose(
+            found.distances.value, np.maximum(expected.distances.value - 2 * radius, 0), atol=1e-12
+        )
+        poses = [place_arms(plane, plan.tips) for plane in (capsule, outline)]
+        near = [nearest_distance(plane, arms) for plane, arms in zip((capsule, outline), poses, strict=True)]
+        close = near[0] < 5
+        np.testing.assert_allclose(near[1][close] + 2 * radius, np.maximum(near[0][close], 2 * radius), atol=1e-12)
+        counts = [rs.count_collisions(plane, plan, n_configurations=50, rng=seed) for plane in (capsule, outline)]
+        np.testing.assert_array_equal(counts[0].per_positioner, counts[1].per_positioner)
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal"])
+def test_capsule_as_outline_gives_the_same_plan(allocator):
+    capsule, outline = planes(rings=4, radius=1.0)
+    targets = random_targets(capsule, 150, 3)
+    expected, found = (rs.allocate(plane, targets, allocator=allocator) for plane in (capsule, outline))
+    np.testing.assert_array_equal(found.target_of_positioner, expected.target_of_positioner)
+    assert found.gap == expected.gap
+
+
+@pytest.mark.parametrize("options", [{"method": "conditional"}, {"method": "monte_carlo"}, {"method": "quadrature"}])
+def test_capsule_as_outline_gives_the_same_probability(options):
+    expected, found = (
+        rs.collision_probability(
+            plane, precision=rs.probability.Precision(max_iterations=64, standard_error=None), rng=1, **options
+        )
+        for plane in planes(rings=3, radius=0.7)
+    )
+    assert found.value == pytest.approx(expected.value, rel=1e-12)
+    assert expected.value > 0.01
+
+
+def placed(unit: rs.Positioner, center, elbow, tip) -> tuple[shapely.Geometry, shapely.Geometry]:
+    """Return the eccentric and the central arm as shapes of shapely."""
+    shapes = []
+    for parts, origin, end in ((unit.outline.eccentric, elbow, tip), (unit.outline.central, center, elbow)):
+        ux, uy = (end - origin) / np.hypot(*(end - origin))
+        found = []
+        for part in parts:
+            vertices, radius = part if isinstance(part, tuple) else (part, 0 * u.mm)
+            points = vertices.to_value(u.mm) @ np.array([[ux, uy], [-uy, ux]]) + origin
+            core = shapely.Point(points[0]) if len(points) == 1 else shapely.MultiPoint(points).convex_hull
+            found.append((core, radius.to_value(u.mm)))
+        shapes.append(found)
+    return tuple(shapes)
+
+
+def gap_of(first, second) -> float:
+    """Return the distance between two arms, negative or 0 if they overlap."""
+    pairs = [(0, 0), (0, 1), (1, 0)]
+    return min(p.distance(q) - r - s for a, b in pairs for p, r in first[a] for q, s in second[b])
+
+
+def test_outlines_collide_as_in_shapely():
+    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=5, pitch=9.5 * u.mm)
+    limit = DESI_LIKE.min_separation.to_value(u.mm)
+    n_pairs = 0
+    for seed in range(4):
+        plan = rs.allocate(plane, random_targets(plane, 400, seed), allocator="balanced")
+        arms = place_arms(plane, plan.tips)
+        report = rs.find_collisions(plane, plan)
+        shapes = {
+            k: placed(DESI_LIKE, plane.arrays.xy[k], arms.elbow[k], arms.tip[k]) for k in np.flatnonzero(arms.present)
+        }
+        gaps = {
+            (i, j): gap_of(shapes[i], shapes[j])
+            for i in shapes
+            for j in shapes
+            if i < j and np.hypot(*(plane.arrays.xy[i] - plane.arrays.xy[j])) < 20
+        }
+        expected = sorted(pair for pair, gap in gaps.items() if gap < limit)
+        assert report.pairs.tolist() == [list(pair) for pair in expected]
+        distances = [max(gaps[pair], 0.0) for pair in expected]
+        np.testing.assert_allclose(report.distances.to_value(u.mm), distances, atol=1e-9)
+        near = nearest_distance(plane, arms)
+        for k in shapes:
+            own = [gap for pair, gap in gaps.items() if k in pair]
+            if min(own) < 2:
+                assert near[k] == pytest.approx(max(min(own), 0.0), abs=1e-9)
+        n_pairs += len(expected)
+    assert n_pairs > 50
+
+
+@pytest.mark.parametrize("method", ["sampled", "sweep", "scipy"])
+def test_other_methods_refuse_outlines(method):
+    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
+    with pytest.raises(rs.InputError, match=f"must be 'exact', got '{method}'"):
+        rs.find_collisions(plane, np.zeros((7, 2)) * u.mm + plane.xy, method=method)
+
+
+def test_outline_survives_tables_and_descriptions(tmp_path):
+    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
+    path = tmp_path / "plane.ecsv"
+    plane.to_table().write(path)
+    again = rs.FocalPlane.from_table(rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm).to_table())
+    assert again.positioner.outline.to_dict() == DESI_LIKE.outline.to_dict()
+    text = """
+schema = 1
+name = "mine"
+status = "assumed"
+source = "a test"
+[positioner]
+central_arm = { value = 3.0, unit = "mm" }
+eccentric_arm = { value = 3.0, unit = "mm" }
+clearance = { value = 0.0, unit = "mm" }
+arm_model = { value = "outline" }
+[positioner.outline]
+unit = "cm"
+value.eccentric = [{ vertices = [[0.0, -0.1], [0.3, -0.1], [0.3, 0.1], [0.0, 0.1]], radius = 0.01 }]
+value.central = [{ vertices = [[0.3, 0.0]], radius = 0.2 }]
+[layout]
+pitch = { value = 9.5, unit = "mm" }
+rings = { value = 2 }
+[optics]
+plate_scale = { value = 60.0, unit = "um/arcsec" }
+"""
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    outline = rs.Instrument.read(file).focal_plane.positioner.outline
+    assert outline.to_dict() == {
+        "eccentric": [{"vertices": [[0.0, -1.0], [3.0, -1.0], [3.0, 1.0], [0.0, 1.0]], "radius": 0.1}],
+        "central": [{"vertices": [[3.0, 0.0]], "radius": 2.0}],
+    }
+
+
+def test_outlines_are_drawn():
+    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=2, pitch=9.5 * u.mm)
+    ax = Figure().subplots()
+    rs.plot.plot_focal_plane(plane, ax=ax)
