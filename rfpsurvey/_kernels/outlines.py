@@ -25,22 +25,25 @@ AXIS_ERROR = 64.0 * UNIT
 # Allowance for the directions of arms in the first test of a pair, which are approximate, relative to the scale.
 LOOSE = 1e-6
 
-# Rows of the table of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
+# Rows of the columns of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
 # single vertex has an edge of length 0 with an arbitrary normal.
 X, Y, NX, NY, LENGTH = range(5)
-# Rows of the table of parts: the radius, and a circle that contains the part.
-RADIUS, MX, MY, MR = range(4)
+# Rows of the columns of parts: the radius, a circle that contains the part, and the column of the first vertex.
+RADIUS, MX, MY, MR, START = range(5)
 
 
 class Outline(NamedTuple):
     """The outline of all positioners, in mm; without any parts, the arms are capsules."""
 
-    vertices: np.ndarray
-    """Array of shape (5, m); see X, Y, NX, NY and LENGTH."""
+    table: np.ndarray
+    """A column for each vertex and then a column for each part, and the start of the next part; see X and RADIUS.
+
+    It is one array because numba counts references to each array that it passes to a function.
+    """
     start: np.ndarray
     """Part p has the vertices ``start[p]:start[p + 1]``; an array with one element means that there is no outline."""
-    parts: np.ndarray
-    """Array of shape (4, k); see RADIUS, MX, MY and MR."""
+    n_vertices: int
+    """Number of vertices."""
     n_eccentric: int
     """The first parts move with the eccentric arm, the others with the central arm."""
     offset: float
@@ -56,6 +59,11 @@ class Outline(NamedTuple):
     centers: np.ndarray
     """Centers of all positioners, and the inverse length of the central arm, shape (3, n)."""
 
+    @property
+    def parts(self) -> np.ndarray:
+        """The columns of the parts."""
+        return self.table[:, self.n_vertices : -1]
+
 
 def _nothing(*shape, dtype=np.float64):
     """Return an array of zeros that is read-only, as the arrays of all outlines."""
@@ -65,16 +73,16 @@ def _nothing(*shape, dtype=np.float64):
 
 
 NO_OUTLINE = Outline(
-    vertices=_nothing(5, 0),
-    start=_nothing(1, dtype=np.int64),
-    parts=_nothing(4, 0),
-    n_eccentric=0,
-    offset=0.0,
-    inverse_length=0.0,
-    scale=0.0,
-    eccentric_box=(0.0,) * 4,
-    central_box=(0.0,) * 4,
-    centers=_nothing(3, 0),
+    _nothing(5, 1),
+    _nothing(1, dtype=np.int64),
+    0,
+    0,
+    0.0,
+    0.0,
+    0.0,
+    (0.0,) * 4,
+    (0.0,) * 4,
+    _nothing(3, 0),
 )
 """The value for arms that are segments."""
 
@@ -147,18 +155,19 @@ def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other
 
 
 @kernel
-def smallest_gap(v, start, parts, n_eccentric, scale, limit, near, a, b, c, d):
+def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
     """Return the smallest gap of the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
 
     ``near`` states which groups of parts can be near to each other: the eccentric parts, the eccentric parts of the
     first and the central parts of the second positioner, and vice versa. The points a and b are the elbows and the ends
     of the cores, and c and d are the centers.
     """
-    # This is one long function because numba counts references to arrays that are passed between functions.
+    # The table v has m columns of vertices and n columns of parts. This is one long function because numba counts
+    # references to arrays that are passed between functions.
     gap = math.inf
     for group in range(3):
         if near[group] and gap >= 0.0:
-            first, last = (0, n_eccentric) if group == 0 else (n_eccentric, start.size - 1)
+            first, last = (m, m + n_eccentric) if group == 0 else (m + n_eccentric, m + n)
             if group == 0:
                 between = frames_apart(frame(*a), frame(*b))
             elif group == 1:
@@ -169,15 +178,15 @@ def smallest_gap(v, start, parts, n_eccentric, scale, limit, near, a, b, c, d):
             bx, by = -(cosine * tx + sine * ty), sine * tx - cosine * ty  # the opposite position
             slack = AXIS_ERROR * (distance + scale)
             for q in range(first, last):
-                x = tx + (cosine * parts[MX, q] - sine * parts[MY, q])
-                y = ty + (sine * parts[MX, q] + cosine * parts[MY, q])
-                for p in range(n_eccentric):
-                    dx, dy = x - parts[MX, p], y - parts[MY, p]
-                    far = min(gap, limit) + parts[MR, p] + parts[MR, q] + slack
+                x = tx + (cosine * v[MX, q] - sine * v[MY, q])
+                y = ty + (sine * v[MX, q] + cosine * v[MY, q])
+                for p in range(m, m + n_eccentric):
+                    dx, dy = x - v[MX, p], y - v[MY, p]
+                    far = min(gap, limit) + v[MR, p] + v[MR, q] + slack
                     if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
-                        radii = parts[RADIUS, p] + parts[RADIUS, q]
+                        radii = v[RADIUS, p] + v[RADIUS, q]
                         enough = min(gap, limit) + radii + slack
-                        p0, p1, q0, q1 = start[p], start[p + 1], start[q], start[q + 1]
+                        p0, p1, q0, q1 = int(v[START, p]), int(v[START, p + 1]), int(v[START, q]), int(v[START, q + 1])
                         apart = separation_along_normals(v, p0, p1, q0, q1, tx, ty, cosine, sine, enough)
                         if apart <= enough:
                             other = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
@@ -213,7 +222,8 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     )
     x, y, other_wide, other_high = outline.central_box
     cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
-    px, py, qx, qy = cx + (x * cc - y * cs), cy + (y * cc + x * cs), dx + (x * dc - y * ds), dy + (y * dc + x * ds)
+    px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)
+    qx, qy = dx + (x * dc - y * ds), dy + (y * dc + x * ds)
     loose = limit + LOOSE * outline.scale
     near = (
         boxes_near(ax, ay, ac, as_, wide, high, bx, by, bc, bs, wide, high, loose),
@@ -222,8 +232,8 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     )
     if not (near[0] | near[1] | near[2]):
         return math.inf
-    parts = outline.vertices, outline.start, outline.parts, outline.n_eccentric, outline.scale
-    gap = smallest_gap(*parts, limit, near, (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1), (cx, cy), (dx, dy))
+    shape = outline.table, outline.n_vertices, outline.start.size - 1, outline.n_eccentric, outline.scale
+    gap = smallest_gap(*shape, limit, near, (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1), (cx, cy), (dx, dy))
     total = max(gap + outline.offset, 0.0)
     return total * total
 
@@ -234,10 +244,10 @@ def place_outline(outline, i, x0, y0, x1, y1, placed):
 
     The rows are the origin of the frame of each vertex, and the rounded position of the vertex relative to it.
     """
-    v, start = outline.vertices, outline.start
+    v, start = outline.table, outline.start
     eccentric = frame(x0, y0, x1, y1)
     central = frame(outline.centers[0, i], outline.centers[1, i], x0, y0)
-    for k in range(v.shape[1]):
+    for k in range(outline.n_vertices):
         x, y, c, s = eccentric if k < start[outline.n_eccentric] else central
         placed[0, k], placed[1, k] = x, y
         placed[2, k], placed[3, k] = c * v[X, k] - s * v[Y, k], s * v[X, k] + c * v[Y, k]

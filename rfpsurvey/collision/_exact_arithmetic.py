@@ -74,7 +74,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
 def _placed_hulls(outline, i, core):
     """Return the convex hulls of all parts of a positioner, as lists of points with rational coordinates."""
-    placed = np.empty((4, outline.vertices.shape[1]))
+    placed = np.empty((4, outline.n_vertices))
     place_outline(outline, i, *map(float, core), placed)
     points = [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed.T.tolist()]
     return [_hull(points[a:b]) for a, b in zip(outline.start[:-1], outline.start[1:], strict=True)]

@@ -159,8 +159,9 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
         return NO_OUTLINE
-    vertices = np.ascontiguousarray(np.hstack([_with_normals(vertices) for vertices, _ in parts]))
-    circles = np.ascontiguousarray(np.array([_circle(vertices, radius) for vertices, radius in parts]).T)
+    vertices = np.hstack([_with_normals(vertices) for vertices, _ in parts])
+    circles = np.column_stack([*(_circle(vertices, radius) for vertices, radius in parts), np.zeros(4)])
+    table = np.hstack([vertices, np.vstack([circles, start])])
     length, n = float(outline.length.value), outline.n_eccentric
     eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[:n])
     central = [
@@ -171,7 +172,8 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
     scale = 2.0 * float(np.hypot(vertices[0], vertices[1]).max()) + offset
     boxes = _box(parts[:n]), _box(parts[n:])
-    return Outline(locked(vertices), locked(start), locked(circles), n, offset, 1.0 / length, scale, *boxes, centers)
+    table, n_vertices = locked(np.ascontiguousarray(table)), vertices.shape[1]
+    return Outline(table, locked(start), n_vertices, n, offset, 1.0 / length, scale, *boxes, centers)
 
 
 def _box(parts):
@@ -200,7 +202,7 @@ def _with_normals(vertices):
 
 def _circle(vertices, radius):
     """Return the radius of a part, and a circle that contains it."""
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    middle = vertices.mean(axis=0)  # the kernel requires a point of the polygon
     return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
 
 

@@ -10,6 +10,7 @@ from outline_pairs import PLACES, SHAPES, closer, count, decide, exact_points, g
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import outlines
+from rfpsurvey._kernels.collisions import segments_squared
 from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
 from rfpsurvey.positioner import make_outline
 
@@ -94,7 +95,7 @@ def test_both_orders_give_the_same_verdict():
 
 
 def test_the_error_is_within_the_bound_and_the_bound_is_not_idle():
-    """The largest error of a positive gap is at most the bound, and at least a hundredth of one percent of it."""
+    """The largest error of a positive gap is at most the bound, and at least 0.01% of it."""
     worst = 0.0
     for seed in range(6):
         pairs = make_pairs(np.random.default_rng([8, seed]), "convex", "far_away", 60)
@@ -126,8 +127,6 @@ def test_no_outline_has_no_parts():
 
 def test_the_offset_is_the_difference_of_the_broad_phase():
     """Cores are never farther apart than the smallest gap plus the offset."""
-    from rfpsurvey._kernels.collisions import segments_squared
-
     for shape in SHAPES:
         pairs = make_pairs(np.random.default_rng(6), shape, "anywhere", 300)
         gap = gaps(pairs)

@@ -40,7 +40,7 @@ def gaps_plus_offset(outline, separation, cores):
 
 @numba.njit
 def place_all(outline, cores):
-    out = np.empty((len(cores), 4, outline.vertices.shape[1]))
+    out = np.empty((len(cores), 4, outline.n_vertices))
     for k in range(len(cores)):
         place_outline(outline, k, cores[k, 0], cores[k, 1], cores[k, 2], cores[k, 3], out[k])
     return out
