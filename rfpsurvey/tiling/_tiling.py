@@ -13,8 +13,8 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal, short
-from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
+from rfpsurvey.observing import ObservingConditions, check_conditions
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -132,8 +132,7 @@ class Tiling:
         InputError
             If ``conditions`` has another type.
         """
-        if not isinstance(conditions, ObservingConditions | None):
-            raise InputTypeError(f"conditions must be ObservingConditions or None, got {short(conditions)}")
+        check_conditions(conditions, optional=True)
         table = self.table.copy()
         table.meta["conditions"] = None if conditions is None else conditions.record
         return Tiling(table)
