@@ -90,7 +90,7 @@ def test_other_arm_models_are_refused(presets):
 
 
 def test_collisions_with_the_outline_of_desi_are_those_of_the_polygons(presets):
-    """Random arms of 600 positioners: two positioners collide if the published shapes overlap, except theta and theta."""
+    """Two positioners collide if the published shapes overlap, except those of two central arms."""
     plane = presets["desi"].with_arm_model("outline").focal_plane
     rng = np.random.default_rng(1)
     n = len(plane)
