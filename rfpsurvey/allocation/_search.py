@@ -9,7 +9,6 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from rfpsurvey._kernels import allocation as rules
-from rfpsurvey._kernels import reduce
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
@@ -18,6 +17,7 @@ from rfpsurvey.allocation._local_search import improve, match, pick, repair_coll
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey.allocation._reduction import reduced
 from rfpsurvey.focal_plane import Reach, elbow_names
 
 __all__ = ["decide"]
@@ -31,6 +31,8 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # Fractions of the remaining time for the candidates and their collisions, for prices of one objective, and for the
 # integer programs of the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
+# Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
+FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
 # Smallest time for the candidates in seconds, whatever the time limit.
 AT_LEAST = 0.1
 # Number of best targets of each positioner that are used if it takes too long to find all collisions.
@@ -143,7 +145,7 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
                 bound, plan = bound_by_clusters(bounding, prices, weights[k], share(deadline, FOR_FIRST))
                 limits[k] = min(limits[k], _whole(bound))
                 if bounding is used and len(names) == 1:
-                    chosen = better(repair_collisions(used, plan)[0])
+                    chosen = better(repair_collisions(used, plan, deadline)[0])
             end = share(deadline, FOR_PRICES)
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
@@ -204,25 +206,23 @@ def _conditional(problem, names, values, limits, first):
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
     """Return the candidates that the search used, and the best plan that it found."""
     problem = everything.problem
-    alive = np.ones(len(everything), dtype=bool)
-    reduce.reduce_candidates(everything.options, alive)
-    used = everything.where(alive)
+    used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
     # If the idle arm of a positioner is not among the candidates, this is not always a valid plan.
-    start = _plan(used, blind, collide)
+    start = _plan(used, blind, collide, share(deadline, FOR_REPAIR))
     found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
-        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide)
+        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
         return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
     if (found.values < found.bounds).any() and collide:
-        return used, found._replace(chosen=improve(used, found.chosen))
+        return used, found._replace(chosen=improve(used, found.chosen, deadline))
     return used, found
 
 
-def _plan(candidates, chosen, collide):
+def _plan(candidates, chosen, collide, deadline):
     """Return an initial plan, which has no collisions if ``collide`` is true; positioners without a target are idle."""
     if collide:
-        return repair_collisions(candidates, chosen)[0]
+        return repair_collisions(candidates, chosen, deadline)[0]
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
