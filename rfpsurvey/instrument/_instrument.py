@@ -26,6 +26,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE, ArmModels
 from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
@@ -40,7 +41,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(AsBuilt, Projections):
+class Instrument(ArmModels, AsBuilt, Projections):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -51,8 +52,8 @@ class Instrument(AsBuilt, Projections):
         The positioners.
     plate_scale : Quantity, optional
         Length per angle at the field center; required without ``distortion``.
-    distortion : RadialMap or dict of str to RadialMap, optional
-        Radial map of the field, or one for each fiber type.
+    distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
+        Radial map or distortion map of the field, or one for each fiber type.
     title : str, optional
         Full name.
     layout : {"nominal", "as built"}, optional
@@ -253,9 +254,10 @@ class Instrument(AsBuilt, Projections):
     @property
     def provenance(self) -> dict:
         """Return the information on the instrument that results record."""
-        plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
+        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on it
+        plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
         plane = self.focal_plane
-        parts = (self.values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
+        parts = (values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         arrays = plane.arrays

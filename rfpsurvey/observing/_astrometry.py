@@ -10,12 +10,10 @@ from astropy.utils import iers
 
 from rfpsurvey._units import to_lonlat
 from rfpsurvey.errors import InputError
-from rfpsurvey.observing._conditions import ObservingConditions
+from rfpsurvey.observing._conditions import RATE, ObservingConditions
 
 __all__ = ["Instant", "instants_of"]
 
-# Angle by which the Earth rotates in a second of time (UT1), radians.
-RATE = 1.00273781191135448 * 2 * np.pi / 86400
 # Points and weights of Gauss-Legendre quadrature over an exposure, which is from -1 to 1.
 NODES, WEIGHTS = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)
 
@@ -100,7 +98,9 @@ def _check_covered(time: Time) -> None:
     days = _tables()["MJD"].value
     if not days[0] + 1 <= time.mjd <= days[-1] - 1:
         first, last = (Time(day, format="mjd").isot[:10] for day in (days[0] + 1, days[-1] - 1))
+        # in another scale, years far from those of known leap seconds cause no warning
+        given = Time(time.mjd, format="mjd", scale="tai").isot
         raise InputError(
             f"time must be from {first} to {last}, which the installed tables of the Earth's rotation cover, got "
-            f"{time}; give hour_angle, or install a newer version of astropy-iers-data"
+            f"{given}; give hour_angle, or install a newer version of astropy-iers-data"
         )

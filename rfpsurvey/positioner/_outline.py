@@ -33,7 +33,7 @@ class ArmOutline:
 
     Each part is a convex polygon: all points within ``radius`` of the polygon belong to the part. A polygon of two
     vertices is a segment, and a polygon of one vertex is a point, so that parts with a radius can be capsules and
-    discs. Shapes that are not convex consist of several parts, which can overlap.
+    discs. Shapes that are not convex consist of several parts, which can overlap; `divide_polygon` divides polygons.
 
     Two positioners collide if the gap between an eccentric part of one positioner and any part of the other
     positioner is less than the minimum separation. Central parts do not collide with each other.
@@ -102,6 +102,17 @@ class ArmOutline:
         far = [float(np.hypot(*vertices.T).max()) + radius for vertices, radius in self.parts]
         n = self.n_eccentric
         return max(far[:n]), max(far[n:], default=0.0)
+
+    def mirrored(self) -> "ArmOutline":
+        """Return the mirror image about the x axis, for a positioner with the opposite handedness.
+
+        Returns
+        -------
+        ArmOutline
+            The outline with the opposite sign of all y.
+        """
+        parts = [((vertices * [1, -1]) * u.mm, radius * u.mm) for vertices, radius in self.parts]
+        return ArmOutline(parts[: self.n_eccentric], parts[self.n_eccentric :])
 
     def to_dict(self) -> dict:
         """Return the parts as lists of numbers in mm, as descriptions of instruments contain them."""
@@ -217,7 +228,9 @@ def _to_part(part, name):
         raise InputError(f"{name} must be finite vertices with coordinates below {MOST:g} mm, got {short(part)}")
     hull = _hull(points)
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
-        raise InputError(f"{name} must be a convex polygon, got {short(part)}; divide it into convex parts")
+        raise InputError(
+            f"{name} must be a convex polygon, got {short(part)}; rfpsurvey.divide_polygon divides other polygons"
+        )
     return locked(hull), radius
 
 
