@@ -58,9 +58,9 @@ def test_polygons_at_the_minimum_separation_do_not_collide():
     assert two([square], separation=np.nextafter(0.5, 1), distance=2.5)[1]
 
 
-@pytest.mark.parametrize("distance", [3.0, -3.0])
+@pytest.mark.parametrize("distance", [5.0, -1.0])
 def test_the_gap_of_points_is_their_distance(distance):
-    gap, collide = two([[[1, 0]]], separation=3.5, distance=distance)
+    gap, collide = two([[[1, 0]]], separation=3.5, distance=distance, turned=True)
     assert gap == pytest.approx(3, abs=1e-12)
     assert collide
 
