@@ -13,8 +13,8 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal, short
-from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
+from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.tiling._conditions import convert_when
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
@@ -147,8 +147,7 @@ class Tiling:
         >>> rs.Tiling.from_table(tiles).with_conditions(conditions).table["hour_angle"]
         <Quantity [-15.,  30.] deg>
         """
-        if not isinstance(conditions, ObservingConditions | None):
-            raise InputTypeError(f"conditions must be ObservingConditions or None, got {short(conditions)}")
+        check_conditions(conditions, optional=True)
         table = self.table.copy()
         table.meta["conditions"] = None if conditions is None else conditions.record
         return Tiling(table)

@@ -258,6 +258,20 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
             assert np.median(similarity(static.value, wok)[0]) == pytest.approx(0.042, abs=1e-3)
 
 
+def test_the_field_of_a_sdssv_configuration_of_2021_was_below_the_horizon(real_data):
+    """Its positions therefore cannot be reproduced."""
+    from rfpsurvey.plans import read_plan
+
+    folder = real_data("sdssv_apo_2021")
+    plan = read_plan(folder / "confSummary-998.par.gz")
+    time = Time(float(plan.meta["header"]["epoch"]), format="jd", scale="tai")
+    center = SkyCoord(plan.meta["racen"], plan.meta["deccen"], unit="deg")
+    with pytest.raises(rs.InputError, match="altitude -5.38.* deg of its center at 2022-01-01"):
+        rs.Instrument.from_sdssv(folder).projection(
+            center, conditions=rs.ObservingConditions("apache point", time=time)
+        )
+
+
 @pytest.mark.parametrize(
     ("given", "text"),
     [
