@@ -14,7 +14,7 @@ from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, Rfpsur
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.positioner import ArmOutline, Positioner
+from rfpsurvey.positioner import ArmOutline, Positioner, divide_polygon
 from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
@@ -67,6 +67,7 @@ __all__ = [
     "compare_instruments",
     "compare_projections",
     "count_collisions",
+    "divide_polygon",
     "example_catalog",
     "find_collisions",
     "partition_catalog",

@@ -52,7 +52,7 @@ class AsBuilt:
             positioners of a focal plane count as working.
         exclusions : str or path-like, optional
             Path of ``desi-exclusion_DATE.json`` (or ``.yaml``). The clearance becomes the median of the half widths
-            of the phi polygons.
+            of the phi polygons, and ``with_arm_model("outline")`` uses the polygons of most positioners.
         time : Time or str, optional
             Time of the state, in UTC; by default the last event applies.
 

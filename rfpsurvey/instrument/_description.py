@@ -9,6 +9,7 @@ import numpy as np
 from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
 from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import ArmOutline, Positioner
@@ -63,7 +64,8 @@ def build(content: dict, folder: Path) -> dict:
         value = entry["value"]
         return value * u.Unit(entry["unit"]) if "unit" in entry else value
 
-    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k not in ("arm_angle", "outline")}
+    own = {"arm_angle", "outline", "full_outline"}
+    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k not in own}
     angle = values.get("positioner.arm_angle")
     if angle is not None:
         value, unit = angle["value"], u.Unit(angle["unit"])
@@ -71,6 +73,9 @@ def build(content: dict, folder: Path) -> dict:
     outline = values.get("positioner.outline")
     if outline is not None:
         options["outline"] = ArmOutline.from_dict(outline["value"], u.Unit(outline["unit"]))
+    full = values.get(FULL_OUTLINE)
+    if full is not None:
+        ArmOutline.from_dict(full["value"], u.Unit(full["unit"]))  # raises an error if it is not valid
     focal_plane = _layout(Positioner(**options), get, folder)
     maps = {
         t: RadialMap(

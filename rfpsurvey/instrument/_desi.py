@@ -17,8 +17,10 @@ from rfpsurvey._readers import read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument._desi_state import find_conditions, find_latest, half_widths, moment_of
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE
+from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.positioner import ArmOutline
 
 __all__ = ["read", "recognizes"]
 
@@ -28,10 +30,10 @@ LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
-    "x is the negative x of CS5, because +x is east here and west in CS5. The positioners' polygons are replaced by a "
-    "segment with a clearance, which leaves out the wider elbow and the central bodies. Guide cameras, fiducials and "
-    "petal edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the "
-    "focal surface. The radial map is that of the preset."
+    "x is the negative x of CS5, because +x is east here and west in CS5. A segment with a clearance replaces the "
+    "polygons of a positioner and leaves out the wider elbow and the central bodies; with_arm_model('outline') "
+    "includes them. Guide cameras, fiducials and petal edges are not treated as obstacles. The arms move in the plane "
+    "of the centers, not in planes tangent to the focal surface. The radial map is that of the preset."
 )
 
 
@@ -104,13 +106,18 @@ def _from_model(preset, table, path, state, exclusions, moment):
             raise InputError(
                 f"{state or path}: MIN_{axis} must be less than MAX_{axis}, but is not for {some(ids, wrong)}"
             )
-    positioner, entries = replace(_mirrored(preset.focal_plane.positioner), home=None), {}
+    positioner, entries, dropped = replace(_mirrored(preset.focal_plane.positioner), home=None), {}, ["positioner.home"]
     if exclusions is not None:
-        widths, text = half_widths(exclusions, polygons, len(ids))
+        widths, outline, text = read_polygons(exclusions, polygons, len(ids))
         positioner = replace(positioner, clearance=float(np.median(widths)) * u.mm)
         source = "half width of the phi polygons, median of all positioners"
         entries["positioner.clearance"] = _entry(float(np.median(widths)), exclusions, source, "mm", "derived")
         notes.append(text)
+        if outline is None:
+            dropped.append(FULL_OUTLINE)
+        else:
+            source = "convex parts of the polygons of most positioners"
+            entries[FULL_OUTLINE] = _entry(outline.to_dict(), exclusions, source, "mm")
     plane = _plane(
         path,
         xy=_centers(table, "OFFSET_X", "OFFSET_Y", path),
@@ -132,7 +139,7 @@ def _from_model(preset, table, path, state, exclusions, moment):
         "positioner.theta_range": _entry(_limits(plane.theta_range), state or path, "MIN_T, MAX_T, medians", "deg"),
         "positioner.phi_range": _entry(_limits(plane.phi_range), state or path, "MIN_P, MAX_P, medians", "deg"),
     }
-    return _built(preset, plane, entries, " ".join(notes), dropped=("positioner.home",))
+    return _built(preset, plane, entries, " ".join(notes), dropped=dropped)
 
 
 def _plane(path, **columns) -> FocalPlane:
@@ -149,6 +156,11 @@ def _built(preset, plane, entries, notes, dropped=()):
     values["positioner.handedness"] = {**values["positioner.handedness"], "value": "left"}
     for name in ("positioner.handedness", "positioner.theta_range", "positioner.phi_range"):
         values[name] = {**values[name], "status": "derived", "source": f"{values[name]['source']}; mirror image of CS5"}
+    if FULL_OUTLINE in values:
+        entry = values[FULL_OUTLINE]
+        mirror = ArmOutline.from_dict(entry["value"], u.Unit(entry["unit"])).mirrored().to_dict()
+        source = f"{entry['source']}; mirror image of CS5"
+        values[FULL_OUTLINE] = {"value": mirror, "unit": "mm", "status": "derived", "source": source}
     return replace(preset, focal_plane=plane, layout="as built", values=values, notes=f"{notes} {LEFT_OUT}")
 
 

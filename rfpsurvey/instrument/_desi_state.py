@@ -12,9 +12,11 @@ from astropy.time import Time
 from rfpsurvey._readers import content_of, read_table, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
+from rfpsurvey.instrument._desi_outline import find_outline
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.positioner import ArmOutline
 
-__all__ = ["find_conditions", "find_latest", "half_widths", "moment_of"]
+__all__ = ["find_conditions", "find_latest", "moment_of", "read_polygons"]
 
 STATE = ("TIME", "LOCATION", "STATE")
 POSE = ("POS_T", "POS_P")
@@ -114,21 +116,31 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     return columns, limits, polygons.astype(str), text
 
 
-def half_widths(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, str]:
-    """Return the half widths (mm) of the phi polygons of n positioners, and a sentence about the polygons."""
+def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, ArmOutline | None, str]:
+    """Return the half widths (mm) of the phi polygons of n positioners, their outline, and a text about the polygons.
+
+    The outline consists of the polygons of most positioners, in CS5; it is None if they form no outline.
+    """
     polygons = _load(path)
     names = np.full(n, "default") if names is None else names
+    different, counts = np.unique(names, return_counts=True)
     widths = {}
-    for name in np.unique(names).tolist():
+    for name in different.tolist():
         if name not in polygons:
             raise InputError(f"{path}: there must be polygons with the name {name!r}, got none")
         widths[name] = _half_width(polygons[name], f"{path}: the phi polygon {name!r}")
     found = np.array([widths[name] for name in names.tolist()])
     text = (
         f"The clearance is the median of the half widths of the phi polygons in {path.name}, which are from "
-        f"{found.min():.3f} to {found.max():.3f} mm; the other polygons are not used."
+        f"{found.min():.3f} to {found.max():.3f} mm."
     )
-    return found, text
+    most, others = str(different[np.argmax(counts)]), n - int(counts.max())
+    try:
+        outline = find_outline(polygons[most])
+    except (InputError, KeyError, IndexError, TypeError, ValueError):
+        return found, None, f"{text} The polygons with the name {most!r} form no outline."
+    text += f" The outline for with_arm_model consists of the polygons with the name {most!r}"
+    return found, outline, f"{text}, also for {number_of(others, 'positioner')} with others." if others else f"{text}."
 
 
 def _half_width(polygon: object, what: str) -> float:

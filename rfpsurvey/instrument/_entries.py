@@ -96,6 +96,11 @@ CELLS = Kind(
     "a list of pairs of whole numbers",
     lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
 )
+OUTLINE = Kind(
+    "a table of eccentric (and central) to lists of parts with vertices (and a radius of at least 0)",
+    _is_outline,
+    u.mm,
+)
 TEXT = Kind("text", _is_text)
 NAMES = Kind("a list of names", lambda value: _is_list(value, _is_text) and len(value) > 0)
 ENTRIES = {
@@ -117,11 +122,8 @@ ENTRIES = {
         ),
         u.rad,
     ),
-    "positioner.outline": Kind(
-        "a table of eccentric (and central) to lists of parts with vertices (and a radius of at least 0)",
-        _is_outline,
-        u.mm,
-    ),
+    "positioner.outline": OUTLINE,
+    "positioner.full_outline": OUTLINE,
     "layout.table": TEXT,
     "layout.rings": _whole(0, 500),
     "layout.count": _whole(1, 1_000_000),

@@ -26,6 +26,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE, ArmModels
 from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
@@ -40,7 +41,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(AsBuilt, Projections):
+class Instrument(ArmModels, AsBuilt, Projections):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -253,9 +254,10 @@ class Instrument(AsBuilt, Projections):
     @property
     def provenance(self) -> dict:
         """Return the information on the instrument that results record."""
-        plain = {name: v["value"] for name, v in self.values.items() if not isinstance(v["value"], list)}
+        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on it
+        plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
         plane = self.focal_plane
-        parts = (self.values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
+        parts = (values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         arrays = plane.arrays

@@ -44,7 +44,7 @@ def draw_obstacles(ax, scene: Scene) -> Iterator:
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
     """Draw both arms of each positioner and the shade around the segment that can collide, and yield legend entries."""
-    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch
 
@@ -61,11 +61,9 @@ def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
         ax.add_collection(LineCollection(central, colors=color, linewidths=0.4, alpha=0.5, zorder=zorder))
         arms = np.stack([scene.elbows[rows], scene.tips[rows]], axis=1)
         ax.add_collection(LineCollection(arms, colors=color, zorder=zorder, **{**style, **kwargs}))
-        shade = {"facecolors": to_rgba(color, 0.2), "edgecolors": "none"}
-        if color is COLLISION:
-            shade |= {"edgecolors": color, "linewidths": 0.8, "hatch": HATCH}
-        for shapes in _shapes(scene, rows):
-            ax.add_collection(PolyCollection(shapes, zorder=zorder - 0.5, **shade))
+        for shape in _shapes(scene, rows, color):
+            shape.set_zorder(zorder - 0.5)
+            ax.add_collection(shape)
         add_circles(ax, scene.tips[rows], 0.06 * scene.outer[rows], facecolors=color, zorder=zorder)
         if color is COLLISION:
             yield Patch(facecolor=to_rgba(color, 0.2), edgecolor=color, hatch=HATCH, label=label)
@@ -82,29 +80,46 @@ def draw_marks(ax, scene: Scene) -> Iterator:
             yield ax.scatter(*points.T, s=16, marker=marker, linewidths=1.0, zorder=6, label=label, **style)
 
 
-def _shapes(scene: Scene, rows: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the shapes that may not touch: a capsule for each arm, or the polygons of each part of the outlines."""
+def _shapes(scene: Scene, rows: np.ndarray, color: str) -> Iterator:
+    """Yield collections of the shapes that may not touch: capsules, or the outlines of both arms."""
+    from matplotlib.collections import PathCollection, PolyCollection
+    from matplotlib.colors import to_rgba
+
+    hatch = {"edgecolors": color, "hatch": HATCH} if color is COLLISION else {"edgecolors": "none"}
     if scene.outline is None:
-        yield capsules(scene.bodies[rows], scene.half)
+        shapes = capsules(scene.bodies[rows], scene.half)
+        yield PolyCollection(shapes, facecolors=to_rgba(color, 0.2), linewidths=0.8, **hatch)
         return
     elbows = scene.elbows[rows]
-    for arm, origins, ends in (
-        ("eccentric", elbows, scene.bodies[rows, 2:]),
-        ("central", scene.centers[rows], elbows),
-    ):
-        along = ends - origins
-        along = along / np.hypot(*along.T)[:, None]
-        for part in scene.outline.get(arm, ()):
-            x, y = rounded(np.array(part["vertices"]), part.get("radius", 0.0) + scene.half).T
-            across = np.column_stack([-along[:, 1], along[:, 0]])
-            yield origins[:, None] + along[:, None] * x[:, None] + across[:, None] * y[:, None]
+    arms = {"eccentric": (elbows, scene.bodies[rows, 2:], 0.25), "central": (scene.centers[rows], elbows, 0.15)}
+    for arm, (origins, ends, alpha) in arms.items():
+        if scene.outline.get(arm):
+            paths = _outlines(scene.outline[arm], scene.half, origins, ends)
+            # no edges, which would also show the edges between the parts
+            yield PathCollection(paths, facecolors=to_rgba(color, alpha), linewidths=0, **hatch)
+
+
+def _outlines(parts: list[dict], margin: float, origins: np.ndarray, ends: np.ndarray) -> list:
+    """Return one path per arm, which contains all parts of its outline; overlaps of parts are filled once."""
+    from matplotlib.path import Path
+
+    vertices, codes = [], []
+    for part in parts:
+        points = rounded(np.array(part["vertices"]), part.get("radius", 0.0) + margin)
+        vertices += [points, points[:1]]
+        codes += [Path.MOVETO, *[Path.LINETO] * (len(points) - 1), Path.CLOSEPOLY]
+    x, y = np.concatenate(vertices).T[:, :, None]
+    along = ends - origins
+    along = along / np.hypot(*along.T)[:, None]
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    return [Path(o + x * a + y * b, codes) for o, a, b in zip(origins, along, across, strict=True)]
 
 
 def rounded(vertices: np.ndarray, radius: float) -> np.ndarray:
-    """Return the vertices of a convex polygon enlarged by a radius, with 16 points on each full turn of its corners."""
+    """Return the vertices of a convex polygon enlarged by a radius, with 48 points on each full turn of its corners."""
     if radius == 0:
         return vertices
-    angle = np.arange(16) * np.pi / 8
+    angle = np.arange(48) * np.pi / 24
     circle = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     points = (vertices[:, None] + circle).reshape(-1, 2)
     return points[ConvexHull(points).vertices]

@@ -1,7 +1,16 @@
 """A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
+from rfpsurvey.positioner._division import divide_polygon
 from rfpsurvey.positioner._numbers import PositionerNumbers
 from rfpsurvey.positioner._outline import ArmOutline, make_outline
 from rfpsurvey.positioner._positioner import ARM_MODELS, HANDEDNESS, Positioner
 
-__all__ = ["ARM_MODELS", "HANDEDNESS", "ArmOutline", "Positioner", "PositionerNumbers", "make_outline"]
+__all__ = [
+    "ARM_MODELS",
+    "HANDEDNESS",
+    "ArmOutline",
+    "Positioner",
+    "PositionerNumbers",
+    "divide_polygon",
+    "make_outline",
+]

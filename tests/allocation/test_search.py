@@ -6,14 +6,14 @@ from itertools import combinations, product
 import astropy.units as u
 import numpy as np
 import pytest
-from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 import flat
 import rfpsurvey as rs
 from brute import bodies_of, conflicts_of, options_of
 from rfpsurvey._kernels import conflicts
-from rfpsurvey._kernels.reduce import reduce_candidates
+from rfpsurvey.allocation._reduction import reduced
 
 MM = u.mm
 EXHAUSTIVE = pytest.mark.exhaustive
@@ -236,11 +236,11 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
         # without requirements, all keys are equivalent
         free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
         for case, with_keys in ((free, False), (options, True)):
-            everything, alive = np.ones(len(options.own), bool), np.ones(len(options.own), bool)
+            everything = np.ones(len(options.own), bool)
             before = list(plans(case, pairs, everything))
             if not before:
                 continue
-            reduce_candidates(case, alive)
+            alive = reduced(case)
             after = list(plans(case, pairs, alive))
             weigh = [lambda p: (p[1], p[3])]
             if with_keys:  # for any requirement on one key
@@ -301,8 +301,10 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     if n_required:
         options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
     best = flat.allocate(plane, xy, **options)
-    late = OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
-    monkeypatch.setattr("scipy.optimize.milp", lambda *_, **__: late)
+    for module in ("_milp", "_clusters"):
+        monkeypatch.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
+    # without prices of cliques, all bounds follow from a matching
+    monkeypatch.setattr("rfpsurvey.allocation._search.MOST_BOUNDS", 0)
     found = flat.allocate(plane, xy, **options)
     assert best.gap == 0 < found.gap
     assert any(level.value < level.bound for level in found.levels)
@@ -321,11 +323,12 @@ def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypa
     r, angle = 1.3 * 5 * pitch * np.sqrt(rng.random(91)), 2 * np.pi * rng.random(91)
     said = []
 
-    def answer(*_, options, **__):
-        said.append(options["presolve"])
-        return OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
+    def answer(*_, presolve, **__):
+        said.append(presolve)
+        return None, np.inf
 
-    monkeypatch.setattr("scipy.optimize.milp", answer)
+    monkeypatch.setattr("rfpsurvey.allocation._milp.maximize", answer)
+    monkeypatch.setattr("rfpsurvey.allocation._search.improve_by_clusters", lambda _, chosen, *__: chosen)
     # the scene is dense enough to leave work to the solver
     plane = rs.FocalPlane(plane.xy, rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM)) if expected else plane
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 import shapely
+from astropy.coordinates import SkyCoord
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
@@ -183,3 +184,27 @@ def test_outlines_are_drawn():
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=2, pitch=9.5 * u.mm)
     ax = Figure().subplots()
     rs.plot.plot_focal_plane(plane, ax=ax)
+
+
+def test_parts_of_an_outline_are_one_path_per_arm():
+    """Overlapping parts are filled once, and no edges between parts are visible."""
+    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
+    center = SkyCoord(10 * u.deg, 20 * u.deg)
+    sky = center.directional_offset_by(np.arange(60) * u.deg, np.arange(60) * 4 * u.arcsec)
+    catalog = rs.Catalog(sky)
+    tile = rs.plan_tile(catalog, rs.Instrument("test", plane, plate_scale=60 * u.um / u.arcsec), center)
+    ax = Figure().subplots()
+    rs.plot.plot_focal_plane(tile, ax=ax)
+    elbows, tips = (np.column_stack([tile.table[f"{n}_x"].value, tile.table[f"{n}_y"].value]) for n in ("elbow", "tip"))
+    shapes = [placed(DESI_LIKE, *ends) for ends in zip(plane.arrays.xy, elbows, tips, strict=True)]
+    areas = [shapely.union_all([c.buffer(r + 0.1) for c, r in part]) for pair in shapes for part in pair]
+    n_found = 0
+    for collection in ax.collections:
+        for path in collection.get_paths():
+            rings = [shapely.Polygon(ring) for ring in path.to_polygons() if len(ring) > 3]
+            if len(rings) == 2:
+                assert collection.get_linewidth()[0] == 0
+                assert all(ring.exterior.is_ccw for ring in rings)  # with one orientation, overlaps are filled once
+                drawn = shapely.union_all(rings)
+                n_found += any(drawn.symmetric_difference(area).area < 0.01 * area.area for area in areas)
+    assert n_found == 14

@@ -1,0 +1,46 @@
+"""Conversion of DESI's exclusion polygons to the outline of a positioner."""
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.positioner import ArmOutline, divide_polygon
+
+__all__ = ["find_outline"]
+
+
+def find_outline(polygons: dict) -> ArmOutline:
+    """Return the outline of exclusion polygons in CS5.
+
+    ``phi`` is in the frame of the eccentric arm, and ``theta`` in the frame of the central arm. Circles become discs.
+    Lines that are not closed are joined at their nearest ends, and their first and last points are joined, because
+    fiberassign tests only the lines themselves.
+    """
+    return ArmOutline(_parts(polygons["phi"]), _parts(polygons.get("theta", {"segments": [], "circles": []})))
+
+
+def _parts(shape: dict) -> list:
+    """Return the convex parts of lines and circles."""
+    lines = [np.array(line, dtype=float).reshape(-1, 2) for line in shape["segments"] if len(line)]
+    closed = [line for line in lines if len(line) > 3 and np.allclose(line[0], line[-1])]
+    open_lines = [line for line in lines if not any(line is one for one in closed)]
+    rings = [line[:-1] for line in closed] + ([_joined(open_lines)] if open_lines else [])
+    parts = [part for ring in rings for part in _divided(ring)]
+    return parts + [
+        (np.array([center], dtype=float) * u.mm, float(radius) * u.mm) for center, radius in shape["circles"]
+    ]
+
+
+def _divided(ring: np.ndarray) -> tuple:
+    """Return the convex parts of a polygon; fewer than three vertices are one part."""
+    return (ring * u.mm,) if len(ring) < 3 else divide_polygon(ring * u.mm)
+
+
+def _joined(lines: list[np.ndarray]) -> np.ndarray:
+    """Return the vertices of all lines in one order, in which each line starts near the end of the line before."""
+    found, *others = lines
+    while others:
+        gaps = [[np.hypot(*(line[end] - found[-1])) for end in (0, -1)] for line in others]
+        k, end = np.unravel_index(np.argmin(gaps), (len(others), 2))
+        line = others.pop(k)
+        found = np.concatenate([found, line[::-1] if end else line])
+    return found
